@@ -1,0 +1,1 @@
+"""Scenes, vehicle, control, sensors, simulation and scoring of the closed loop."""

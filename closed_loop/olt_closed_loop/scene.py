@@ -1,0 +1,77 @@
+"""The scene in memory: road, lanes, route, recorded ego and agents. `stage` reads and writes it as OpenUSD.
+
+World frame: metres, z up, the ground is z = 0 unless a lane says otherwise; times are integer microseconds from the
+start of the recording.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.poses import Array
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.rig import VehicleDimensions
+
+
+@dataclass(frozen=True)
+class Agent:
+    """A recorded road user or object.
+
+    Attributes:
+        id: unique in the scene.
+        label: class in the words of the PhysicalAI-AV obstacle table (automobile, person, rider, ...), cone or barrier.
+        length, width, height: box size in metres.
+        timestamps_us: (n,) int64, strictly increasing; outside its first and last sample the agent does not exist.
+        poses: (n, 4) float64: x, y, z of the box centre and yaw.
+    """
+
+    id: str
+    label: str
+    length: float
+    width: float
+    height: float
+    timestamps_us: NDArray[np.int64]
+    poses: Array
+
+
+@dataclass(frozen=True)
+class Lane:
+    """One driving lane: centre line and borders, each (n, 3), in driving direction; ids of the lanes that follow."""
+
+    id: str
+    center: Array
+    left: Array
+    right: Array
+    successors: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A closed-loop scene.
+
+    Attributes:
+        name: unique name.
+        category: long-tail category, or "nominal".
+        factors: scene factors that hold (cone_delineated, cyclists, work_zone, ...).
+        vehicle: size of the ego vehicle.
+        ego: recorded ego trajectory T_world_rig from time 0.
+        agents: recorded agents.
+        lanes: driving lanes.
+        road_edges: polylines (n, 3) that bound the drivable area, which lies to their left.
+        drivable: closed outlines (n, 3) of the drivable area, counter-clockwise.
+        route: (n, 3) the line that the ego is meant to follow.
+        looks: path of the USD stage whose payload holds what only rendering needs; None if there is none.
+    """
+
+    name: str
+    category: str
+    factors: tuple[str, ...]
+    vehicle: VehicleDimensions
+    ego: Trajectory
+    agents: tuple[Agent, ...]
+    lanes: tuple[Lane, ...]
+    road_edges: tuple[Array, ...]
+    drivable: tuple[Array, ...]
+    route: Array
+    looks: str | None = None

@@ -1,0 +1,1 @@
+"""Sources, clip tables, mixtures and samplers for fine-tuning."""

@@ -1,0 +1,1 @@
+"""Recipes, the toy policy, and two-stage fine-tuning."""

@@ -1,0 +1,15 @@
+"""Fixtures that every test may use."""
+
+from pathlib import Path
+
+import pytest
+
+SHARED_REAL = Path(__file__).resolve().parents[2] / "shared" / "real"
+
+
+@pytest.fixture(scope="session")
+def shared_real() -> Path:
+    """Folder of the real recordings beside the checkout; the test is skipped where it is absent."""
+    if not SHARED_REAL.is_dir():
+        pytest.skip(f"no real recordings beside the checkout ({SHARED_REAL.parent.name}/{SHARED_REAL.name} is absent)")
+    return SHARED_REAL

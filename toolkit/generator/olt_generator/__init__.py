@@ -1,0 +1,6 @@
+"""The view engine: one front-camera video to an ego trajectory, depth, warps and the views of a target rig.
+
+The package stands alone and imports nothing else of the project.
+"""
+
+__version__ = "0.1.0"

@@ -1,0 +1,42 @@
+"""What a component registers so that `olt bench` can hold its error against its run time."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way of doing the work.
+
+    Attributes:
+        name: what the setting is called in tables and plots.
+        prepare: builds the input and returns the call that is timed. The call returns plain arrays or numbers.
+        default: whether this is the setting that the project uses.
+    """
+
+    name: str
+    prepare: Callable[[], Callable[[], Any]]
+    default: bool = False
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Settings of one component, measured against a reference that does not use them.
+
+    Attributes:
+        name: name of the entry point in the group `olt.benchmarks`.
+        title: what is measured, in one line.
+        error_name, error_unit: what the error is and its unit.
+        reference: what the error is measured against, in one sentence.
+        settings: builds the settings; called in the measuring process too, so it must give the same ones each time.
+        measure_error: the error of what a setting's call returned; called once per setting.
+    """
+
+    name: str
+    title: str
+    error_name: str
+    error_unit: str
+    reference: str
+    settings: Callable[[], Sequence[Setting]]
+    measure_error: Callable[[Any], float]

@@ -1,0 +1,1 @@
+"""Measurements of error against run time that `olt bench` runs."""

@@ -1,0 +1,41 @@
+"""One training sample of a driving policy, in the names and shapes of the public Alpamayo loader."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, order=True)
+class SampleKey:
+    """Where a sample is found: the folder of its clip store, the clip, and the time t0 in microseconds of clip time."""
+
+    store: str
+    clip_id: str
+    t0_us: int
+
+
+@dataclass(frozen=True)
+class PolicySample:
+    """One sample (facts sheet pai_dataset, section 9), poses in the rig frame at t0.
+
+    Attributes:
+        image_frames: (4, 4, 3, H, W) uint8 RGB: cameras by index, then frames by time.
+        camera_indices: (4,) int64, [0, 1, 2, 6].
+        ego_history_xyz: (1, 16, 3) float32 at t0 - 1.5 ... 0 s; ego_history_rot: (1, 16, 3, 3) float32.
+        ego_future_xyz: (1, 64, 3) float32 at t0 + 0.1 ... 6.4 s; ego_future_rot: (1, 64, 3, 3) float32.
+        relative_timestamps: (4, 4) float32 seconds from the earliest frame.
+        absolute_timestamps: (4, 4) int64 microseconds of the frames.
+        t0_us, clip_id: which sample it is.
+    """
+
+    image_frames: NDArray[np.uint8]
+    camera_indices: NDArray[np.int64]
+    ego_history_xyz: NDArray[np.float32]
+    ego_history_rot: NDArray[np.float32]
+    ego_future_xyz: NDArray[np.float32]
+    ego_future_rot: NDArray[np.float32]
+    relative_timestamps: NDArray[np.float32]
+    absolute_timestamps: NDArray[np.int64]
+    t0_us: int
+    clip_id: str

@@ -1,0 +1,66 @@
+"""Work on several processes, each with one thread per numerical library."""
+
+import os
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from multiprocessing import get_context
+from typing import TypeVar
+
+from olt_generator.progress import Progress, silent
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+
+
+def default_workers() -> int:
+    """The number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def use_one_thread() -> None:
+    """Keep OpenCV and torch, where loaded later too, on one thread, so that sums come out the same everywhere."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    for variable in THREAD_VARIABLES:
+        os.environ[variable] = "1"
+
+
+def map_parallel(
+    function: Callable[[Item], Result], items: Sequence[Item], workers: int, on_progress: Progress = silent
+) -> list[Result]:
+    """Apply `function` to all items on up to `workers` processes; results keep the order of the items.
+
+    The first failure stops the rest and is raised. `function` and the items must be picklable.
+    """
+    if workers <= 1 or len(items) <= 1:
+        return list(_map_here(function, items, on_progress))
+    results: dict[int, Result] = {}
+    pool = ProcessPoolExecutor(min(workers, len(items)), mp_context=get_context("spawn"), initializer=_start_worker)
+    try:
+        futures = {pool.submit(function, item): index for index, item in enumerate(items)}
+        for future in as_completed(futures):
+            results[futures[future]] = future.result()
+            on_progress(len(results) / len(items))
+    except BaseException:
+        for process in list((pool._processes or {}).values()):  # a started task cannot be cancelled otherwise
+            process.terminate()
+        pool.shutdown(wait=True, cancel_futures=True)
+        raise
+    pool.shutdown()
+    return [results[index] for index in range(len(items))]
+
+
+def _map_here(function: Callable[[Item], Result], items: Sequence[Item], on_progress: Progress) -> Iterator[Result]:
+    for done, item in enumerate(items, start=1):
+        yield function(item)
+        on_progress(done / len(items))
+
+
+def _start_worker() -> None:
+    # Ctrl-C reaches the whole process group: the parent alone decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    use_one_thread()

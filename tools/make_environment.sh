@@ -1,0 +1,18 @@
+#!/bin/sh
+# Make the environment from the pinned versions: uv where it is on the PATH, else venv and pip.
+set -eu
+venv=$1
+python=${PYTHON:-python3}
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || {
+    echo "$python is older than Python 3.11; set PYTHON to a newer one" >&2
+    exit 1
+}
+if command -v uv >/dev/null 2>&1; then
+    uv venv --quiet --allow-existing --python "$python" "$venv"
+    VIRTUAL_ENV=$venv uv pip install --quiet --requirement requirements.txt
+    VIRTUAL_ENV=$venv uv pip install --quiet --no-deps --editable .
+else
+    "$python" -m venv "$venv"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --requirement requirements.txt
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+fi
