@@ -10,9 +10,9 @@ python=${PYTHON:-python3}
 if command -v uv >/dev/null 2>&1; then
     uv venv --quiet --allow-existing --python "$python" "$venv"
     VIRTUAL_ENV=$venv uv pip install --quiet --requirement requirements.txt
-    VIRTUAL_ENV=$venv uv pip install --quiet --no-deps --editable .
+    VIRTUAL_ENV=$venv uv pip install --quiet --no-deps --no-build-isolation --editable .
 else
     "$python" -m venv "$venv"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --requirement requirements.txt
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --editable .
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 fi

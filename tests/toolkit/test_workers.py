@@ -1,0 +1,41 @@
+import os
+import time
+
+import pytest
+
+from olt_toolkit.workers import map_parallel
+
+
+def square(number):
+    return number * number
+
+
+def sleep_or_fail(item):
+    if item == 0:
+        raise ValueError("item 0")
+    time.sleep(60)
+
+
+def threads_and_process(_):
+    import cv2
+
+    return cv2.getNumThreads(), os.environ["OMP_NUM_THREADS"], os.getpid()
+
+
+@pytest.mark.parametrize("workers", [1, 2, 5])
+def test_results_keep_the_order_of_the_items(workers):
+    shares = []
+    assert map_parallel(square, range(7), workers, shares.append) == [0, 1, 4, 9, 16, 25, 36]
+    assert shares == sorted(shares) and shares[-1] == 1.0
+
+
+def test_workers_are_other_processes_with_one_thread():
+    answers = map_parallel(threads_and_process, [0, 1], 2)
+    assert all(answer[:2] == (1, "1") and answer[2] != os.getpid() for answer in answers)
+
+
+def test_the_first_failure_ends_the_rest():
+    start = time.monotonic()
+    with pytest.raises(ValueError, match="item 0"):
+        map_parallel(sleep_or_fail, [1, 0], 2)
+    assert time.monotonic() - start < 50

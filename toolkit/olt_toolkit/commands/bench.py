@@ -1,0 +1,79 @@
+"""`olt bench`: error against run time of the registered components."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command(help="Measure error against run time of a component, or of all.")
+def bench(
+    name: Annotated[str, typer.Argument(help="Name of a benchmark, or `all`; `list` names them.")],
+    out: Annotated[Path, typer.Option(help="Folder for the JSON report and the plot.")] = Path("runs/bench"),
+    repeats: Annotated[int, typer.Option(min=1, help="Timed runs per setting.")] = 7,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Report per setting the error, median time and spread, peak memory, and draw the Pareto front."""
+    from olt_toolkit.benchmark_runner import benchmark_names
+    from olt_toolkit.console import print_json, print_line
+
+    if name == "list":
+        if as_json:
+            print_json({"benchmarks": benchmark_names()})
+        else:
+            print_line("\n".join(benchmark_names()))
+        return
+    reports = [_run_one(each, out, repeats) for each in (benchmark_names() if name == "all" else [name])]
+    if as_json:
+        print_json(reports[0] if len(reports) == 1 else {"reports": reports})
+        return
+    for report in reports:
+        _print_report(report, out)
+
+
+def _run_one(name: str, out: Path, repeats: int) -> dict[str, Any]:
+    import json
+
+    from olt_generator.files import write_whole
+    from olt_toolkit.benchmark_runner import load_benchmark, plot_benchmark, run_benchmark
+    from olt_toolkit.console import make_progress
+
+    load_benchmark(name)  # an unknown name fails before the bar is drawn
+    with make_progress() as progress:
+        task = progress.add_task(f"bench {name}", total=100)
+        report = run_benchmark(name, repeats, lambda share: progress.update(task, completed=round(100 * share)))
+    with write_whole(out / f"{name}.json") as path:
+        path.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
+    with write_whole(out / f"{name}.png") as path:
+        plot_benchmark(report, path)
+    return report
+
+
+def _print_report(report: dict[str, Any], out: Path) -> None:
+    from olt_toolkit.console import print_line, print_table
+
+    rows = [
+        (
+            row["setting"] + (" (default)" if row["default"] else ""),
+            row["error"],
+            f"{1e3 * row['median_s']:.3f}",
+            f"{1e3 * row['first_quartile_s']:.3f} - {1e3 * row['third_quartile_s']:.3f}",
+            row["peak_memory_mib"],
+            "yes" if row["pareto"] else "",
+        )
+        for row in report["settings"]
+    ]
+    columns = (
+        "setting",
+        f"{report['error_name']} ({report['error_unit']})",
+        "median (ms)",
+        "quartiles (ms)",
+        "peak memory (MiB)",
+        "on the front",
+    )
+    print_table(report["title"], columns, rows)
+    print_line(f"reference: {report['reference']}")
+    print_line(f"machine: {report['machine']['processor']}, {report['machine']['cores']} cores")
+    print_line(f"plot: {out / report['benchmark']}.png")
