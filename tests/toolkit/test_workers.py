@@ -3,6 +3,7 @@ import time
 
 import pytest
 
+from olt_generator.files import write_whole
 from olt_toolkit.workers import map_parallel
 
 
@@ -39,3 +40,18 @@ def test_the_first_failure_ends_the_rest():
     with pytest.raises(ValueError, match="item 0"):
         map_parallel(sleep_or_fail, [1, 0], 2)
     assert time.monotonic() - start < 50
+
+
+def write_slowly_or_fail(folder):
+    if not folder.name.startswith("slow"):
+        time.sleep(1)
+        raise ValueError("the other item")
+    with write_whole(folder / "result.txt") as temporary:
+        temporary.write_text("half")
+        time.sleep(60)
+
+
+def test_a_stopped_worker_leaves_nothing_half_written(tmp_path):
+    with pytest.raises(ValueError, match="the other item"):
+        map_parallel(write_slowly_or_fail, [tmp_path / "slow", tmp_path / "other"], 2)
+    assert list((tmp_path / "slow").iterdir()) == []

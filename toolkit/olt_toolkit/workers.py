@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
@@ -41,7 +42,7 @@ def map_parallel(
     results: dict[int, Result] = {}
     pool = ProcessPoolExecutor(min(workers, len(items)), mp_context=get_context("spawn"), initializer=_start_worker)
     try:
-        futures = {pool.submit(function, item): index for index, item in enumerate(items)}
+        futures = {pool.submit(_work, function, item): index for index, item in enumerate(items)}
         for future in as_completed(futures):
             results[futures[future]] = future.result()
             on_progress(len(results) / len(items))
@@ -63,4 +64,12 @@ def _map_here(function: Callable[[Item], Result], items: Sequence[Item], on_prog
 def _start_worker() -> None:
     # Ctrl-C reaches the whole process group: the parent alone decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     use_one_thread()
+
+
+def _work(function: Callable[[Item], Result], item: Item) -> Result:
+    try:
+        return function(item)
+    except SystemExit:
+        os._exit(143)  # told to stop: what was half-written is removed by now, and no further item may start

@@ -1,0 +1,91 @@
+"""A check that scores mean something: on this scene, do three drives of known worth get what they are worth?"""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from olt_closed_loop.rollout import Rollout
+from olt_closed_loop.scene import Agent, Scene
+from olt_closed_loop.scoring import SHORT_RECORDING, RolloutScore, recorded_length, score_rollout
+from olt_closed_loop.simulation import SimulationSettings, replay, stand
+from olt_closed_loop.vehicle import STATE
+
+WALL_LENGTH, WALL_WIDTH, WALL_HEIGHT = 0.5, 8.0, 2.0
+
+
+@dataclass(frozen=True)
+class GateCheck:
+    """One check: what was asked, whether it holds (None: it cannot be asked of this scene), and what was found."""
+
+    name: str
+    passed: bool | None
+    finding: str
+
+
+@dataclass(frozen=True)
+class GateResult:
+    """The checks of one scene."""
+
+    scene: str
+    checks: tuple[GateCheck, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether no check failed."""
+        return all(check.passed is not False for check in self.checks)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The result as JSON can hold it."""
+        return {"scene": self.scene, "passed": self.passed, "checks": [asdict(check) for check in self.checks]}
+
+
+def check_gate(scene: Scene, settings: SimulationSettings | None = None) -> GateResult:
+    """Score three given drives of the scene.
+
+    Replaying the recording must score 1 without a collision; a car that stands from the hand-over on must make no
+    progress and score 0; replaying it into a wall across the road must give exactly one collision, at fault, score 0.
+
+    Raises:
+        InputError: the recording is too short to be driven.
+    """
+    replayed = replay(scene, settings)
+    checks = (_check_replay(scene, replayed), _check_standing(scene, settings), _check_wall(scene, replayed))
+    return GateResult(scene.name, checks)
+
+
+def _check_replay(scene: Scene, replayed: Rollout) -> GateCheck:
+    score = score_rollout(scene, replayed)
+    return GateCheck("replay scores 1", score.score == 1.0 and not score.collisions, _describe(score))
+
+
+def _check_standing(scene: Scene, settings: SimulationSettings | None) -> GateCheck:
+    name = "standing scores 0"
+    standing = stand(scene, settings)
+    if recorded_length(scene, standing) < SHORT_RECORDING:
+        return GateCheck(name, None, f"the recording drives less than {SHORT_RECORDING:g} m")
+    score = score_rollout(scene, standing)
+    return GateCheck(name, score.score == 0.0 and score.progress == 0.0, _describe(score))
+
+
+def _check_wall(scene: Scene, replayed: Rollout) -> GateCheck:
+    name = "a wall is hit once"
+    if recorded_length(scene, replayed) < 2.0 * scene.vehicle.length:
+        return GateCheck(name, None, "the recording drives less than two vehicle lengths")
+    score = score_rollout(replace(scene, agents=(_wall(scene, replayed),)), replayed)
+    return GateCheck(name, score.score == 0.0 and len(score.collisions) == 1, _describe(score))
+
+
+def _wall(scene: Scene, replayed: Rollout) -> Agent:
+    """A wall where the ego's box centre is at the end of the drive, across its way."""
+    x, y, yaw = replayed.states[-1, : STATE.speed]
+    ahead = scene.vehicle.rear_axle_to_bbox_center
+    pose = [x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), replayed.heights[-1] + 0.5 * WALL_HEIGHT, yaw]
+    times = replayed.timestamps_us[[0, -1]]
+    return Agent("wall", "barrier", WALL_LENGTH, WALL_WIDTH, WALL_HEIGHT, times, np.array([pose, pose]))
+
+
+def _describe(score: RolloutScore) -> str:
+    return f"score {score.score:.4f}, progress {score.progress:.4f}, {len(score.collisions)} collisions" + (
+        f" ({score.reason})" if score.reason else ""
+    )

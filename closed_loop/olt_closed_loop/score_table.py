@@ -1,0 +1,95 @@
+"""Scores of many rollouts put together: AS and CR by category and overall, with what they rest on.
+
+AS is the mean scene score over rollouts, so that a category weighs as much as it has valid rollouts, as in the paper's
+Table 1. CR is the share of valid rollouts in which the ego touched anything, at fault or not. Intervals hold the true
+value in 95 of 100 repetitions if rollouts are independent; rollouts of one scene are not quite.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from scipy.special import ndtri, stdtrit
+
+from olt_closed_loop.scoring import RolloutScore
+
+OVERALL = "overall"
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class ScoreRow:
+    """One line of the table; None is "not measured".
+
+    Attributes:
+        category: long-tail category, or "overall".
+        rollouts, valid: how many were driven, and how many of them could be scored.
+        alpasim_score: AS, mean score of the valid rollouts.
+        alpasim_score_interval: 95 % interval of AS (Student t, cut to 0..1); needs two rollouts.
+        collision_rate: CR, share of valid rollouts with any collision.
+        collision_rate_interval: 95 % interval of CR (Wilson).
+    """
+
+    category: str
+    rollouts: int
+    valid: int
+    alpasim_score: float | None
+    alpasim_score_interval: Interval | None
+    collision_rate: float | None
+    collision_rate_interval: Interval | None
+
+
+@dataclass(frozen=True)
+class ScoreTable:
+    """One row per category in alphabetical order, then the overall row."""
+
+    definition: str
+    rows: tuple[ScoreRow, ...]
+
+    @property
+    def overall(self) -> ScoreRow:
+        """The row over all rollouts."""
+        return self.rows[-1]
+
+    def to_dict(self) -> dict[str, Any]:
+        """The table as JSON can hold it."""
+        return {"definition": self.definition, "rows": [asdict(row) for row in self.rows]}
+
+
+def summarize_scores(scores: Sequence[RolloutScore]) -> ScoreTable:
+    """Put the scores of one policy together."""
+    categories = sorted({score.category for score in scores})
+    rows = [_row(category, [s for s in scores if s.category == category]) for category in categories]
+    return ScoreTable("strict", (*rows, _row(OVERALL, scores)))
+
+
+def _row(category: str, scores: Sequence[RolloutScore]) -> ScoreRow:
+    values = np.array([score.score for score in scores if score.score is not None])
+    collided = sum(bool(score.collided) for score in scores)
+    valid = len(values)
+    return ScoreRow(
+        category=category,
+        rollouts=len(scores),
+        valid=valid,
+        alpasim_score=float(values.mean()) if valid else None,
+        alpasim_score_interval=mean_interval(values) if valid > 1 else None,
+        collision_rate=collided / valid if valid else None,
+        collision_rate_interval=wilson_interval(collided, valid) if valid else None,
+    )
+
+
+def mean_interval(values: np.ndarray) -> Interval:
+    """95 % Student t interval of the mean of values (n,) in 0..1, n >= 2, cut to 0..1."""
+    spread = stdtrit(len(values) - 1, 0.975) * values.std(ddof=1) / np.sqrt(len(values))
+    return max(float(values.mean() - spread), 0.0), min(float(values.mean() + spread), 1.0)
+
+
+def wilson_interval(successes: int, count: int) -> Interval:
+    """95 % interval of a share (Wilson, J. Am. Stat. Assoc. 22, 1927), count >= 1."""
+    z = float(ndtri(0.975))
+    share = successes / count
+    centre = (share + z * z / (2 * count)) / (1 + z * z / count)
+    half = z / (1 + z * z / count) * np.sqrt(share * (1 - share) / count + z * z / (4 * count * count))
+    # At the ends the limits are exactly 0 and 1; rounding would leave a little.
+    return float(centre - half) if successes else 0.0, float(centre + half) if successes < count else 1.0
