@@ -1,0 +1,124 @@
+"""Small clip tables, in memory and as stores on disk."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from olt_datasets.clip_table import SCHEMA
+from olt_generator.poses import planar_pose
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.clip import (
+    CameraStream,
+    Clip,
+    ClipInfo,
+    ClipKind,
+    EgoMotion,
+    Split,
+    ViewProvenance,
+    make_clip_id,
+)
+from olt_toolkit.clip_store import ClipStore
+from olt_toolkit.clip_table import CLIP_TABLE, write_clip_table
+from olt_toolkit.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
+
+MakeClip = Callable[..., ClipInfo]
+MakeTable = Callable[..., pl.DataFrame]
+WriteStore = Callable[..., Path]
+
+
+def _make_clip(
+    number: int,
+    kind: ClipKind = "GT",
+    category: str = "nominal",
+    source: str = "world",
+    factors: tuple[str, ...] = (),
+    split: Split = "train",
+    scene_id: str | None = None,
+    samples: int = 1,
+) -> ClipInfo:
+    return ClipInfo(
+        clip_id=f"00000000-0000-5000-8000-{number:012d}",
+        name=f"drive {number}",
+        scene_id=scene_id or f"scene_{number}",
+        source=source,
+        kind=kind,
+        category=category,
+        factors=factors,
+        split=split,
+        duration_us=20_000_000,
+        sample_t0_us=tuple(5_000_000 + 100_000 * index for index in range(samples)),
+        no_sample_reason=None if samples else "too short",
+        created_with="0.1.0",
+        views={},
+    )
+
+
+def _make_table(*clips: ClipInfo, store: str = "/store") -> pl.DataFrame:
+    rows = [{name: getattr(clip, name) for name in SCHEMA} | {"store": store} for clip in clips]
+    return pl.DataFrame(rows, schema={**SCHEMA, "store": pl.String})
+
+
+@pytest.fixture(scope="session")
+def make_clip() -> MakeClip:
+    return _make_clip
+
+
+@pytest.fixture(scope="session")
+def make_table() -> MakeTable:
+    return _make_table
+
+
+@pytest.fixture
+def write_store(tmp_path: Path) -> WriteStore:
+    """Write a store that is nothing but its clip table."""
+
+    def write(*clips: ClipInfo, name: str = "store") -> Path:
+        folder = tmp_path / name
+        folder.mkdir(exist_ok=True)
+        write_clip_table(folder / CLIP_TABLE, clips)
+        return folder
+
+    return write
+
+
+@pytest.fixture(scope="session")
+def toy_table(make_clip: MakeClip, make_table: MakeTable) -> pl.DataFrame:
+    """20 nominal GT clips with 3 samples each and 8 Syn work zones with 2, in different scenes."""
+    nominal = [make_clip(number, samples=3) for number in range(20)]
+    work_zones = [make_clip(100 + number, kind="Syn", category="work_zone", samples=2) for number in range(8)]
+    return make_table(*nominal, *work_zones)
+
+
+@pytest.fixture(scope="session")
+def real_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A clip store with one clip of 9 s at 10 Hz: straight driving at 5 m/s, grey images of 64 x 36 pixels."""
+    timestamps_us = 100_000 * np.arange(90, dtype=np.int64)
+    still = np.zeros(90)
+    poses = planar_pose(5e-6 * timestamps_us, still, still)
+    rig = pav_rig().fitted(64, 36)
+    frames = np.full((90, 36, 64, 3), 128, np.uint8)
+    streams = {
+        name: CameraStream(frames, timestamps_us, 10.0, rig[name].camera, rig[name].T_rig_camera)
+        for name in POLICY_CAMERAS
+    }
+    clip = Clip(
+        clip_id=make_clip_id("straight"),
+        name="straight",
+        scene_id="straight",
+        source="test",
+        kind="GT",
+        category="nominal",
+        factors=(),
+        split="train",
+        streams=streams,
+        ego_motion=EgoMotion.from_trajectory(Trajectory(timestamps_us, poses)),
+        vehicle=DEFAULT_VEHICLE,
+        provenance={name: ViewProvenance("rendered", "test", "1", None, 1.0, 0.0) for name in streams},
+    )
+    store = ClipStore(tmp_path_factory.mktemp("clips"))
+    store.stage(clip)
+    store.commit([clip.clip_id])
+    return store.root

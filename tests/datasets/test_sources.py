@@ -1,0 +1,183 @@
+"""Recording readers for plain video and KITTI raw drives."""
+
+import shutil
+
+import cv2
+import numpy as np
+import pytest
+
+from olt_datasets.sources.kitti_raw import SOURCE as KITTI
+from olt_datasets.sources.video import SOURCE as VIDEO
+from olt_generator.cameras import FthetaCamera, PinholeCamera
+from olt_generator.errors import InputError
+from olt_generator.poses import invert, transform
+from olt_generator.video import write_video
+from olt_toolkit.recording import OpenOptions
+
+WIDTH, HEIGHT, FRAMES = 120, 40, 6
+# A camera 0.6 m to the right of the velodyne and 0.1 m below it, looking forward; the IMU 0.8 m behind the velodyne.
+CALIBRATION = {
+    "calib_cam_to_cam.txt": (
+        "calib_time: 09-Jan-2012 13:57:47\n"
+        f"S_rect_02: {WIDTH}.0 {HEIGHT}.0\n"
+        "R_rect_00: 1 0 0 0 1 0 0 0 1\n"
+        "P_rect_02: 70 0 60 7.0 0 70 20 0 0 0 1 0\n"
+    ),
+    "calib_velo_to_cam.txt": "R: 0 -1 0 0 0 -1 1 0 0\nT: 0 -0.1 -0.3\n",
+    "calib_imu_to_velo.txt": "R: 1 0 0 0 1 0 0 0 1\nT: -0.8 0.3 -0.8\n",
+}
+
+
+def write_video_file(path, count=5, size=(36, 64)):
+    frames = np.random.default_rng(0).integers(0, 255, (count, *size, 3), dtype=np.uint8)
+    write_video(path, frames, 30)
+    return path
+
+
+def stamp(tenths, offset_ns=0):
+    return f"2011-09-26 13:10:5{tenths // 10}.{(tenths % 10) * 100_000_000 + offset_ns:09d}"
+
+
+def write_drive(folder, official=False):
+    """A drive north at 10 m/s; the IMU's nose is 1 degree below the direction of travel."""
+    drive = folder / "2011_09_26" / "2011_09_26_drive_0001_sync" if official else folder / "drive"
+    images, oxts = (drive / "image_02/data", drive / "oxts/data") if official else (drive / "image_02", drive / "oxts")
+    times = drive / ("image_02/timestamps.txt" if official else "image_02_timestamps.txt")
+    oxts_times = drive / ("oxts/timestamps.txt" if official else "oxts_timestamps.txt")
+    for made in (images, oxts):
+        made.mkdir(parents=True)
+    for name, text in CALIBRATION.items():
+        ((drive.parent if official else drive) / name).write_text(text)
+    for index in range(FRAMES):
+        picture = np.full((HEIGHT, WIDTH, 3), (10, 20, 200), dtype=np.uint8)
+        cv2.imwrite(str(images / f"{index:010d}.png"), picture)
+        latitude = 49.0 + np.degrees(1.0 * index / 6378137.0)
+        values = [latitude, 8.0, 100.0, 0.0, np.radians(1.0), np.pi / 2] + [0.0] * 24
+        (oxts / f"{index:010d}.txt").write_text(" ".join(repr(float(v)) for v in values))
+    times.write_text("\n".join(stamp(k, offset_ns=1_499) for k in range(FRAMES)) + "\n")
+    oxts_times.write_text("\n".join(stamp(k, offset_ns=10_000_000) for k in range(FRAMES)) + "\n")
+    return drive
+
+
+def test_video_opens_with_every_assumption_said(tmp_path):
+    path = write_video_file(tmp_path / "dash.mp4")
+    assert VIDEO.recognises(path)
+    recording = VIDEO.open(path, OpenOptions())
+    assert recording.frames.shape == (5, 36, 64, 3)
+    assert isinstance(recording.camera, PinholeCamera)
+    assert recording.camera.rays(np.array([[-0.5, 17.5]]))[0, 0] == pytest.approx(-np.sin(np.radians(35.0)))
+    assert recording.T_rig_camera[2, 3] == 1.5
+    said = " ".join(recording.assumptions)
+    for word in ("70 degrees", "1.50 m", "rear axle", "vehicle"):
+        assert word in said
+    assert recording.reference is None
+
+
+def test_wide_video_gets_a_fisheye_and_options_are_taken(tmp_path):
+    path = write_video_file(tmp_path / "dash.mp4")
+    recording = VIDEO.open(path, OpenOptions(width=32, horizontal_fov=np.radians(120.0), camera_height=2.2))
+    assert isinstance(recording.camera, FthetaCamera)
+    assert recording.camera.width == 32
+    edge = recording.camera.rays(np.array([[31.5, 8.5]]))[0]
+    assert np.degrees(np.arccos(edge[2])) == pytest.approx(60.0, abs=0.01)
+    assert recording.T_rig_camera[2, 3] == 2.2
+    assert any("as given" in sentence for sentence in recording.assumptions)
+
+
+def test_video_of_one_frame_and_silly_field_of_view_are_refused(tmp_path):
+    with pytest.raises(InputError, match="at least 2 frames"):
+        VIDEO.open(write_video_file(tmp_path / "one.mp4", count=1), OpenOptions())
+    with pytest.raises(InputError, match=r"field of view 1\.0 degrees"):
+        VIDEO.open(write_video_file(tmp_path / "dash.mp4"), OpenOptions(horizontal_fov=np.radians(1.0)))
+
+
+def test_readers_know_their_own(tmp_path):
+    drive = write_drive(tmp_path)
+    assert KITTI.recognises(drive)
+    assert not VIDEO.recognises(drive)
+    assert not KITTI.recognises(tmp_path)
+    (tmp_path / "notes.txt").write_text("no video")
+    assert not VIDEO.recognises(tmp_path / "notes.txt")
+
+
+@pytest.mark.parametrize("official", [False, True])
+def test_kitti_drive(tmp_path, official):
+    drive = write_drive(tmp_path, official)
+    assert KITTI.recognises(drive)
+    recording = KITTI.open(drive, OpenOptions(width=60))
+    assert recording.frames.shape == (FRAMES, 20, 60, 3)
+    assert recording.frames[0, 0, 0].tolist() == [200, 20, 10]
+    assert recording.timestamps_us.tolist() == [100_000 * k for k in range(FRAMES)]
+    assert recording.camera == PinholeCamera(WIDTH, HEIGHT, 70, 70, 60, 20).resized(60, 20)
+
+
+def test_kitti_mounting_follows_the_calibration_and_the_direction_of_travel(tmp_path):
+    recording = KITTI.open(write_drive(tmp_path), OpenOptions())
+    # By hand: camera 2 lies 0.1 m left of camera 0 (P[0, 3] = 7 = f * 0.1), which lies 0.3 m ahead of the velodyne.
+    in_imu = np.array([0.8 + 0.3, -0.3 + 0.1, 0.8 - 0.1])
+    pitch = np.radians(1.0)
+    expected = [in_imu[0] * np.cos(pitch) + in_imu[2] * np.sin(pitch), in_imu[1]]
+    assert recording.T_rig_camera[:2, 3] == pytest.approx(expected, abs=1e-3)
+    height = 0.93 + in_imu[2] * np.cos(pitch) - in_imu[0] * np.sin(pitch)
+    assert recording.T_rig_camera[2, 3] == pytest.approx(height, abs=1e-3)
+    assert recording.T_rig_camera[:3, 2] == pytest.approx([np.cos(pitch), 0.0, -np.sin(pitch)], abs=1e-3)
+
+
+def test_kitti_reference_is_metric_and_reaches_every_image(tmp_path):
+    recording = KITTI.open(write_drive(tmp_path), OpenOptions())
+    assert np.array_equal(recording.reference.timestamps_us, recording.timestamps_us)
+    assert recording.reference.positions[:, 0] == pytest.approx(np.arange(FRAMES) * 1.0, abs=2e-3)
+    assert np.abs(recording.reference.positions[:, 1:]).max() < 2e-3
+
+
+def test_kitti_projection_chain(tmp_path):
+    recording = KITTI.open(write_drive(tmp_path), OpenOptions())
+    T_imu_rig = invert(recording.T_rig_camera)
+    point_camera = np.array([[1.0, 0.5, 10.0]])
+    back = transform(T_imu_rig, transform(recording.T_rig_camera, point_camera))
+    assert back == pytest.approx(point_camera)
+    pixels, seen = recording.camera.project(point_camera)
+    assert pixels[0] == pytest.approx([67.0, 23.5])
+    assert seen[0]
+
+
+def test_duration_limits_the_drive(tmp_path):
+    recording = KITTI.open(write_drive(tmp_path), OpenOptions(duration=0.25))
+    assert len(recording.frames) == len(recording.reference) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "message"),
+    [
+        ("calib_cam_to_cam.txt", "P_rect_02", "P_rect_99", "calib_cam_to_cam.txt: field P_rect_02 is missing"),
+        ("calib_cam_to_cam.txt", "70 0 60", "70 60", "field P_rect_02: has 11 numbers, 12"),
+        ("calib_velo_to_cam.txt", "-0.3", "minus", "calib_velo_to_cam.txt: field T: .*minus"),
+        ("calib_imu_to_velo.txt", "0.3", "nan", "calib_imu_to_velo.txt: field T: .*finite"),
+        ("calib_cam_to_cam.txt", "120.0 40.0", "130.0 40.0", "is 120 x 40 pixels, S_rect_02"),
+        ("image_02_timestamps.txt", "13:10:50.2", "13:70:50.2", "line 3: .*no time of the form"),
+        ("oxts/0000000002.txt", "100.0", "", "0000000002.txt: has 29 numbers, 30"),
+    ],
+)
+def test_a_wrong_file_is_named_with_its_field(tmp_path, name, old, new, message):
+    drive = write_drive(tmp_path)
+    text = (drive / name).read_text()
+    assert old in text
+    (drive / name).write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=message) as caught:
+        KITTI.open(drive, OpenOptions())
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["calib_velo_to_cam.txt", "oxts_timestamps.txt", "oxts/0000000003.txt"])
+def test_a_missing_file_is_refused(tmp_path, name):
+    drive = write_drive(tmp_path)
+    (drive / name).unlink()
+    with pytest.raises(InputError, match=r"missing|5 GPS/IMU files for 6 timestamps"):
+        KITTI.open(drive, OpenOptions())
+
+
+def test_a_damaged_image_is_named(tmp_path):
+    drive = write_drive(tmp_path)
+    shutil.copy(drive / "image_02_timestamps.txt", drive / "image_02/0000000004.png")
+    with pytest.raises(InputError, match=r"0000000004.png: cannot be decoded"):
+        KITTI.open(drive, OpenOptions())

@@ -1,0 +1,174 @@
+"""Distance estimates on a street whose true distances are known."""
+
+import cv2
+import numpy as np
+import pytest
+
+from olt_generator.cameras import PinholeCamera, pixel_rays
+from olt_generator.depth import FAR_DISTANCE, DistanceEstimate, Origin, estimate_distance, road_distance
+from olt_generator.errors import InputError
+from olt_generator.own_vehicle import find_own_vehicle
+from olt_generator.parallax import BASELINE, choose_partners
+from olt_generator.poses import camera_pose_in_rig, planar_pose, transform
+from olt_generator.seeds import make_generator
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.benchmarks.street import render_street
+
+CAMERA = PinholeCamera.from_field_of_view(416, 240, float(np.radians(90.0)))
+T_RIG_CAMERA = camera_pose_in_rig([1.7, 0.0, 1.5], 0.0, 0.03, 0.01)
+COUNT = 10
+
+
+def trajectory_of(step: float, count: int = COUNT) -> Trajectory:
+    index = np.arange(count)
+    return Trajectory(index * 100_000, planar_pose(step * index, 0.0, 0.004 * step * index))
+
+
+DRIVE = trajectory_of(1.6)
+
+
+@pytest.fixture(scope="module")
+def frames() -> np.ndarray:
+    return np.stack([render_street(CAMERA, pose @ T_RIG_CAMERA)[0] for pose in DRIVE.T_world_rig])
+
+
+@pytest.fixture(scope="module")
+def estimate(frames) -> DistanceEstimate:
+    return estimate_distance(frames, CAMERA, DRIVE, T_RIG_CAMERA)
+
+
+@pytest.fixture(scope="module")
+def true_distance() -> np.ndarray:
+    distance = np.stack([render_street(CAMERA, pose @ T_RIG_CAMERA)[1] for pose in DRIVE.T_world_rig])
+    return np.minimum(distance, FAR_DISTANCE)
+
+
+def test_every_rule_is_right_about_its_pixels(estimate, true_distance):
+    relative_error = np.abs(estimate.distance - true_distance) / true_distance
+    assert estimate.distance.dtype == np.float32
+    assert np.median(relative_error[estimate.origin == Origin.PLANE]) < 0.001
+    assert np.median(relative_error[estimate.origin == Origin.PARALLAX]) < 0.07
+    assert np.median(relative_error[estimate.origin == Origin.FAR]) < 0.001
+    for origin, least in ((Origin.PLANE, 0.1), (Origin.PARALLAX, 0.3), (Origin.FAR, 0.1)):
+        assert np.mean(estimate.origin == origin) > least
+    assert not np.any(estimate.origin == Origin.VEHICLE)
+
+
+def test_most_pixels_are_right_and_parallax_is_why(estimate, true_distance):
+    background = np.minimum(road_distance(CAMERA, T_RIG_CAMERA), FAR_DISTANCE)
+    right = np.abs(estimate.distance - true_distance) < 0.1 * true_distance
+    right_without_parallax = np.abs(background - true_distance) < 0.1 * true_distance
+    assert right.mean() > 0.75
+    assert right.mean() > right_without_parallax.mean() + 0.2
+
+
+def test_every_frame_has_parallax(estimate):
+    assert np.all((estimate.origin == Origin.PARALLAX).mean(axis=(1, 2)) > 0.25)
+
+
+def test_standstill_leaves_road_and_far(frames):
+    estimate = estimate_distance(frames, CAMERA, trajectory_of(0.0), T_RIG_CAMERA)
+    road = road_distance(CAMERA, T_RIG_CAMERA)
+    assert np.array_equal(estimate.distance[3], np.minimum(road, FAR_DISTANCE))
+    assert np.array_equal(estimate.origin[3] == Origin.PLANE, road < FAR_DISTANCE)
+    assert set(np.unique(estimate.origin)) == {Origin.PLANE, Origin.FAR}
+
+
+def test_plain_images_leave_road_and_far():
+    grey = np.full((COUNT, CAMERA.height, CAMERA.width, 3), 90, np.uint8)
+    estimate = estimate_distance(grey, CAMERA, DRIVE, T_RIG_CAMERA)
+    assert set(np.unique(estimate.origin)) == {Origin.PLANE, Origin.FAR}
+
+
+def test_one_frame_is_enough(frames):
+    single = Trajectory(DRIVE.timestamps_us[:1], DRIVE.T_world_rig[:1])
+    assert estimate_distance(frames[:1], CAMERA, single, T_RIG_CAMERA).distance.shape == (1, 240, 416)
+
+
+def test_same_bytes_at_any_number_of_threads(frames, estimate):
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1 if threads > 1 else 4)
+    again = estimate_distance(frames, CAMERA, DRIVE, T_RIG_CAMERA)
+    cv2.setNumThreads(threads)
+    assert again.distance.tobytes() == estimate.distance.tobytes()
+    assert again.origin.tobytes() == estimate.origin.tobytes()
+
+
+def test_progress_rises_to_one(frames):
+    shares: list[float] = []
+    estimate_distance(frames, CAMERA, DRIVE, T_RIG_CAMERA, shares.append)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+@pytest.fixture(scope="module")
+def long_drive() -> tuple[np.ndarray, PinholeCamera, Trajectory]:
+    """Twenty small frames over 30 metres."""
+    camera, trajectory = CAMERA.resized(208, 120), trajectory_of(1.6, count=20)
+    frames = np.stack([render_street(camera, pose @ T_RIG_CAMERA)[0] for pose in trajectory.T_world_rig])
+    return frames, camera, trajectory
+
+
+def with_bonnet(frames: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frames with a patterned bonnet painted over the bottom, and where it is."""
+    rows, columns = np.indices(frames.shape[1:3])
+    bonnet = rows > 100.0 + 6.0 * ((columns - 104.0) / 104.0) ** 2
+    pattern = cv2.GaussianBlur(make_generator("bonnet").uniform(0, 255, (*bonnet.shape, 3)), (0, 0), 1.5)
+    return np.where(bonnet[..., None], pattern.astype(np.uint8), frames), bonnet
+
+
+def test_the_bonnet_is_found_and_not_warped(long_drive):
+    frames, camera, trajectory = long_drive
+    painted, bonnet = with_bonnet(frames)
+    estimate = estimate_distance(painted, camera, trajectory, T_RIG_CAMERA)
+    found = estimate.origin[0] == Origin.VEHICLE
+    assert (found & bonnet).sum() > 0.8 * (found | bonnet).sum()
+    assert np.all(np.isnan(estimate.distance[:, found]))
+    assert np.all(np.isfinite(estimate.distance[:, ~found]))
+
+
+def test_road_is_not_taken_for_a_bonnet(long_drive):
+    frames, camera, trajectory = long_drive
+    road = road_distance(camera, T_RIG_CAMERA)
+    assert not find_own_vehicle(frames, camera, T_RIG_CAMERA, trajectory.positions, road).any()
+
+
+def test_a_clip_that_stands_has_no_bonnet(long_drive):
+    frames, camera, trajectory = long_drive
+    painted, _ = with_bonnet(frames)
+    road = road_distance(camera, T_RIG_CAMERA)
+    assert not find_own_vehicle(painted, camera, T_RIG_CAMERA, 0.0 * trajectory.positions, road).any()
+
+
+def test_road_distance_ends_on_the_road():
+    road = road_distance(CAMERA, T_RIG_CAMERA)
+    below = np.isfinite(road)
+    assert 0.4 < below.mean() < 0.6
+    points = transform(T_RIG_CAMERA, (pixel_rays(CAMERA)[below] * road[below][:, None]))
+    near = road[below] < 50.0
+    assert np.abs(points[near, 2]).max() < 1e-4
+
+
+def test_partners_lie_a_baseline_behind_and_at_the_start_ahead():
+    positions = np.stack([0.3 * np.arange(20), np.zeros(20), np.zeros(20)], axis=1)
+    partners = choose_partners(positions)
+    assert partners[10] == 10 - round(BASELINE / 0.3)
+    assert partners[0] == round(BASELINE / 0.3)
+
+
+def test_no_partner_without_motion():
+    positions = np.zeros((30, 3))
+    positions[25:, 0] = 5.0
+    partners = choose_partners(positions)
+    assert partners[:10] == [None] * 10
+    assert partners[12] == 25
+    assert choose_partners(np.zeros((1, 3))) == [None]
+
+
+def test_inputs_that_do_not_belong_together_are_refused(frames):
+    with pytest.raises(InputError, match="9 frames for 10 poses"):
+        estimate_distance(frames[:9], CAMERA, DRIVE, T_RIG_CAMERA)
+    with pytest.raises(InputError, match="208 x 120"):
+        estimate_distance(frames, CAMERA.resized(208, 120), DRIVE, T_RIG_CAMERA)
+    with pytest.raises(InputError, match="above the road"):
+        estimate_distance(frames, CAMERA, DRIVE, camera_pose_in_rig([1.7, 0.0, 0.0], 0.0, 0.0, 0.0))

@@ -1,0 +1,43 @@
+"""`olt clip build` on a real drive with calibration and a GPS/IMU reference."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from olt_toolkit.clip_store import ClipStore
+from olt_toolkit.commands.clip import app
+from olt_toolkit.rig import FRONT_WIDE
+from olt_toolkit.sample import SampleKey
+
+
+@pytest.mark.slow
+def test_clip_from_a_real_drive(shared_real, tmp_path):
+    drive = shared_real / "kitti_raw_2011_09_26_drive_0013"
+    result = CliRunner().invoke(app, ["build", str(drive), "--out", str(tmp_path), "--json"], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+
+    # The drive is 139.5 m long; the camera's height of 1.65 m is all that sets the scale.
+    assert summary["trajectory"]["length"] == pytest.approx(139.5, rel=0.05)
+    assert summary["pose_errors"]["metric"]["ate_m"] < 5.0
+    assert summary["pose_errors"]["metric"]["step_rotation_deg"] < 0.1
+    before, after = summary["smoothness_before_smoothing"], summary["smoothness"]
+    assert after["jerk_rms_m_s3"] < 0.2 * before["jerk_rms_m_s3"]
+    assert cv2.imread(summary["preview"]) is not None
+    assert Path(summary["preview"]).parent == tmp_path / "previews"
+
+    store = ClipStore(tmp_path)
+    info = store.info(summary["clip"]["clip_id"])
+    assert info.kind == "Syn"
+    assert info.sample_t0_us[0] == 1_700_000
+    sample = store.load_sample(SampleKey(str(tmp_path), info.clip_id, info.sample_t0_us[-1]))
+    assert sample.image_frames.shape == (4, 4, 3, 320, 576)
+    speed = np.linalg.norm(np.diff(sample.ego_future_xyz[0], axis=0), axis=1) / 0.1
+    assert ((speed > 9.0) & (speed < 14.0)).all()
+    times = store.read_timestamps(info.clip_id, FRONT_WIDE)
+    assert len(times) == 120
+    assert np.diff(times) == pytest.approx(103_400, abs=2_000)

@@ -1,0 +1,226 @@
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from olt_generator.cameras import PinholeCamera, pixel_rays
+from olt_generator.errors import InputError
+from olt_generator.poses import camera_pose_in_rig, planar_pose
+from olt_generator.seeds import make_generator
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.clip_builder import BuildOptions, build_clip
+from olt_toolkit.recording import Recording
+from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, pav_rig
+
+SIZE = (192, 108)
+OPTIONS = BuildOptions(width=128, height=72)
+SIDES = (CROSS_LEFT, CROSS_RIGHT)
+STREET_HALF_WIDTH = 7.0
+
+
+class Street:
+    """A straight street between two endless walls, each surface with its own random pattern of 40 cm grain."""
+
+    def __init__(self):
+        noise = make_generator("street").normal(size=(3, 512, 512, 3))
+        blurred = [cv2.GaussianBlur(each, (0, 0), 4.0) for each in noise]
+        self._textures = [np.clip(128 + 50 * each / each.std(), 0, 255).astype(np.uint8) for each in blurred]
+
+    def render(self, camera, T_world_camera):
+        """Image (H, W, 3) and distance (H, W) along the rays, inf in the sky."""
+        rays = pixel_rays(camera) @ T_world_camera[:3, :3].T
+        origin = T_world_camera[:3, 3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_planes = np.stack(
+                [
+                    -origin[2] / rays[..., 2],
+                    (STREET_HALF_WIDTH - origin[1]) / rays[..., 1],
+                    (-STREET_HALF_WIDTH - origin[1]) / rays[..., 1],
+                ]
+            )
+        to_planes[~(to_planes > 0)] = np.inf
+        # The walls are 8 m high.
+        above = origin[2] + to_planes[1:] * rays[..., 2] > 8.0
+        to_planes[1:][above] = np.inf
+        surface, distance = to_planes.argmin(axis=0), to_planes.min(axis=0)
+        points = origin + np.where(np.isfinite(distance), distance, 0.0)[..., None] * rays
+        image = np.full((*distance.shape, 3), 200, np.uint8)
+        for index, axes in enumerate([(0, 1), (0, 2), (0, 2)]):
+            here = (surface == index) & np.isfinite(distance)
+            cells = np.floor(points[..., axes] * 10.0).astype(int) % 512
+            image[here] = self._textures[index][cells[..., 0], cells[..., 1]][here]
+        return image, distance.astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """Three seconds at 10 Hz and 6 m/s down the street, with everything about it known."""
+    street, camera = Street(), PinholeCamera.from_field_of_view(*SIZE, np.radians(70.0))
+    T_rig_camera = camera_pose_in_rig([1.7, 0.0, 1.5], 0.0, 0.02, 0.0)
+    timestamps_us = 100_000 * np.arange(31, dtype=np.int64)
+    reference = Trajectory(timestamps_us, planar_pose(6.0 * timestamps_us * 1e-6, 0.0, 0.0))
+    rendered = [street.render(camera, pose @ T_rig_camera) for pose in reference.T_world_rig]
+    rig = pav_rig().fitted(OPTIONS.width, OPTIONS.height)
+    views = {
+        name: np.stack([street.render(rig[name].camera, T @ rig[name].T_rig_camera)[0] for T in reference.T_world_rig])
+        for name in (*SIDES, FRONT_TELE)
+    }
+    return Recording(
+        name="street",
+        source="test",
+        frames=np.stack([image for image, _ in rendered]),
+        timestamps_us=timestamps_us,
+        camera=camera,
+        T_rig_camera=T_rig_camera,
+        vehicle=DEFAULT_VEHICLE,
+        assumptions=("the street is endless",),
+        reference=reference,
+        distance=np.stack([distance for _, distance in rendered]),
+        views=views,
+    )
+
+
+@pytest.fixture(scope="module")
+def built(recording):
+    """The clip with synthesized views along the known motion."""
+    return build_clip(recording, replace(OPTIONS, use_reference_motion=True))
+
+
+def test_four_streams_of_one_size_and_time(built, recording):
+    clip = built.clip
+    assert clip.kind == "Syn"
+    assert tuple(clip.streams) == POLICY_CAMERAS
+    for stream in clip.streams.values():
+        assert stream.frames.shape == (31, 72, 128, 3)
+        assert (stream.camera.width, stream.camera.height) == (128, 72)
+        assert stream.frame_rate == 10.0
+        np.testing.assert_array_equal(stream.timestamps_us, recording.timestamps_us)
+
+
+def test_provenance_says_what_was_seen(built):
+    assert {name: view.kind for name, view in built.clip.provenance.items()} == {
+        CROSS_LEFT: "warped",
+        FRONT_WIDE: "observed",
+        CROSS_RIGHT: "warped",
+        FRONT_TELE: "cropped",
+    }
+    for name in SIDES:
+        view = built.clip.provenance[name]
+        assert view.observed_share == pytest.approx(built.observed[name].mean())
+        assert view.observed_share + view.invented_share == pytest.approx(1.0)
+        assert 0.02 < view.observed_share < 0.7
+    assert built.observed.keys() == set(SIDES)
+
+
+def test_what_was_seen_is_closer_to_the_truth_than_what_was_invented(built):
+    for name in SIDES:
+        assert built.view_errors[name].psnr_observed > built.view_errors[name].psnr > 5.0
+
+
+def test_errors_that_cannot_be_measured_are_none(built, recording):
+    assert built.distance_error is not None
+    assert built.distance_error < 0.5
+    assert built.odometry is None
+    assert built.pose_errors is None
+    unknown = replace(recording, distance=None, views={})
+    blind = build_clip(unknown, replace(OPTIONS, use_reference_motion=True, cameras=(FRONT_WIDE, CROSS_LEFT)))
+    assert blind.distance_error is None
+    assert blind.view_errors == {}
+
+
+def test_true_views_are_taken_as_they_are(recording):
+    built = build_clip(recording, replace(OPTIONS, use_reference_views=True, image_kind="rendered"))
+    assert built.clip.kind == "GT"
+    assert {view.kind for view in built.clip.provenance.values()} == {"rendered"}
+    for name in (*SIDES, FRONT_TELE):
+        np.testing.assert_array_equal(built.clip.streams[name].frames, recording.views[name])
+    assert built.distance is None
+    assert built.observed == {}
+    assert built.seconds.keys() == {"views"}
+    np.testing.assert_allclose(built.clip.ego_motion.velocity, [[6.0, 0.0, 0.0]] * 31, atol=1e-9)
+
+
+def test_motion_is_measured_where_it_is_not_given(recording):
+    stages, shares = [], []
+    built = build_clip(recording, OPTIONS, shares.append, stages.append)
+    assert built.pose_errors is not None
+    assert built.motion is not None
+    travelled = built.clip.ego_motion.trajectory.path_length
+    assert travelled == pytest.approx(18.0, rel=0.2)
+    np.testing.assert_allclose(built.clip.ego_motion.trajectory.positions[0], 0.0, atol=1e-9)
+    assert stages == ["odometry", "smoothing", "distance", "views"]
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(1.0)
+    assert built.seconds.keys() == set(stages)
+
+
+def test_what_is_not_wanted_is_left_out_and_changes_nothing(built, recording):
+    front = build_clip(recording, replace(OPTIONS, use_reference_motion=True, cameras=(FRONT_WIDE, FRONT_TELE)))
+    assert front.clip.kind == "front_only"
+    assert front.distance is None
+    assert set(front.plan.left_out) >= set(SIDES)
+    for name, stream in front.clip.streams.items():
+        np.testing.assert_array_equal(stream.frames, built.clip.streams[name].frames)
+
+
+def test_frames_that_no_sample_shows_are_left_out_and_change_nothing(recording):
+    """The recording played at 30 Hz: one frame in three is made, and that is the same as with all of them."""
+    times = recording.timestamps_us // 3
+    fast = replace(recording, timestamps_us=times, reference=Trajectory(times, recording.reference.T_world_rig))
+    cameras = (FRONT_WIDE, CROSS_LEFT)
+    some, every = (
+        build_clip(fast, replace(OPTIONS, use_reference_motion=True, cameras=cameras, all_frames=all_frames))
+        for all_frames in (False, True)
+    )
+    assert "20 of 31 frames of each view" in some.left_out
+    for name in cameras:
+        few, all_ = some.clip.streams[name], every.clip.streams[name]
+        assert len(few.frames) == len(few.timestamps_us) == 11
+        assert few.frame_rate == 10.0
+        assert all_.frame_rate == 30.0
+        shown = np.isin(all_.timestamps_us, few.timestamps_us)
+        np.testing.assert_array_equal(few.frames, all_.frames[shown])
+    assert len(some.clip.ego_motion.trajectory) == 31
+
+
+def test_the_same_recording_gives_the_same_clip(built, recording):
+    again = build_clip(recording, replace(OPTIONS, use_reference_motion=True))
+    assert again.clip.clip_id == built.clip.clip_id
+    for name, stream in again.clip.streams.items():
+        np.testing.assert_array_equal(stream.frames, built.clip.streams[name].frames)
+    other = build_clip(recording, replace(OPTIONS, seed=1, use_reference_views=True))
+    assert other.clip.clip_id != built.clip.clip_id
+
+
+def test_irregular_times_are_kept_at_a_nominal_rate(recording):
+    times = recording.timestamps_us * 1034 // 1000
+    slow = replace(recording, timestamps_us=times, reference=Trajectory(times, recording.reference.T_world_rig))
+    stream = build_clip(slow, replace(OPTIONS, use_reference_views=True)).clip.streams[FRONT_WIDE]
+    assert stream.frame_rate == 10.0
+    np.testing.assert_array_equal(stream.timestamps_us, times)
+
+
+def test_an_inexact_lens_is_said_so(recording):
+    wide = replace(recording, camera=PinholeCamera.from_field_of_view(*SIZE, np.radians(105.0)))
+    built = build_clip(wide, replace(OPTIONS, use_reference_views=True))
+    assert built.assumptions[0] == "the street is endless"
+    assert any(FRONT_WIDE in note and "polynomials" in note for note in built.assumptions)
+
+
+@pytest.mark.parametrize(
+    ("change", "options", "message"),
+    [
+        ({"reference": None}, {"use_reference_motion": True}, "true trajectory is not known"),
+        ({"views": {}}, {"use_reference_views": True}, "no true images of camera_cross_left_120fov"),
+        ({}, {"cameras": ("camera_roof",)}, "camera_roof"),
+    ],
+)
+def test_what_cannot_be_built_is_refused(recording, change, options, message):
+    with pytest.raises(InputError, match=message):
+        build_clip(replace(recording, **change), replace(OPTIONS, **options))
+
+
+def test_odd_sizes_are_refused():
+    with pytest.raises(InputError, match="must be even"):
+        BuildOptions(width=127, height=72)

@@ -1,0 +1,265 @@
+"""From a front-camera recording to a clip: ego motion, distance, and the views that the policy eats."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.depth import DistanceEstimate, estimate_distance
+from olt_generator.errors import InputError
+from olt_generator.image_metrics import psnr
+from olt_generator.odometry import Odometry, estimate_odometry
+from olt_generator.pose_metrics import PoseErrors, compare_trajectories
+from olt_generator.poses import Array
+from olt_generator.progress import Progress, silent
+from olt_generator.smoother import SmoothedMotion, smooth_trajectory
+from olt_generator.trajectory import Trajectory
+from olt_generator.view_plan import ViewPlan, plan_views
+from olt_toolkit.clip import CameraStream, Clip, ClipKind, EgoMotion, make_clip_id
+from olt_toolkit.clip_views import BuildOptions, View, ViewMaker
+from olt_toolkit.ftheta_fit import fit_ftheta
+from olt_toolkit.images import fit_images
+from olt_toolkit.policy_window import shown_frames
+from olt_toolkit.recording import Recording
+from olt_toolkit.stages import OnStage, Stages, unnoticed
+
+# Expected shares of the run time, for the progress bar only.
+_SHARES = {"odometry": 0.35, "smoothing": 0.02, "distance": 0.33, "views": 0.3}
+# A table's lens is said to be inexact from this error on, pixels.
+_NOTED_LENS_ERROR = 0.05
+
+
+@dataclass(frozen=True)
+class ViewError:
+    """PSNR in dB of a synthesized view against the true one, mean over frames: all pixels, and those observed."""
+
+    psnr: float
+    psnr_observed: float
+
+
+@dataclass(frozen=True)
+class BuiltClip:
+    """A clip, what it was made from, and how good that is. What could not be measured is None.
+
+    Attributes:
+        clip: the clip.
+        plan: which views were made, and how.
+        left_out: what was not made, and why.
+        odometry: the trajectory as measured; None where the reference was taken.
+        motion: the smoothed trajectory; None where the reference was taken.
+        distance: distances of all front images of the recording; None where no view needed them.
+        observed: (m, h, w) pixels taken from what the front camera saw, by synthesized view.
+        pose_errors: errors of the smoothed trajectory.
+        raw_pose_errors: errors of the trajectory before smoothing.
+        distance_error: median relative error of the distances.
+        view_errors: errors of synthesized views, by camera.
+        seconds: run time by stage.
+        assumptions: a sentence for everything assumed instead of measured.
+    """
+
+    clip: Clip
+    plan: ViewPlan
+    left_out: dict[str, str]
+    odometry: Odometry | None
+    motion: SmoothedMotion | None
+    distance: DistanceEstimate | None
+    observed: dict[str, NDArray[np.bool_]]
+    pose_errors: PoseErrors | None
+    raw_pose_errors: PoseErrors | None
+    distance_error: float | None
+    view_errors: dict[str, ViewError]
+    seconds: dict[str, float]
+    assumptions: tuple[str, ...]
+
+
+def clip_id_of(recording: Recording, options: BuildOptions) -> str:
+    """The id of the clip that `build_clip` would build."""
+    kind = _clip_kind(options, plan_views(options.cameras))
+    return make_clip_id(recording.source, options.name or recording.name, kind, options.seed)
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """How the rig moved, and how the front camera sits on it."""
+
+    ego: EgoMotion
+    trajectory: Trajectory
+    T_rig_camera: Array
+    odometry: Odometry | None = None
+    smoothed: SmoothedMotion | None = None
+
+
+def build_clip(
+    recording: Recording,
+    options: BuildOptions | None = None,
+    on_progress: Progress = silent,
+    on_stage: OnStage = unnoticed,
+) -> BuiltClip:
+    """Build the clip of one recording.
+
+    Args:
+        recording: front images, lens and mounting, and the truth where it is known.
+        options: what to build.
+        on_progress: told the share of the work that is done.
+        on_stage: told each stage's name: odometry, smoothing, distance, views.
+
+    Raises:
+        InputError: the motion cannot be recovered, a wanted view cannot be made, or a true view is not there.
+    """
+    options = options or BuildOptions()
+    plan = plan_views(options.cameras)
+    stages = Stages(_SHARES, on_progress, on_stage)
+    motion = _measure_motion(recording, options, stages)
+    synthesizes = _clip_kind(options, plan) == "Syn"
+    distance = _estimate_distance(recording, motion, stages) if synthesizes else None
+    kept = _kept_frames(recording, options)
+    shown = _only_frames(recording, kept)
+    maker = ViewMaker(shown, options, motion.T_rig_camera, distance.distance[kept] if distance else None)
+    views = _make_views(maker, plan, stages)
+    return BuiltClip(
+        clip=_assemble(shown, options, plan, views, motion.ego),
+        plan=plan,
+        left_out=plan.left_out | _frames_left_out(len(recording.frames), len(kept)),
+        odometry=motion.odometry,
+        motion=motion.smoothed,
+        distance=distance,
+        observed={name: view.observed for name, view in views.items() if view.observed is not None},
+        pose_errors=_pose_errors(motion.smoothed, recording),
+        raw_pose_errors=_pose_errors(motion.odometry, recording),
+        distance_error=_distance_error(distance, recording),
+        view_errors=_view_errors(views, shown),
+        seconds=stages.seconds,
+        assumptions=(*recording.assumptions, *_lens_notes(views)),
+    )
+
+
+def _measure_motion(recording: Recording, options: BuildOptions, stages: Stages) -> _Motion:
+    if options.use_reference_views or options.use_reference_motion:
+        if recording.reference is None:
+            raise InputError(f"{recording.name}: its true trajectory is not known; let it be estimated")
+        return _Motion(EgoMotion.from_trajectory(recording.reference), recording.reference, recording.T_rig_camera)
+    with stages.stage("odometry") as on_progress:
+        odometry = estimate_odometry(
+            recording.frames, recording.timestamps_us, recording.camera, recording.T_rig_camera, on_progress
+        )
+    with stages.stage("smoothing"):
+        smoothed = smooth_trajectory(odometry.trajectory)
+    ego = EgoMotion.anchored(smoothed.trajectory, smoothed.velocity, smoothed.acceleration, smoothed.curvature)
+    return _Motion(ego, smoothed.trajectory, odometry.T_rig_camera, odometry, smoothed)
+
+
+def _estimate_distance(recording: Recording, motion: _Motion, stages: Stages) -> DistanceEstimate:
+    with stages.stage("distance") as on_progress:
+        return estimate_distance(
+            recording.frames, recording.camera, motion.trajectory, motion.T_rig_camera, on_progress
+        )
+
+
+def _kept_frames(recording: Recording, options: BuildOptions) -> NDArray[np.int64]:
+    return np.arange(len(recording.frames)) if options.all_frames else shown_frames(recording.timestamps_us)
+
+
+def _only_frames(recording: Recording, kept: NDArray[np.int64]) -> Recording:
+    """The recording with these of its images; its reference trajectory stays whole."""
+    if len(kept) == len(recording.frames):
+        return recording
+    return replace(
+        recording,
+        frames=recording.frames[kept],
+        timestamps_us=recording.timestamps_us[kept],
+        distance=None if recording.distance is None else recording.distance[kept],
+        views={name: images[kept] for name, images in recording.views.items()},
+    )
+
+
+def _frames_left_out(count: int, kept: int) -> dict[str, str]:
+    if kept == count:
+        return {}
+    return {f"{count - kept} of {count} frames of each view": "no sample with t0 on the 0.1 s grid shows them"}
+
+
+def _make_views(maker: ViewMaker, plan: ViewPlan, stages: Stages) -> dict[str, View]:
+    views = {}
+    with stages.stage("views") as on_progress:
+        for done, name in enumerate(plan.needed):
+            views[name] = maker.make(name, lambda part, done=done: on_progress((done + part) / len(plan.needed)))
+    return views
+
+
+def _assemble(
+    recording: Recording, options: BuildOptions, plan: ViewPlan, views: dict[str, View], ego_motion: EgoMotion
+) -> Clip:
+    return Clip(
+        clip_id=clip_id_of(recording, options),
+        name=options.name or recording.name,
+        scene_id=options.scene_id or recording.name,
+        source=recording.source,
+        kind=_clip_kind(options, plan),
+        category=options.category,
+        factors=options.factors,
+        split=options.split,
+        streams={camera: _stream(views[camera], recording.timestamps_us) for camera in options.cameras},
+        ego_motion=ego_motion,
+        vehicle=recording.vehicle,
+        provenance={camera: views[camera].provenance for camera in options.cameras},
+    )
+
+
+def _stream(view: View, timestamps_us: NDArray[np.int64]) -> CameraStream:
+    return CameraStream(view.images, timestamps_us, nominal_frame_rate(timestamps_us), view.camera, view.T_rig_camera)
+
+
+def nominal_frame_rate(timestamps_us: NDArray[np.int64]) -> float:
+    """Whole frames per second nearest to the median spacing of the frames.
+
+    Video files need one constant rate, and readers take times from the timestamp tables, so it only has to be close.
+    """
+    return float(max(1, round(1e6 / float(np.median(np.diff(timestamps_us))))))
+
+
+def _clip_kind(options: BuildOptions, plan: ViewPlan) -> ClipKind:
+    if "synthesized" not in plan.methods.values():
+        return "front_only"
+    return "GT" if options.use_reference_views else "Syn"
+
+
+def _pose_errors(measured: Odometry | SmoothedMotion | None, recording: Recording) -> PoseErrors | None:
+    if measured is None or recording.reference is None:
+        return None
+    return compare_trajectories(measured.trajectory, recording.reference)
+
+
+def _distance_error(distance: DistanceEstimate | None, recording: Recording) -> float | None:
+    """Median relative error where there is a true distance and an estimate."""
+    if distance is None or recording.distance is None:
+        return None
+    both = np.isfinite(recording.distance) & np.isfinite(distance.distance)
+    truth = recording.distance[both]
+    return float(np.median(np.abs(distance.distance[both] - truth) / truth))
+
+
+def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, ViewError]:
+    """Errors of the synthesized views whose true images are known."""
+    return {
+        name: _view_error(view.images, view.observed, recording.views[name])
+        for name, view in views.items()
+        if view.observed is not None and name in recording.views
+    }
+
+
+def _view_error(images: NDArray[np.uint8], observed: NDArray[np.bool_], true_images: NDArray[np.uint8]) -> ViewError:
+    truth = fit_images(true_images, images.shape[2], images.shape[1])
+    partly_seen = [index for index in range(len(images)) if observed[index].any()]
+    return ViewError(
+        float(np.mean([psnr(image, true) for image, true in zip(images, truth, strict=True)])),
+        float(np.mean([psnr(images[index], truth[index], observed[index]) for index in partly_seen])),
+    )
+
+
+def _lens_notes(views: dict[str, View]) -> list[str]:
+    errors = {name: fit_ftheta(view.camera).error for name, view in views.items()}
+    return [
+        f"{name}: the f-theta polynomials of the clip's tables miss its lens by up to {error:.2f} px"
+        for name, error in errors.items()
+        if error > _NOTED_LENS_ERROR
+    ]

@@ -1,0 +1,290 @@
+"""A folder of clips in PhysicalAI-AV layout, with one more table that says what each clip is.
+
+Clips are staged one by one, by as many processes as one likes, and committed together into the next chunk. A commit
+writes chunks first and the clip table last: interrupted at any point it leaves the old store readable, and the next
+commit overwrites what it left. The public readers have no filter by split (facts sheet pai_dataset, section 1), so
+clips of held-out scenes belong in a store of their own.
+"""
+
+import fcntl
+import shutil
+import zipfile
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.errors import InputError
+from olt_generator.files import make_folder, write_whole_folder
+from olt_generator.poses import Array, invert
+from olt_toolkit.clip import Clip, ClipInfo, EgoMotion, check_clip_id
+from olt_toolkit.clip_files import pack_chunk, write_clip_files, write_metadata
+from olt_toolkit.clip_table import CLIP_TABLE, read_clip_table, write_clip_table
+from olt_toolkit.clip_video import decode_frames
+from olt_toolkit.pai_layout import (
+    CAMERA_INTRINSICS,
+    CLIP_INDEX,
+    EGOMOTION,
+    FEATURES,
+    FRAME_TIMESTAMPS,
+    SENSOR_EXTRINSICS,
+    VEHICLE_DIMENSIONS,
+    VIDEO,
+)
+from olt_toolkit.pai_tables import read_egomotion, read_indexed, read_mounted_camera, read_timestamps, read_vehicle
+from olt_toolkit.policy_window import (
+    FUTURE_OFFSETS_US,
+    HISTORY_OFFSETS_US,
+    IMAGE_OFFSETS_US,
+    Coverage,
+    check_sample_window,
+)
+from olt_toolkit.rig import CAMERA_INDEX, POLICY_CAMERAS, MountedCamera, VehicleDimensions
+from olt_toolkit.sample import PolicySample, SampleKey
+
+CLIPS_PER_CHUNK = 100
+
+
+class ClipStore:
+    """Clips under one folder.
+
+    Reading sees the clips that were there when this object was first asked, and those that it commits itself.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    # Writing
+
+    def stage(self, clip: Clip) -> None:
+        """Encode a clip beside the store, ready to be committed. Different clips may be staged at the same time.
+
+        Raises:
+            InputError: the clip contradicts itself, or the layout cannot hold it.
+        """
+        with write_whole_folder(self._staged(clip.clip_id)) as folder:
+            write_clip_files(folder, clip)
+
+    def is_staged(self, clip_id: str) -> bool:
+        """Whether the clip waits to be committed."""
+        return self._staged(clip_id).is_dir()
+
+    def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
+        """Add staged clips to the store; those that it holds already stay as they are.
+
+        Returns:
+            The ids that were added, in the order given.
+
+        Raises:
+            InputError: a clip is neither staged nor in the store, or another process is committing.
+        """
+        wanted = tuple(dict.fromkeys(clip_ids))
+        with self._only_writer():
+            self._forget()
+            clips = list(self._clips.values()) if (self.root / CLIP_TABLE).exists() else []
+            chunks = [self._chunk(info.clip_id) for info in clips]
+            known = {info.clip_id for info in clips}
+            new = tuple(clip_id for clip_id in wanted if clip_id not in known)
+            for clip_id in new:
+                if not self.is_staged(clip_id):
+                    raise InputError(f"{self.root}: clip {clip_id} is neither staged nor in the store; stage it first")
+            for start in range(0, len(new), CLIPS_PER_CHUNK):
+                folders = [self._staged(clip_id) for clip_id in new[start : start + CLIPS_PER_CHUNK]]
+                chunk = max(chunks, default=-1) + 1
+                clips += pack_chunk(self.root, chunk, folders)
+                chunks += [chunk] * len(folders)
+            if new:
+                write_metadata(self.root, clips, chunks)
+                write_clip_table(self.root / CLIP_TABLE, clips)
+            for clip_id in wanted:
+                shutil.rmtree(self._staged(clip_id), ignore_errors=True)
+            self._forget()
+        return new
+
+    # Reading
+
+    def clips(self) -> list[ClipInfo]:
+        """All clips, in the order in which they were added.
+
+        Raises:
+            InputError: the folder is not a clip store, or its tables are damaged.
+        """
+        return list(self._clips.values())
+
+    def __contains__(self, clip_id: str) -> bool:
+        return (self.root / CLIP_TABLE).exists() and clip_id in self._clips
+
+    def info(self, clip_id: str) -> ClipInfo:
+        """The clip's row in the clip table.
+
+        Raises:
+            InputError: the store has no such clip.
+        """
+        if clip_id not in self._clips:
+            raise InputError(f"{self.root}: no clip {clip_id}; `olt clip inspect` lists the {len(self._clips)} there")
+        return self._clips[clip_id]
+
+    def read_ego_motion(self, clip_id: str) -> EgoMotion:
+        """The motion of the rig in the clip's anchor frame."""
+        return read_egomotion(*self._member(clip_id, EGOMOTION, EGOMOTION))
+
+    def read_camera(self, clip_id: str, camera: str) -> MountedCamera:
+        """Lens and mounting of one camera."""
+        intrinsics = self._chunk_file(clip_id, CAMERA_INTRINSICS)
+        return read_mounted_camera(intrinsics, self._chunk_file(clip_id, SENSOR_EXTRINSICS), clip_id, camera)
+
+    def read_vehicle(self, clip_id: str) -> VehicleDimensions:
+        """Size of the vehicle."""
+        return read_vehicle(self._chunk_file(clip_id, VEHICLE_DIMENSIONS), clip_id)
+
+    def read_timestamps(self, clip_id: str, camera: str) -> NDArray[np.int64]:
+        """Clip times (n,) of one camera's frames."""
+        return read_timestamps(*self._member(clip_id, camera, FRAME_TIMESTAMPS))
+
+    def read_frames(
+        self, clip_id: str, camera: str, times_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """The newest frame of one camera at or before each time.
+
+        Args:
+            clip_id: which clip.
+            camera: name of the camera.
+            times_us: (m,) ascending clip times.
+
+        Returns:
+            Frames (m, H, W, 3) RGB and the times (m,) of these frames.
+
+        Raises:
+            InputError: a time lies outside the first and last frame, or the files are damaged.
+        """
+        timestamps_us = self.read_timestamps(clip_id, camera)
+        if times_us[0] < timestamps_us[0] or times_us[-1] > timestamps_us[-1]:
+            raise InputError(
+                f"{self.root}: clip {clip_id}: {camera} covers {timestamps_us[0]} to {timestamps_us[-1]} us; "
+                f"{times_us[0]} to {times_us[-1]} us was asked for"
+            )
+        return self._newest_frames(clip_id, camera, timestamps_us, times_us)
+
+    def load_sample(self, key: SampleKey, image_size: tuple[int, int] | None = None) -> PolicySample:
+        """Load what the public loader gives for a clip and t0, by the same rules.
+
+        Args:
+            key: clip and t0; `key.store` tells which store to open and is not looked at here.
+            image_size: height and width to which images are scaled; None keeps those of the clip.
+
+        Raises:
+            InputError: the clip does not cover the sample, or its files are damaged.
+        """
+        where = f"{self.root}: clip {key.clip_id}"
+        present = [name for name in POLICY_CAMERAS if name in self.info(key.clip_id).views]
+        timestamps = {name: self.read_timestamps(key.clip_id, name) for name in present}
+        motion = self.read_ego_motion(key.clip_id)
+        spans = {name: (int(times[0]), int(times[-1])) for name, times in timestamps.items()}
+        check_sample_window(key.t0_us, Coverage(motion.span_us, spans), where)
+
+        views = [
+            self._newest_frames(key.clip_id, name, timestamps[name], key.t0_us + IMAGE_OFFSETS_US)
+            for name in POLICY_CAMERAS
+        ]
+        images = [_scaled(frames, image_size) for frames, _ in views]
+        if len({frames.shape for frames in images}) > 1:
+            raise InputError(f"{where}: its cameras have different image sizes; give an image size to scale them to")
+        absolute = np.stack([times for _, times in views])
+        history, future = _poses_at(motion, key.t0_us)
+        return PolicySample(
+            image_frames=np.ascontiguousarray(np.stack(images).transpose(0, 1, 4, 2, 3)),
+            camera_indices=np.array([CAMERA_INDEX[name] for name in POLICY_CAMERAS], dtype=np.int64),
+            ego_history_xyz=history[None, :, :3, 3].astype(np.float32),
+            ego_history_rot=history[None, :, :3, :3].astype(np.float32),
+            ego_future_xyz=future[None, :, :3, 3].astype(np.float32),
+            ego_future_rot=future[None, :, :3, :3].astype(np.float32),
+            relative_timestamps=((absolute - absolute.min()) * 1e-6).astype(np.float32),
+            absolute_timestamps=absolute,
+            t0_us=key.t0_us,
+            clip_id=key.clip_id,
+        )
+
+    def _newest_frames(
+        self, clip_id: str, camera: str, timestamps_us: NDArray[np.int64], times_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        indices = np.searchsorted(timestamps_us, times_us, side="right") - 1
+        video, where = self._member(clip_id, camera, VIDEO)
+        return decode_frames(video, indices, where), timestamps_us[indices]
+
+    # Where things are
+
+    @cached_property
+    def _clips(self) -> dict[str, ClipInfo]:
+        path = self.root / CLIP_TABLE
+        if not path.exists():
+            raise InputError(
+                f"{self.root}: not a clip store, there is no {CLIP_TABLE}; build one with `olt clip build`"
+            )
+        return {info.clip_id: info for info in read_clip_table(path)}
+
+    @cached_property
+    def _chunks(self) -> dict[str, int]:
+        path = self.root / CLIP_INDEX
+        table = read_indexed(path, ["chunk"], ["clip_id"])
+        if table["chunk"].dtype != np.int64:
+            raise InputError(f"{path}: column chunk is {table['chunk'].dtype}; it must be int64")
+        clip_ids = [check_clip_id(clip_id, str(path)) for clip_id in table.index]
+        return dict(zip(clip_ids, table["chunk"].tolist(), strict=True))
+
+    def _forget(self) -> None:
+        for name in ("_clips", "_chunks"):
+            self.__dict__.pop(name, None)
+
+    def _chunk(self, clip_id: str) -> int:
+        if clip_id not in self._chunks:
+            raise InputError(f"{self.root / CLIP_INDEX}: no row for clip {self.info(clip_id).clip_id}")
+        return self._chunks[clip_id]
+
+    def _chunk_file(self, clip_id: str, feature: str) -> Path:
+        return FEATURES[feature].chunk_file(self.root, self._chunk(clip_id))
+
+    def _member(self, clip_id: str, feature: str, alias: str) -> tuple[bytes, str]:
+        """One member of a chunk's zip, and what to call it in errors."""
+        path, name = self._chunk_file(clip_id, feature), FEATURES[feature].member(alias, clip_id)
+        try:
+            with zipfile.ZipFile(path) as archive:
+                return archive.read(name), f"{path}: {name}"
+        except FileNotFoundError as error:
+            raise InputError(f"{path}: no such file; the clip store is incomplete") from error
+        except KeyError as error:
+            raise InputError(f"{path}: member {name} is missing; build the clip again") from error
+        except (zipfile.BadZipFile, OSError) as error:
+            raise InputError(f"{path}: damaged zip file ({error}); build its clips again") from error
+
+    def _staged(self, clip_id: str) -> Path:
+        return self.root / ".staging" / check_clip_id(clip_id, str(self.root))
+
+    @contextmanager
+    def _only_writer(self) -> Iterator[None]:
+        """Hold the store's lock; the system releases it however this process ends."""
+        make_folder(self.root)
+        with (self.root / ".lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise InputError(f"{self.root}: another process is adding clips; wait until it is done") from error
+            yield
+
+
+def _scaled(frames: NDArray[np.uint8], image_size: tuple[int, int] | None) -> NDArray[np.uint8]:
+    if image_size is None or frames.shape[1:3] == image_size:
+        return frames
+    size = (image_size[1], image_size[0])
+    return np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
+
+
+def _poses_at(motion: EgoMotion, t0_us: int) -> tuple[Array, Array]:
+    """Past poses (16, 4, 4) and future poses (64, 4, 4) in the rig frame at t0."""
+    offsets = np.concatenate([HISTORY_OFFSETS_US, FUTURE_OFFSETS_US])
+    poses = motion.interpolate(t0_us + offsets)
+    relative = invert(poses[len(HISTORY_OFFSETS_US) - 1]) @ poses
+    return relative[: len(HISTORY_OFFSETS_US)], relative[len(HISTORY_OFFSETS_US) :]

@@ -1,0 +1,55 @@
+"""What building a clip gave, as plain numbers. What was not measured is None."""
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from olt_generator.pose_metrics import PoseErrors, measure_smoothness
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.clip import ClipInfo, EgoMotion
+from olt_toolkit.clip_builder import BuiltClip
+from olt_toolkit.clip_files import describe_clip
+
+
+def summarize_build(built: BuiltClip) -> dict[str, Any]:
+    """Numbers of a built clip: trajectory and its errors, views and theirs, what was left out, assumed and timed."""
+    return {
+        "clip": summarize_info(describe_clip(built.clip)),
+        "trajectory": summarize_motion(built.clip.ego_motion),
+        "scale_sigma": built.odometry.scale_sigma if built.odometry else None,
+        "pose_errors": _errors(built.pose_errors),
+        "pose_errors_before_smoothing": _errors(built.raw_pose_errors),
+        "smoothness": _smoothness(built.motion.trajectory if built.motion else None),
+        "smoothness_before_smoothing": _smoothness(built.odometry.trajectory if built.odometry else None),
+        "distance_median_relative_error": built.distance_error,
+        "view_errors": {name: asdict(error) for name, error in built.view_errors.items()},
+        "left_out": dict(built.left_out),
+        "assumptions": list(built.assumptions),
+        "seconds": dict(built.seconds),
+    }
+
+
+def summarize_info(info: ClipInfo) -> dict[str, Any]:
+    """A row of the clip table."""
+    return asdict(info) | {"factors": list(info.factors), "sample_t0_us": list(info.sample_t0_us)}
+
+
+def summarize_motion(motion: EgoMotion) -> dict[str, float]:
+    """Length in metres, duration in seconds, and speeds in m/s of an ego motion."""
+    speed = np.linalg.norm(motion.velocity, axis=1)
+    return {
+        "length": motion.trajectory.path_length,
+        "duration": float(motion.trajectory.times[-1]),
+        "mean_speed": float(speed.mean()),
+        "lowest_speed": float(speed.min()),
+        "highest_speed": float(speed.max()),
+    }
+
+
+def _errors(errors: PoseErrors | None) -> dict[str, Any] | None:
+    return None if errors is None else errors.to_dict()
+
+
+def _smoothness(trajectory: Trajectory | None) -> dict[str, Any] | None:
+    return None if trajectory is None else asdict(measure_smoothness(trajectory))

@@ -1,0 +1,96 @@
+"""The table of clips, `clips.parquet`: what the PhysicalAI-AV layout has no place for.
+
+One row a clip, in the order in which clips were added. This is the only place that knows its columns.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, get_args
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from olt_generator.errors import InputError
+from olt_generator.files import write_whole
+from olt_toolkit.clip import ClipInfo, ClipKind, Split, ViewKind, ViewProvenance, check_clip_id
+from olt_toolkit.pai_tables import read_table
+
+CLIP_TABLE = "clips.parquet"
+TABLE_VERSION = b"1"
+
+_VIEW = pa.struct(
+    [
+        ("camera", pa.string()),
+        ("kind", pa.string()),
+        ("engine", pa.string()),
+        ("version", pa.string()),
+        ("seed", pa.int64()),
+        ("observed_share", pa.float64()),
+        ("invented_share", pa.float64()),
+    ]
+)
+SCHEMA = pa.schema(
+    [
+        ("clip_id", pa.string()),
+        ("name", pa.string()),
+        ("scene_id", pa.string()),
+        ("source", pa.string()),
+        ("kind", pa.string()),
+        ("category", pa.string()),
+        ("factors", pa.list_(pa.string())),
+        ("split", pa.string()),
+        ("duration_us", pa.int64()),
+        ("sample_t0_us", pa.list_(pa.int64())),
+        ("no_sample_reason", pa.string()),
+        ("created_with", pa.string()),
+        ("views", pa.list_(_VIEW)),
+    ],
+    metadata={b"table_version": TABLE_VERSION},
+)
+
+
+def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
+    """Write the table; it appears whole."""
+    rows = [_row(info) for info in clips]
+    with write_whole(path) as temporary:
+        pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), temporary)
+
+
+def read_clip_table(path: Path) -> list[ClipInfo]:
+    """Read the table.
+
+    Raises:
+        InputError: the file is missing, of another version, or holds what no clip can have.
+    """
+    table = read_table(path, SCHEMA.names, str(path))
+    version = (table.schema.metadata or {}).get(b"table_version")
+    if version != TABLE_VERSION:
+        raise InputError(f"{path}: table_version is {version!r}, {TABLE_VERSION!r} was expected; build the clips again")
+    for name in SCHEMA.names:
+        if table.schema.field(name).type != SCHEMA.field(name).type:
+            raise InputError(f"{path}: column {name} is {table.schema.field(name).type}, not {SCHEMA.field(name).type}")
+        if table.column(name).null_count and name != "no_sample_reason":
+            raise InputError(f"{path}: column {name} has missing values")
+    return [_info(row, f"{path}: row {index}") for index, row in enumerate(table.to_pylist())]
+
+
+def _row(info: ClipInfo) -> dict[str, Any]:
+    row = {field.name: getattr(info, field.name) for field in fields(info)}
+    return row | {"views": [{"camera": camera, **asdict(view)} for camera, view in info.views.items()]}
+
+
+def _info(row: dict[str, Any], where: str) -> ClipInfo:
+    check_clip_id(row["clip_id"], where)
+    _check_word(row["kind"], get_args(ClipKind), f"{where}: kind")
+    _check_word(row["split"], get_args(Split), f"{where}: split")
+    for view in row["views"]:
+        _check_word(view["kind"], get_args(ViewKind), f"{where}: view {view['camera']}: kind")
+    row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
+    row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
+    return ClipInfo(**row)
+
+
+def _check_word(word: str, allowed: tuple[str, ...], where: str) -> None:
+    if word not in allowed:
+        raise InputError(f"{where} is {word!r}; it must be one of {', '.join(allowed)}")

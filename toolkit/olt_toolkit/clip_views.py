@@ -1,0 +1,161 @@
+"""How each view of a clip is made: taken as it is, cropped, or synthesized from the front view."""
+
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+import olt_generator
+from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera, fit_camera
+from olt_generator.errors import InputError
+from olt_generator.poses import Array
+from olt_generator.progress import Progress, silent
+from olt_generator.synthesis import synthesize_view
+from olt_generator.tele import crop_tele, tele_camera
+from olt_toolkit import __version__
+from olt_toolkit.clip import Split, ViewKind, ViewProvenance
+from olt_toolkit.images import fit_images
+from olt_toolkit.recording import Recording
+from olt_toolkit.rig import FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, Rig, pav_rig
+
+Images = NDArray[np.uint8]
+Lens = TypeVar("Lens", PinholeCamera, FthetaCamera)
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """How a clip is built.
+
+    Attributes:
+        width, height: size of all views in pixels, even because video is coded in blocks of two.
+        rig: the rig whose views are wanted; synthesized views are seen from its cameras.
+        cameras: which of its views.
+        all_frames: make every frame; else only those that samples with t0 on the 0.1 s grid show, which at 30 Hz is
+            one in three.
+        use_reference_views: take the recording's true images and trajectory instead of synthesizing: kind GT.
+        use_reference_motion: take the recording's true trajectory although views are synthesized.
+        image_kind: how the recording's own images came to be, for the provenance.
+        name, scene_id: None for the recording's name.
+        category, factors, split: see `Clip`.
+        seed: goes into the clip's id and provenance; nothing in the build is random yet.
+    """
+
+    width: int = 576
+    height: int = 320
+    rig: Rig = field(default_factory=pav_rig)
+    cameras: tuple[str, ...] = POLICY_CAMERAS
+    all_frames: bool = False
+    use_reference_views: bool = False
+    use_reference_motion: bool = False
+    image_kind: ViewKind = "observed"
+    name: str | None = None
+    scene_id: str | None = None
+    category: str = "nominal"
+    factors: tuple[str, ...] = ()
+    split: Split = "train"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.width % 2 or self.height % 2 or min(self.width, self.height) < 2:
+            raise InputError(f"views of {self.width} x {self.height} pixels: width and height must be even")
+
+
+@dataclass(frozen=True)
+class View:
+    """The images of one camera.
+
+    Attributes:
+        images: (n, height, width, 3) uint8.
+        camera: their lens.
+        T_rig_camera: (4, 4) mounting.
+        provenance: where the pixels came from.
+        observed: (n, height, width) pixels taken from what the front camera saw; None where all are true.
+    """
+
+    images: Images
+    camera: Camera
+    T_rig_camera: Array
+    provenance: ViewProvenance
+    observed: NDArray[np.bool_] | None = None
+
+
+@dataclass(frozen=True)
+class ViewMaker:
+    """Makes any view of a recording.
+
+    Attributes:
+        recording: front images, and true images of other cameras where they are known.
+        options: size, rig and whether to take true images.
+        T_rig_front: (4, 4) mounting of the front camera, as corrected by the motion.
+        distance: (n, H, W) metres along the rays of the front images; None where nothing is synthesized.
+    """
+
+    recording: Recording
+    options: BuildOptions
+    T_rig_front: Array
+    distance: NDArray[np.float32] | None
+
+    def make(self, name: str, on_progress: Progress = silent) -> View:
+        """Make one view.
+
+        Raises:
+            InputError: its true images are wanted and not there, or the front lens cannot give it.
+        """
+        if name == FRONT_WIDE:
+            return self._front()
+        if self.options.use_reference_views and name in self.recording.views:
+            return self._true_view(name)
+        if name == FRONT_TELE:
+            return self._tele()
+        if self.distance is None:
+            raise InputError(f"{self.recording.name}: no true images of {name}; let it be synthesized instead")
+        return self._synthesized(name, self.distance, on_progress)
+
+    def _front(self) -> View:
+        camera = fit_camera(self.recording.camera, self.options.width, self.options.height)
+        images = fit_images(self.recording.frames, self.options.width, self.options.height)
+        return View(images, camera, self.T_rig_front, self._as_given(self.options.image_kind))
+
+    def _tele(self) -> View:
+        front = self.recording.camera
+        if isinstance(front, PinholeCamera):
+            return self._cropped(front)
+        if isinstance(front, FthetaCamera):
+            return self._cropped(front)
+        raise InputError(f"{self.recording.name}: a {type(front).__name__} cannot be held by a clip")
+
+    def _cropped(self, front: Lens) -> View:
+        camera = tele_camera(front, self.options.width, self.options.height)
+        images = crop_tele(self.recording.frames, front, camera)
+        return View(images, camera, self.T_rig_front, self._as_given("cropped"))
+
+    def _true_view(self, name: str) -> View:
+        images = self.recording.views[name]
+        mounted = self.options.rig.fitted(images.shape[2], images.shape[1])[name]
+        return View(
+            fit_images(images, self.options.width, self.options.height),
+            fit_camera(mounted.camera, self.options.width, self.options.height),
+            mounted.T_rig_camera,
+            self._as_given(self.options.image_kind),
+        )
+
+    def _synthesized(self, name: str, distance: NDArray[np.float32], on_progress: Progress) -> View:
+        target = self.options.rig.fitted(self.options.width, self.options.height)[name]
+        view = synthesize_view(
+            self.recording.frames,
+            distance,
+            self.recording.camera,
+            self.T_rig_front,
+            target.camera,
+            target.T_rig_camera,
+            on_progress,
+        )
+        seen = float(view.observed.mean())
+        provenance = ViewProvenance(
+            "warped", "olt_generator.synthesis", olt_generator.__version__, self.options.seed, seen, 1.0 - seen
+        )
+        return View(view.images, target.camera, target.T_rig_camera, provenance, view.observed)
+
+    def _as_given(self, kind: ViewKind) -> ViewProvenance:
+        return ViewProvenance(kind, self.recording.source, __version__, None, 1.0, 0.0)
