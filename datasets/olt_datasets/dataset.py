@@ -1,6 +1,6 @@
 """From keys of samples to the samples themselves. Needs no torch; `torch_dataset` wraps it for a DataLoader."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Protocol
 
@@ -12,8 +12,8 @@ from olt_toolkit.sample import PolicySample, SampleKey
 class SampleStore(Protocol):
     """What a clip store is to a dataset."""
 
-    def load_sample(self, key: SampleKey, image_size: tuple[int, int] | None = None) -> PolicySample:
-        """The sample of a clip at t0, with images scaled to (height, width)."""
+    def load_samples(self, keys: Sequence[SampleKey], image_size: tuple[int, int] | None = None) -> list[PolicySample]:
+        """The samples at the keys' clips and times, with images scaled to (height, width)."""
         ...
 
 
@@ -22,12 +22,15 @@ class MixtureDataset:
 
     Args:
         mixture: which samples there are.
-        image_size: height and width of the images that the policy takes.
+        image_size: height and width of the images that the policy takes; None for those of the clips.
         open_store: opens the clip store in a folder.
     """
 
     def __init__(
-        self, mixture: Mixture, image_size: tuple[int, int], open_store: Callable[[Path], SampleStore] = ClipStore
+        self,
+        mixture: Mixture,
+        image_size: tuple[int, int] | None,
+        open_store: Callable[[Path], SampleStore] = ClipStore,
     ) -> None:
         self.image_size = image_size
         self._items = len(mixture)
@@ -44,10 +47,18 @@ class MixtureDataset:
         Raises:
             InputError: its store, clip or time is missing or damaged.
         """
-        if key.store not in self._stores:
-            self._stores[key.store] = self._open_store(Path(key.store))
-        return self._stores[key.store].load_sample(key, self.image_size)
+        return self.load_batch([key])[0]
 
     def load_batch(self, keys: Sequence[SampleKey]) -> list[PolicySample]:
-        """Load the samples of one batch, in the order of `keys`."""
-        return [self.load(key) for key in keys]
+        """Load samples in the order of `keys`; every clip is decoded once."""
+        loaded = {
+            key: sample
+            for store in sorted({key.store for key in keys})
+            for key, sample in self._load_from(store, [key for key in keys if key.store == store])
+        }
+        return [loaded[key] for key in keys]
+
+    def _load_from(self, store: str, keys: Sequence[SampleKey]) -> Iterator[tuple[SampleKey, PolicySample]]:
+        if store not in self._stores:
+            self._stores[store] = self._open_store(Path(store))
+        return zip(keys, self._stores[store].load_samples(keys, self.image_size), strict=True)

@@ -20,7 +20,10 @@ class StubStore:
     def __init__(self, root):
         self.root = root
 
-    def load_sample(self, key, image_size=None):
+    def load_samples(self, keys, image_size=None):
+        return [self._make(key, image_size) for key in keys]
+
+    def _make(self, key, image_size):
         number = int(key.clip_id[-12:])
         return PolicySample(
             image_frames=np.full((4, 4, 3, *image_size), number, np.uint8),
@@ -57,7 +60,7 @@ def test_each_store_is_opened_once(mixture):
 
     dataset = MixtureDataset(mixture, IMAGE_SIZE, open_store)
     dataset.load_batch([SampleKey(store, f"{0:036d}", 0) for store in ("/b", "/a", "/b")])
-    assert opened == ["/b", "/a"]
+    assert sorted(opened) == ["/a", "/b"]
 
 
 def test_missing_store_is_an_error_in_words(mixture, tmp_path):

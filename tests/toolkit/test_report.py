@@ -1,8 +1,6 @@
 import json
 import re
 
-import numpy as np
-
 from olt_toolkit.report.blocks import Bullets, DrivenPath, Picture, Rollouts, Section, Table, Text
 from olt_toolkit.report.page import write_report
 
@@ -16,7 +14,8 @@ def make_rollouts():
 
 def test_page_needs_no_other_file_and_escapes_text(tmp_path):
     path = tmp_path / "report.html"
-    picture = Picture.from_pixels(np.full((8, 8, 3), 200, np.uint8), "a picture")
+    (tmp_path / "picture.png").write_bytes(b"\x89PNG")
+    picture = Picture.from_file(tmp_path / "picture.png", "a picture")
     blocks = [Text("5 < 6 & so on"), Bullets(["one"]), Table(["a"], [[None], [1.23456]]), picture, make_rollouts()]
     write_report(path, "Title", "Summary", [Section("Results", blocks)])
     page = path.read_text()

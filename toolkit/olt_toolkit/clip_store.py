@@ -9,7 +9,7 @@ clips of held-out scenes belong in a store of their own.
 import fcntl
 import shutil
 import zipfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -179,34 +179,46 @@ class ClipStore:
         Raises:
             InputError: the clip does not cover the sample, or its files are damaged.
         """
-        where = f"{self.root}: clip {key.clip_id}"
-        present = [name for name in POLICY_CAMERAS if name in self.info(key.clip_id).views]
-        timestamps = {name: self.read_timestamps(key.clip_id, name) for name in present}
-        motion = self.read_ego_motion(key.clip_id)
-        spans = {name: (int(times[0]), int(times[-1])) for name, times in timestamps.items()}
-        check_sample_window(key.t0_us, Coverage(motion.span_us, spans), where)
+        return self.load_samples([key], image_size)[0]
 
-        views = [
-            self._newest_frames(key.clip_id, name, timestamps[name], key.t0_us + IMAGE_OFFSETS_US)
-            for name in POLICY_CAMERAS
-        ]
-        images = [_scaled(frames, image_size) for frames, _ in views]
-        if len({frames.shape for frames in images}) > 1:
+    def load_samples(self, keys: Sequence[SampleKey], image_size: tuple[int, int] | None = None) -> list[PolicySample]:
+        """Load samples in the order of `keys`; every clip is opened and decoded once, whatever their order.
+
+        Raises:
+            InputError: see `load_sample`.
+        """
+        times: dict[str, list[int]] = {}
+        for key in keys:
+            times.setdefault(key.clip_id, []).append(key.t0_us)
+        loaded = {
+            (sample.clip_id, sample.t0_us): sample
+            for clip_id, t0s_us in times.items()
+            for sample in self._load_clip_samples(clip_id, sorted(set(t0s_us)), image_size)
+        }
+        return [loaded[key.clip_id, key.t0_us] for key in keys]
+
+    def _load_clip_samples(
+        self, clip_id: str, t0s_us: Sequence[int], image_size: tuple[int, int] | None
+    ) -> list[PolicySample]:
+        where = f"{self.root}: clip {clip_id}"
+        present = [name for name in POLICY_CAMERAS if name in self.info(clip_id).views]
+        timestamps = {name: self.read_timestamps(clip_id, name) for name in present}
+        motion = self.read_ego_motion(clip_id)
+        spans = {name: (int(times[0]), int(times[-1])) for name, times in timestamps.items()}
+        for t0_us in t0s_us:
+            check_sample_window(t0_us, Coverage(motion.span_us, spans), where)
+
+        asked = np.array(t0s_us)[:, None] + IMAGE_OFFSETS_US
+        query, places = np.unique(asked, return_inverse=True)
+        views = [self._newest_frames(clip_id, name, timestamps[name], query) for name in POLICY_CAMERAS]
+        scaled = [_scaled(frames, image_size) for frames, _ in views]
+        if len({frames.shape for frames in scaled}) > 1:
             raise InputError(f"{where}: its cameras have different image sizes; give an image size to scale them to")
-        absolute = np.stack([times for _, times in views])
-        history, future = _poses_at(motion, key.t0_us)
-        return PolicySample(
-            image_frames=np.ascontiguousarray(np.stack(images).transpose(0, 1, 4, 2, 3)),
-            camera_indices=np.array([CAMERA_INDEX[name] for name in POLICY_CAMERAS], dtype=np.int64),
-            ego_history_xyz=history[None, :, :3, 3].astype(np.float32),
-            ego_history_rot=history[None, :, :3, :3].astype(np.float32),
-            ego_future_xyz=future[None, :, :3, 3].astype(np.float32),
-            ego_future_rot=future[None, :, :3, :3].astype(np.float32),
-            relative_timestamps=((absolute - absolute.min()) * 1e-6).astype(np.float32),
-            absolute_timestamps=absolute,
-            t0_us=key.t0_us,
-            clip_id=key.clip_id,
-        )
+        images, shown = np.stack(scaled), np.stack([times for _, times in views])
+        return [
+            _assemble_sample(clip_id, t0_us, images[:, place], shown[:, place], motion)
+            for t0_us, place in zip(t0s_us, places.reshape(asked.shape), strict=True)
+        ]
 
     def _newest_frames(
         self, clip_id: str, camera: str, timestamps_us: NDArray[np.int64], times_us: NDArray[np.int64]
@@ -280,6 +292,25 @@ def _scaled(frames: NDArray[np.uint8], image_size: tuple[int, int] | None) -> ND
         return frames
     size = (image_size[1], image_size[0])
     return np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
+
+
+def _assemble_sample(
+    clip_id: str, t0_us: int, images: NDArray[np.uint8], shown_us: NDArray[np.int64], motion: EgoMotion
+) -> PolicySample:
+    """A sample of images (4, 4, H, W, 3) that were taken at the times (4, 4)."""
+    history, future = _poses_at(motion, t0_us)
+    return PolicySample(
+        image_frames=np.ascontiguousarray(images.transpose(0, 1, 4, 2, 3)),
+        camera_indices=np.array([CAMERA_INDEX[name] for name in POLICY_CAMERAS], dtype=np.int64),
+        ego_history_xyz=history[None, :, :3, 3].astype(np.float32),
+        ego_history_rot=history[None, :, :3, :3].astype(np.float32),
+        ego_future_xyz=future[None, :, :3, 3].astype(np.float32),
+        ego_future_rot=future[None, :, :3, :3].astype(np.float32),
+        relative_timestamps=((shown_us - shown_us.min()) * 1e-6).astype(np.float32),
+        absolute_timestamps=shown_us,
+        t0_us=t0_us,
+        clip_id=clip_id,
+    )
 
 
 def _poses_at(motion: EgoMotion, t0_us: int) -> tuple[Array, Array]:

@@ -3,11 +3,8 @@
 import base64
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
-
-import cv2
-import numpy as np
-from numpy.typing import NDArray
 
 from olt_toolkit.console import format_cell
 
@@ -52,10 +49,10 @@ class Picture:
     kind: str = "picture"
 
     @classmethod
-    def from_pixels(cls, image: NDArray[np.uint8], caption: str, quality: int = 88) -> "Picture":
-        """Embed an RGB image (H, W, 3) as JPEG."""
-        _, encoded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, quality])
-        return cls("data:image/jpeg;base64," + base64.b64encode(encoded.tobytes()).decode(), caption)
+    def from_file(cls, path: Path, caption: str) -> "Picture":
+        """Embed a PNG or JPEG file."""
+        kind = "jpeg" if path.suffix in (".jpg", ".jpeg") else "png"
+        return cls(f"data:image/{kind};base64," + base64.b64encode(path.read_bytes()).decode(), caption)
 
     @classmethod
     def from_svg(cls, svg: str, caption: str) -> "Picture":

@@ -1,0 +1,229 @@
+"""Drives of the KITTI raw data: rectified left colour camera, calibration and GPS/IMU poses.
+
+Two layouts are read: the official one, `<date>/<drive>_sync/image_02/data/*.png` with `image_02/timestamps.txt`,
+`oxts/data/*.txt`, `oxts/timestamps.txt` and the calibration in `<date>/`; and a flat one, in which the calibration
+lies beside `image_02/*.jpg`, `image_02_timestamps.txt`, `oxts/*.txt` and `oxts_timestamps.txt`.
+
+The rig: its origin is the IMU's position projected to the ground, 0.93 m below (KITTI's sensor sketch; the IMU sits
+close to the rear axle). Its x axis is the direction in which the vehicle travels according to the GPS/IMU, because the
+IMU itself is mounted with its nose up to a degree off the road.
+"""
+
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from olt_generator.cameras import PinholeCamera
+from olt_generator.errors import InputError
+from olt_generator.poses import Array, invert, make_pose
+from olt_generator.trajectory import Trajectory
+from olt_generator.video import shrink
+from olt_toolkit.recording import OpenOptions, Recording
+from olt_toolkit.rig import VehicleDimensions
+
+IMU_HEIGHT = 0.93
+EARTH_RADIUS = 6378137.0
+CAMERA_FILE, VELODYNE_FILE, IMU_FILE = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt"
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+# VW Passat B6 estate, KITTI's car; the rear overhang places the centre of the box.
+PASSAT = VehicleDimensions(
+    length=4.774, width=1.820, height=1.517, rear_axle_to_bbox_center=1.36, wheelbase=2.709, track_width=1.551
+)
+# Steps of the GPS/IMU shorter than this say nothing about the direction of travel.
+MIN_TRAVEL_STEP = 0.2
+OXTS_FIELDS = 30
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the parts of a drive lie."""
+
+    images: Path
+    image_times: Path
+    oxts: Path
+    oxts_times: Path
+    calibration: Path
+
+    @classmethod
+    def find(cls, path: Path) -> "_Layout | None":
+        official = path / "image_02" / "data"
+        if official.is_dir():
+            times, oxts = path / "image_02" / "timestamps.txt", path / "oxts"
+            return cls(official, times, oxts / "data", oxts / "timestamps.txt", path.parent)
+        if (path / "image_02").is_dir() and (path / CAMERA_FILE).is_file():
+            times, oxts_times = path / "image_02_timestamps.txt", path / "oxts_timestamps.txt"
+            return cls(path / "image_02", times, path / "oxts", oxts_times, path)
+        return None
+
+
+class KittiRawSource:
+    """Opens a KITTI raw drive folder."""
+
+    name = "kitti_raw"
+
+    def recognises(self, path: Path) -> bool:
+        """See `Source.recognises`; judged by the folders."""
+        return path.is_dir() and _Layout.find(path) is not None
+
+    def open(self, path: Path, options: OpenOptions) -> Recording:
+        """See `Source.open`; field of view and height come from the calibration, whatever the options say."""
+        layout = _Layout.find(path)
+        if layout is None:
+            raise InputError(f"{path}: not a KITTI raw drive; give the folder that holds image_02")
+        image_ns, oxts_ns = _read_times(layout.image_times), _read_times(layout.oxts_times)
+        camera_file = layout.calibration / CAMERA_FILE
+        calibration = _read_calibration(camera_file, {"S_rect_02": 2, "P_rect_02": 12, "R_rect_00": 9})
+        T_imu_camera = _imu_to_camera(layout.calibration, calibration)
+        T_world_imu = _read_oxts(layout.oxts, len(oxts_ns))
+        T_rig_imu = _align_rig(T_world_imu)
+
+        start = image_ns[0]
+        image_us = np.rint((image_ns - start) / 1000).astype(np.int64)
+        image_us = image_us[image_us < options.duration * 1e6]
+        oxts_us = np.rint((oxts_ns - start) / 1000).astype(np.int64)
+        measured = _extended(Trajectory(oxts_us, T_world_imu @ invert(T_rig_imu)))
+        frames = _read_images(layout.images, len(image_ns), len(image_us), options.width, calibration["S_rect_02"])
+        return Recording(
+            name=path.name,
+            source=self.name,
+            frames=frames,
+            timestamps_us=image_us,
+            camera=_rectified_camera(calibration).resized(frames.shape[2], frames.shape[1]),
+            T_rig_camera=T_rig_imu @ T_imu_camera,
+            vehicle=PASSAT,
+            assumptions=(
+                f"The rig origin is the IMU's position projected to the ground, {IMU_HEIGHT} m below it, and is taken "
+                "for the middle of the rear axle.",
+                "The rig's x axis is the usual direction of travel measured by the GPS/IMU.",
+                "The vehicle has the published size of KITTI's VW Passat.",
+            ),
+            reference=Trajectory(image_us, measured.interpolate(image_us)).in_first_frame(),
+        )
+
+
+def _rectified_camera(calibration: dict[str, Array]) -> PinholeCamera:
+    width, height = calibration["S_rect_02"].astype(int).tolist()
+    P = calibration["P_rect_02"].reshape(3, 4)
+    return PinholeCamera(width, height, float(P[0, 0]), float(P[1, 1]), float(P[0, 2]), float(P[1, 2]))
+
+
+def _imu_to_camera(folder: Path, camera: dict[str, Array]) -> Array:
+    """Pose (4, 4) of the rectified camera 2 in the IMU, from the chain of KITTI's readme: P R_rect T_velo T_imu."""
+    velodyne = _read_calibration(folder / VELODYNE_FILE, {"R": 9, "T": 3})
+    imu = _read_calibration(folder / IMU_FILE, {"R": 9, "T": 3})
+    P = camera["P_rect_02"].reshape(3, 4)
+    T_camera_rectified = make_pose(np.eye(3), np.linalg.solve(P[:, :3], P[:, 3]))
+    T_rectified_first = make_pose(camera["R_rect_00"].reshape(3, 3), np.zeros(3))
+    T_first_velodyne = make_pose(velodyne["R"].reshape(3, 3), velodyne["T"])
+    T_velodyne_imu = make_pose(imu["R"].reshape(3, 3), imu["T"])
+    return invert(T_camera_rectified @ T_rectified_first @ T_first_velodyne @ T_velodyne_imu)
+
+
+def _read_calibration(path: Path, fields: dict[str, int]) -> dict[str, Array]:
+    """The named fields of a `key: numbers` file; each must have the given count of finite numbers."""
+    if not path.is_file():
+        raise InputError(f"{path}: calibration file is missing; copy it from the KITTI download of the same date")
+    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    texts = dict(line.split(":", 1) for line in lines if ":" in line)
+    values = {}
+    for field, count in fields.items():
+        if field not in texts:
+            raise InputError(f"{path}: field {field} is missing; copy the file again from the KITTI download")
+        values[field] = _read_numbers(texts[field], count, f"{path}: field {field}")
+    return values
+
+
+def _read_numbers(text: str, count: int, where: str) -> Array:
+    try:
+        numbers = np.array([float(word) for word in text.split()])
+    except ValueError as error:
+        raise InputError(f"{where}: {error}; {count} numbers are expected") from error
+    if len(numbers) != count or not np.all(np.isfinite(numbers)):
+        raise InputError(f"{where}: has {len(numbers)} numbers, {count} finite ones are expected")
+    return numbers
+
+
+def _read_times(path: Path) -> NDArray[np.int64]:
+    """Times (n,) in nanoseconds of `YYYY-MM-DD hh:mm:ss.nnnnnnnnn` lines."""
+    if not path.is_file():
+        raise InputError(f"{path}: timestamps are missing; copy them from the KITTI download")
+    times = []
+    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").split("\n"), start=1):
+        if line.strip():
+            times.append(_parse_time(line.strip(), f"{path}: line {number}"))
+    if len(times) < 2:
+        raise InputError(f"{path}: holds {len(times)} timestamps; give a drive of at least 2 frames")
+    return np.array(times, dtype=np.int64)
+
+
+def _parse_time(text: str, where: str) -> int:
+    seconds, _, fraction = text.partition(".")
+    try:
+        since_epoch = datetime.fromisoformat(seconds) - datetime(1970, 1, 1)
+        return (since_epoch.days * 86400 + since_epoch.seconds) * 1_000_000_000 + int(fraction[:9].ljust(9, "0"))
+    except ValueError as error:
+        raise InputError(f"{where}: {text!r} is no time of the form 2011-09-26 13:10:51.168593664") from error
+
+
+def _read_oxts(folder: Path, count: int) -> Array:
+    """IMU poses (n, 4, 4) in a local east-north-up frame, by Mercator projection at the first latitude."""
+    files = sorted(folder.glob("*.txt"))
+    if len(files) != count:
+        raise InputError(f"{folder}: {len(files)} GPS/IMU files for {count} timestamps; copy the drive again")
+    rows = np.stack([_read_numbers(file.read_text(errors="replace"), OXTS_FIELDS, str(file)) for file in files])
+    latitude, longitude, altitude, roll, pitch, yaw = rows[:, :6].T
+    scale = EARTH_RADIUS * np.cos(np.radians(latitude[0]))
+    east = scale * np.radians(longitude)
+    north = scale * np.log(np.tan(np.pi / 4 + np.radians(latitude) / 2))
+    positions = np.stack([east, north, altitude], axis=-1)
+    rotations = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1)).as_matrix()
+    return make_pose(rotations, positions - positions[0])
+
+
+def _align_rig(T_world_imu: Array) -> Array:
+    """Pose (4, 4) of the IMU in the rig: above the origin, turned such that the vehicle travels along rig x."""
+    steps = (invert(T_world_imu[:-1]) @ T_world_imu[1:])[:, :3, 3]
+    length = np.linalg.norm(steps, axis=1)
+    moving = length > MIN_TRAVEL_STEP
+    yaw = pitch = 0.0
+    if moving.any():
+        x, y, z = np.median(steps[moving] / length[moving, None], axis=0)
+        yaw, pitch = np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y))
+    R_imu_rig = Rotation.from_euler("ZY", [yaw, pitch]).as_matrix()
+    return make_pose(R_imu_rig.T, [0.0, 0.0, IMU_HEIGHT])
+
+
+def _extended(trajectory: Trajectory) -> Trajectory:
+    """The trajectory with one more pose at each end, at constant velocity: images reach beyond the GPS/IMU's times."""
+    times, poses = trajectory.timestamps_us, trajectory.T_world_rig
+    before = poses[0] @ invert(poses[1]) @ poses[0]
+    after = poses[-1] @ invert(poses[-2]) @ poses[-1]
+    ends = [2 * times[0] - times[1], 2 * times[-1] - times[-2]]
+    return Trajectory(np.concatenate([ends[:1], times, ends[1:]]), np.concatenate([before[None], poses, after[None]]))
+
+
+def _read_images(folder: Path, count: int, wanted: int, width: int, size: Array) -> NDArray[np.uint8]:
+    """The first `wanted` images (n, H, W, 3) RGB, shrunk to `width`."""
+    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+    if len(files) != count:
+        raise InputError(f"{folder}: {len(files)} images for {count} timestamps; copy the drive again")
+    images = []
+    for file in files[:wanted]:
+        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        if image is None:
+            raise InputError(f"{file}: cannot be decoded as an image; copy it again")
+        if image.shape[1::-1] != tuple(size.astype(int)):
+            raise InputError(
+                f"{file}: is {image.shape[1]} x {image.shape[0]} pixels, S_rect_02 of the calibration says "
+                f"{size[0]:.0f} x {size[1]:.0f}; use images and calibration of the same date"
+            )
+        images.append(shrink(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), width))
+    return np.stack(images)
+
+
+SOURCE = KittiRawSource()

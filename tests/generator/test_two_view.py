@@ -1,0 +1,75 @@
+"""Relative motion of two views on points whose motion is known."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from olt_generator.two_view import epipolar_sines, estimate_motion
+
+SIGMA = 1e-3
+
+
+def make_rays(rotation, displacement, seed, far_share=0.0, outliers=0, noise=0.0, count=200):
+    """Unit rays to the same points from both places; far points are seen in one direction from anywhere."""
+    random = np.random.default_rng(seed)
+    points = random.uniform([-15, -6, 4], [15, 3, 40], (count, 3))
+    points[: int(far_share * count)] *= 1e6
+    rays_a, rays_b = points, (points - displacement) @ rotation.as_matrix()
+    rays_b = rays_b + noise * np.linalg.norm(rays_b, axis=1, keepdims=True) * random.standard_normal(rays_b.shape)
+    if outliers:
+        rays_b[-outliers:] = random.uniform([-10, -5, 5], [10, 5, 30], (outliers, 3))
+    return tuple(rays / np.linalg.norm(rays, axis=1, keepdims=True) for rays in (rays_a, rays_b))
+
+
+def angle(first, second):
+    return np.degrees(np.arccos(np.clip(first @ second, -1, 1)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(
+    turn=st.tuples(*[st.floats(-0.05, 0.05)] * 3),
+    sideways=st.tuples(st.floats(-0.4, 0.4), st.floats(-0.2, 0.2)),
+    forward=st.sampled_from([1.0, -1.0]),
+    seed=st.integers(0, 100),
+)
+def test_exact_rays_give_the_exact_motion(turn, sideways, forward, seed):
+    rotation = Rotation.from_rotvec(turn)
+    displacement = np.array([*sideways, forward])
+    motion = estimate_motion(*make_rays(rotation, displacement, seed), SIGMA)
+    assert np.degrees((Rotation.from_matrix(motion.R_b_a) * rotation).magnitude()) < 1e-3
+    assert angle(motion.direction_a, displacement / np.linalg.norm(displacement)) < 1e-2
+    assert motion.inliers.all()
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_sky_full_of_points_does_not_turn_the_direction_around(seed):
+    rays_a, rays_b = make_rays(Rotation.identity(), np.array([0.0, 0.0, 1.0]), seed, far_share=0.85)
+    # Tracks of clouds close in by less than their noise: each votes, weakly, for driving backward.
+    rays_b[:170, :2] *= 1.0 - 1e-4
+    assert angle(estimate_motion(rays_a, rays_b, SIGMA).direction_a, [0.0, 0.0, 1.0]) < 3.0
+
+
+def test_a_quarter_of_outliers_is_left_out():
+    rotation = Rotation.from_rotvec([0.0, 0.02, 0.0])
+    displacement = np.array([0.1, 0.0, 1.0])
+    rays_a, rays_b = make_rays(rotation, displacement, 3, outliers=50, noise=3e-4)
+    motion = estimate_motion(rays_a, rays_b, SIGMA)
+    assert np.degrees((Rotation.from_matrix(motion.R_b_a) * rotation).magnitude()) < 0.05
+    assert angle(motion.direction_a, displacement / np.linalg.norm(displacement)) < 1.0
+    assert motion.inliers[:150].mean() > 0.95
+    assert motion.inliers[150:].mean() < 0.2
+
+
+def test_epipolar_sine_is_the_distance_from_the_plane():
+    rays_a, t = np.array([[0.0, 0.0, 1.0]]), np.array([1.0, 0.0, 0.0])
+    tilted = np.array([[0.1, np.sin(0.02), np.cos(0.02)]])
+    tilted[0, 1:] *= np.sqrt(1 - 0.01)
+    expected = np.sqrt(1 - 0.01) * np.sin(0.02)
+    assert np.abs(epipolar_sines(rays_a, tilted, np.eye(3), t)) == pytest.approx(expected)
+
+
+def test_too_few_rays_give_nothing():
+    rays = np.tile([[0.0, 0.0, 1.0]], (4, 1))
+    assert estimate_motion(rays, rays, SIGMA) is None

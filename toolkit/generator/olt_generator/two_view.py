@@ -1,0 +1,113 @@
+"""Relative motion of a camera between two frames, up to the length of the translation."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from olt_generator.poses import Array
+
+# Perspective coordinates stretch towards the edge of a wide lens: the first guess is made inside this cone.
+MAX_GUESS_ANGLE = np.radians(60.0)
+GUESS_CONFIDENCE = 0.999
+MAX_REFINEMENTS = 10
+CONVERGED_RADIANS = 1e-7
+
+
+@dataclass(frozen=True)
+class TwoViewMotion:
+    """Motion of a camera from frame a to frame b.
+
+    Attributes:
+        R_b_a: (3, 3) rotation that maps directions in a to directions in b.
+        direction_a: (3,) unit displacement of the camera, in the axes of a.
+        inliers: (n,) which rays agree with the motion.
+    """
+
+    R_b_a: Array
+    direction_a: Array
+    inliers: NDArray[np.bool_]
+
+
+def estimate_motion(rays_a: Array, rays_b: Array, sigma: float) -> TwoViewMotion | None:
+    """Robust epipolar motion between matched unit rays (n, 3).
+
+    RANSAC over five-point essential matrices gives the first guess; robust Gauss-Newton steps then minimise the angle
+    between each ray in b and its epipolar plane, which treats all parts of a wide lens alike.
+
+    Args:
+        rays_a, rays_b: rays of the same points in the two frames.
+        sigma: angular noise of a ray in radians.
+
+    Returns:
+        The motion, or None where no essential matrix explains the rays.
+    """
+    guess = _guess_essential(rays_a, rays_b, 2.0 * sigma)
+    if guess is None:
+        return None
+    R, t = _refine(rays_a, rays_b, *guess, sigma)
+    inliers = np.abs(epipolar_sines(rays_a, rays_b, R, t)) < 4.0 * sigma
+    t *= _depth_sign(rays_a[inliers], rays_b[inliers], R, t)
+    return TwoViewMotion(R, -R.T @ t, inliers)
+
+
+def epipolar_sines(rays_a: Array, rays_b: Array, R_b_a: Array, t: Array) -> Array:
+    """Sine (n,) of the angle of each ray in b to its epipolar plane: b . (t x R a) / |t x R a|."""
+    normals = np.cross(t, rays_a @ R_b_a.T)
+    length = np.maximum(np.linalg.norm(normals, axis=1), 1e-9)
+    return np.einsum("ij,ij->i", rays_b, normals) / length
+
+
+def _guess_essential(rays_a: Array, rays_b: Array, threshold: float) -> tuple[Array, Array] | None:
+    central = np.minimum(rays_a[:, 2], rays_b[:, 2]) > np.cos(MAX_GUESS_ANGLE)
+    if np.count_nonzero(central) < 5:
+        return None
+    a, b = rays_a[central], rays_b[central]
+    essential, _ = cv2.findEssentialMat(
+        a[:, :2] / a[:, 2:], b[:, :2] / b[:, 2:], np.eye(3), cv2.RANSAC, GUESS_CONFIDENCE, threshold
+    )
+    if essential is None:
+        return None
+    R_first, R_second, t = cv2.decomposeEssentialMat(np.asarray(essential[:3], dtype=np.float64))
+    # The two rotations differ by half a turn about the translation; a video never turns that much in a step.
+    R = R_first if np.trace(R_first) > np.trace(R_second) else R_second
+    return np.asarray(R, dtype=np.float64), np.asarray(t[:, 0], dtype=np.float64)
+
+
+def _refine(rays_a: Array, rays_b: Array, R: Array, t: Array, sigma: float) -> tuple[Array, Array]:
+    """Gauss-Newton on three rotation and two direction parameters with Geman-McClure weights."""
+    for _ in range(MAX_REFINEMENTS):
+        across = np.linalg.svd(t[None])[2][1:]
+        residual = epipolar_sines(rays_a, rays_b, R, t)
+        jacobian = _jacobian(rays_a, rays_b, R, t, across, residual)
+        weighted = jacobian * (1.0 / (1.0 + (residual / sigma) ** 2) ** 2)[:, None]
+        step = -np.linalg.pinv(weighted.T @ jacobian) @ (weighted.T @ residual)
+        R, t = _moved(R, t, across, step)
+        if np.abs(step).max() < CONVERGED_RADIANS:
+            break
+    return R, t
+
+
+def _jacobian(rays_a: Array, rays_b: Array, R: Array, t: Array, across: Array, residual: Array) -> Array:
+    columns = []
+    for axis in 1e-6 * np.eye(5):
+        R_moved, t_moved = _moved(R, t, across, axis)
+        columns.append((epipolar_sines(rays_a, rays_b, R_moved, t_moved) - residual) / 1e-6)
+    return np.stack(columns, axis=-1)
+
+
+def _moved(R: Array, t: Array, across: Array, step: Array) -> tuple[Array, Array]:
+    t = t + step[3:] @ across
+    return Rotation.from_rotvec(step[:3]).as_matrix() @ R, t / np.linalg.norm(t)
+
+
+def _depth_sign(rays_a: Array, rays_b: Array, R_b_a: Array, t: Array) -> float:
+    """+1 where the points lie in front of the camera for translation t, -1 where they do for -t.
+
+    From depth_b b = depth_a R a + t follows depth_a = -(b x R a) . (b x t) / |b x R a|^2. The numerators are added:
+    near points decide, and what is too far to move has no say.
+    """
+    parallax = np.cross(rays_b, rays_a @ R_b_a.T)
+    return 1.0 if np.sum(parallax * np.cross(rays_b, t)) <= 0.0 else -1.0

@@ -1,0 +1,168 @@
+"""Reading and writing video files."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+from av.container import InputContainer
+from av.error import FFmpegError
+from av.video.stream import VideoStream
+from numpy.typing import NDArray
+
+from olt_generator.errors import InputError
+from olt_generator.files import write_whole
+
+KEY_FRAME_EVERY = 30
+QUALITY = "18"
+MAX_RATE_DENOMINATOR = 1001
+# How many frames a container may announce and not hold: some writers count one that is never shown.
+MISSING_FRAMES_ALLOWED = 1
+MISSING_SECONDS_ALLOWED = 0.5
+
+
+@dataclass(frozen=True)
+class Video:
+    """A decoded video.
+
+    Attributes:
+        frames: (n, H, W, 3) uint8 RGB.
+        timestamps_us: (n,) int64 presentation times in microseconds, strictly increasing, the first is 0.
+        frame_rate: mean frames per second over what was decoded; as declared for a single frame, 0 if unknown.
+    """
+
+    frames: NDArray[np.uint8]
+    timestamps_us: NDArray[np.int64]
+    frame_rate: float
+
+
+def read_video(path: Path, width: int = 832, duration: float = 20.0) -> Video:
+    """Decode the beginning of a video at working resolution.
+
+    Args:
+        path: a file that FFmpeg can decode.
+        width: width of the frames in pixels; smaller videos keep theirs. The height follows the aspect ratio.
+        duration: at most this many seconds from the first frame.
+
+    Raises:
+        InputError: the file is missing, empty, no video, damaged or cut off, or its times run backwards.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such video file")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty; copy or download it again")
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.video:
+                raise InputError(f"{path}: the file has no video stream; give a video file")
+            stream = container.streams.video[0]
+            frames, timestamps_us = _decode(path, container, stream, width, duration)
+            declared_rate = float(stream.average_rate or 0.0)
+    except FFmpegError as error:
+        raise InputError(f"{path}: not a readable video ({error.strerror}); copy or convert it again") from error
+    measured = len(timestamps_us) > 1
+    frame_rate = 1e6 * (len(timestamps_us) - 1) / float(timestamps_us[-1]) if measured else declared_rate
+    return Video(frames, timestamps_us, frame_rate)
+
+
+def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fraction) -> None:
+    """Write an H.264 mp4 that frame-accurate readers decode exactly.
+
+    The rate is constant, times start at 0, one frame period is a whole number of ticks, and every 30th frame is a
+    key frame (facts sheet pai_dataset, section 5). The same frames give the same bytes.
+
+    Args:
+        path: where the file appears once it is whole.
+        frames: (n, H, W, 3) uint8 RGB; height and width are even.
+        frame_rate: frames per second.
+
+    Raises:
+        InputError: no frames, odd sizes, or a rate that is not positive.
+    """
+    if len(frames) == 0:
+        raise InputError(f"{path}: there are no frames to write")
+    height, width = frames.shape[1:3]
+    if height % 2 or width % 2:
+        raise InputError(f"{path}: frames are {width} x {height}; H.264 needs an even width and height, crop one pixel")
+    if not frame_rate > 0:
+        raise InputError(f"{path}: frame rate {frame_rate}; it must be above 0")
+    rate = Fraction(frame_rate).limit_denominator(MAX_RATE_DENOMINATOR)
+    with write_whole(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=rate)
+        stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        stream.time_base = 1 / rate
+        stream.thread_count = 1
+        stream.gop_size = KEY_FRAME_EVERY
+        stream.options = {"crf": QUALITY, "preset": "fast", "threads": "1", "bf": "0"}
+        for index, image in enumerate(frames):
+            frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
+            frame.pts, frame.time_base = index, 1 / rate
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+def shrink(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
+    """The image (H, W, 3) scaled down to `width` by area averaging; smaller images are returned as they are."""
+    if image.shape[1] <= width:
+        return image
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _decode(
+    path: Path, container: InputContainer, stream: VideoStream, width: int, duration: float
+) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    stream.thread_type = "AUTO"
+    frames: list[NDArray[np.uint8]] = []
+    times: list[Fraction] = []
+    for frame in _decoded(path, container, stream):
+        if frame.pts is None or frame.time_base is None:
+            raise InputError(f"{path}: frame {len(frames)} has no presentation time; convert the video to mp4")
+        time = frame.pts * frame.time_base
+        if times and time <= times[-1]:
+            raise InputError(f"{path}: frame {len(frames)} is not later than the one before it; convert it to mp4")
+        if times and time - times[0] >= duration:
+            return np.stack(frames), _microseconds(times)
+        times.append(time)
+        frames.append(shrink(_upright(frame), width))
+    if not frames:
+        raise InputError(f"{path}: no frame could be decoded; copy or convert the video again")
+    _check_complete(path, stream, times)
+    return np.stack(frames), _microseconds(times)
+
+
+def _decoded(path: Path, container: InputContainer, stream: VideoStream) -> Iterator[av.VideoFrame]:
+    count = 0
+    try:
+        for frame in container.decode(stream):
+            if frame.is_corrupt:
+                raise InputError(f"{path}: frame {count} is damaged; copy the video again or cut it before this frame")
+            yield frame
+            count += 1
+    except FFmpegError as error:
+        raise InputError(
+            f"{path}: decoding fails after frame {count - 1} ({error.strerror}); copy the video again"
+        ) from error
+
+
+def _check_complete(path: Path, stream: VideoStream, times: list[Fraction]) -> None:
+    """A file that was cut off can decode without any error: hold what came out against what the container declares."""
+    if stream.frames and len(times) < stream.frames - MISSING_FRAMES_ALLOWED:
+        raise InputError(f"{path}: holds {len(times)} of {stream.frames} frames; the file was cut off, copy it again")
+    if stream.duration and stream.time_base and len(times) > 1:
+        declared, found = float(stream.duration * stream.time_base), float(times[-1] - times[0])
+        if found < declared - MISSING_SECONDS_ALLOWED:
+            raise InputError(f"{path}: ends after {found:.1f} of {declared:.1f} s; the file was cut off, copy it again")
+
+
+def _upright(frame: av.VideoFrame) -> NDArray[np.uint8]:
+    image = np.asarray(frame.to_ndarray(format="rgb24"), dtype=np.uint8)
+    quarter_turns, rest = divmod(frame.rotation, 90)
+    return np.ascontiguousarray(np.rot90(image, quarter_turns)) if rest == 0 else image
+
+
+def _microseconds(times: list[Fraction]) -> NDArray[np.int64]:
+    return np.array([round((time - times[0]) * 1_000_000) for time in times], dtype=np.int64)
