@@ -155,35 +155,36 @@ def _fit_speeds(path: Array, heading: Array, fit: SmoothingSettings, first: Arra
     if first is not None:
         right = right[..., 1:] - normal[..., 1:, 0] * np.asarray(first)[..., None]
         normal = normal[..., 1:, 1:]
-    return np.linalg.solve(normal + fit.ridge * np.eye(normal.shape[-1]), right[..., None])[..., 0]
+    normal = normal + fit.ridge * np.eye(normal.shape[-1])
+    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0], dtype=np.float64)
 
 
 def _fit_curvatures(turn: Array, length: Array, fit: SmoothingSettings) -> Array:
     """Curvatures (..., n) whose product with the step lengths gives the turns; 0 where nothing moves."""
     n = turn.shape[-1]
     normal = _penalty(n, 2, fit.smoothness / STEP_SECONDS**4) + (length**2 + fit.ridge)[..., None] * np.eye(n)
-    return np.linalg.solve(normal, (length * turn)[..., None])[..., 0]
+    return np.asarray(np.linalg.solve(normal, (length * turn)[..., None])[..., 0], dtype=np.float64)
 
 
 @lru_cache(maxsize=8)
 def _heading_fit(fit: SmoothingSettings) -> Array:
     """Matrix (64, 64) from yaws to smoothed headings after t0; the heading 0 at t0 adds nothing to the right side."""
     penalty = _penalty(FUTURE_STEPS + 1, 3, fit.smoothness / STEP_SECONDS**6)[1:, 1:]
-    return np.linalg.inv((1.0 + fit.ridge) * np.eye(FUTURE_STEPS) + penalty)
+    return np.asarray(np.linalg.inv((1.0 + fit.ridge) * np.eye(FUTURE_STEPS) + penalty), dtype=np.float64)
 
 
 @lru_cache(maxsize=8)
 def _acceleration_fit(fit: SmoothingSettings) -> Array:
     """Matrix (64, 64) from differences of speed to smoothed accelerations."""
     penalty = _penalty(FUTURE_STEPS, 2, fit.smoothness / STEP_SECONDS**4)
-    return np.linalg.inv((1.0 + fit.ridge) * np.eye(FUTURE_STEPS) + penalty)
+    return np.asarray(np.linalg.inv((1.0 + fit.ridge) * np.eye(FUTURE_STEPS) + penalty), dtype=np.float64)
 
 
 @lru_cache(maxsize=32)
 def _penalty(n: int, order: int, weight: float) -> Array:
     """weight * D^T D (n, n), with D the differences of the given order."""
     difference = np.diff(np.eye(n), n=order, axis=0)
-    return weight * difference.T @ difference
+    return np.asarray(weight * difference.T @ difference, dtype=np.float64)
 
 
 def _step_lengths(speed: Array, acceleration: Array) -> Array:

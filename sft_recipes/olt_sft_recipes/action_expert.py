@@ -1,0 +1,107 @@
+"""The action expert: a transformer that turns noise into a plan by flow matching.
+
+Its 64 tokens, one a waypoint, attend to each other in both directions and, layer by layer, to the keys and values that
+the language model kept for the prefix. Facts sheet alpamayo_interface, sections 6 to 8.
+
+Flow matching: t = 0 is noise, t = 1 is data, x_t = t x + (1 - t) noise, and the expert learns the velocity x - noise.
+"""
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from olt_sft_recipes.language_model import KeysValues, join_heads, make_perceptron, split_heads
+from olt_sft_recipes.toy_config import ToyPolicyConfig
+from olt_toolkit.policy import FUTURE_STEPS
+
+ACTION_SIZE = 2
+TIME_FREQUENCIES = 10
+
+
+class ExpertBlock(nn.Module):
+    """One layer: attention to the prefix of the same layer of the language model and to all waypoints."""
+
+    def __init__(self, config: ToyPolicyConfig) -> None:
+        super().__init__()
+        width = config.expert_width
+        self.heads = config.heads
+        self.attention_norm = nn.LayerNorm(width)
+        self.queries_keys_values = nn.Linear(width, 3 * config.width, bias=False)
+        self.attention_out = nn.Linear(config.width, width, bias=False)
+        self.perceptron = make_perceptron(width)
+
+    def forward(self, x: Tensor, prefix: KeysValues) -> Tensor:
+        """Advance hidden states (batch, 64, expert width)."""
+        projected = self.queries_keys_values(self.attention_norm(x)).chunk(3, dim=-1)
+        queries, keys, values = (split_heads(part, self.heads) for part in projected)
+        keys, values = torch.cat([prefix[0], keys], dim=2), torch.cat([prefix[1], values], dim=2)
+        x = x + self.attention_out(join_heads(functional.scaled_dot_product_attention(queries, keys, values)))
+        return x + self.perceptron(x)
+
+
+class ActionExpert(nn.Module):
+    """Predicts the velocity of noisy actions, given the language model's cache of the prefix."""
+
+    def __init__(self, config: ToyPolicyConfig) -> None:
+        super().__init__()
+        self.integration_steps = config.integration_steps
+        self.action_in = nn.Sequential(
+            nn.Linear(2 * ACTION_SIZE + 2 * TIME_FREQUENCIES, config.expert_width),
+            nn.SiLU(),
+            nn.Linear(config.expert_width, config.expert_width),
+        )
+        # What the cache at future-start says at once; attention alone takes longer to find it than the toy trains.
+        self.first_guess = nn.Linear(config.layers * config.width, FUTURE_STEPS * ACTION_SIZE)
+        self.waypoints = nn.Parameter(0.02 * torch.randn(FUTURE_STEPS, config.expert_width))
+        self.blocks = nn.ModuleList([ExpertBlock(config) for _ in range(config.layers)])
+        self.norm = nn.LayerNorm(config.expert_width)
+        self.action_out = nn.Linear(config.expert_width, ACTION_SIZE)
+
+    def forward(self, noisy: Tensor, time: Tensor, cache: list[KeysValues]) -> Tensor:
+        """Velocity (batch, 64, 2) of noisy actions (batch, 64, 2) at flow times (batch,)."""
+        waves = fourier_features(time)[:, None].expand(-1, FUTURE_STEPS, -1)
+        at_start = torch.cat([join_heads(values[:, :, -1:]) for _, values in cache], dim=-1)
+        guess = self.first_guess(at_start).view(-1, FUTURE_STEPS, ACTION_SIZE)
+        x = self.action_in(torch.cat([noisy, waves, guess], dim=-1)) + self.waypoints
+        for block, prefix in zip(self.blocks, cache, strict=True):
+            x = block(x, prefix)
+        return self.action_out(self.norm(x)) + guess + linear_guess(time)[:, None, None] * noisy
+
+    def loss(self, actions: Tensor, time: Tensor, noise: Tensor, cache: list[KeysValues]) -> Tensor:
+        """Mean squared error of the velocity between noise and normalised actions, each (batch, 64, 2)."""
+        share = time[:, None, None]
+        noisy = share * actions + (1.0 - share) * noise
+        return functional.mse_loss(self(noisy, time, cache), actions - noise)
+
+    def sample(self, noise: Tensor, cache: list[KeysValues]) -> Tensor:
+        """Carry noise (batch, 64, 2) to normalised actions by equal Euler steps."""
+        x = noise
+        for step in range(self.integration_steps):
+            time = torch.full((len(x),), step / self.integration_steps)
+            x = x + self(x, time, cache) / self.integration_steps
+        return x
+
+
+def linear_guess(time: Tensor) -> Tensor:
+    """Factor (batch,) by which noisy actions give the best linear guess of their velocity.
+
+    Normalised actions have about unit spread, so E[x - noise | x_t] = (2 t - 1) / (t^2 + (1 - t)^2) x_t. The network
+    learns only what is left, which the toy's few steps suffice for.
+    """
+    return (2.0 * time - 1.0) / (time**2 + (1.0 - time) ** 2)
+
+
+def fourier_features(time: Tensor) -> Tensor:
+    """Waves (batch, 20) of flow times (batch,), of log-spaced frequencies from 1 to 100, with unit mean square."""
+    angles = 2.0 * math.pi * time[:, None] * torch.logspace(0.0, 2.0, TIME_FREQUENCIES)
+    return math.sqrt(2.0) * torch.cat([angles.sin(), angles.cos()], dim=-1)
+
+
+def draw_training_times(count: int, generator: torch.Generator) -> Tensor:
+    """Flow times (count,) in [0, 0.999], 0.999 (1 - B) with B from Beta(1.5, 1): noise is seen more often.
+
+    The distribution function of Beta(1.5, 1) is b^1.5, so B is a uniform draw to the power 2/3.
+    """
+    return 0.999 * (1.0 - torch.rand(count, generator=generator) ** (2.0 / 3.0))

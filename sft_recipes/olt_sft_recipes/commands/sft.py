@@ -1,0 +1,97 @@
+"""`olt sft`: two-stage training of the toy policy, and its open-loop errors."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from olt_datasets.mixture import Mixture
+
+app = typer.Typer(add_completion=False, no_args_is_help=True, help="Train the toy policy, and judge it in open loop.")
+
+Stores = Annotated[list[Path], typer.Option(help="Clip store; may be given several times.")]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+@app.command(help="Train both stages on a mixture; an interrupted training keeps its finished stage.")
+def train(
+    out: Annotated[Path, typer.Option(help="Folder of the training; OUT/policy is what drives.")],
+    mixture: Annotated[Path | None, typer.Option(help="A mixture that `olt mix compose` wrote.")] = None,
+    recipe: Annotated[str | None, typer.Option(help="Instead of it: a recipe, composed here from --stores.")] = None,
+    stores: Stores = [],  # noqa: B006 - typer reads the default, nobody changes it
+    stage1: Annotated[Path | None, typer.Option(help="YAML of Stage 1; that of the toy by default.")] = None,
+    stage2: Annotated[Path | None, typer.Option(help="YAML of Stage 2; that of the toy by default.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the mixture and of both stages.")] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Train, and print the losses."""
+    from olt_datasets.dataset import MixtureDataset
+    from olt_sft_recipes.stage_config import builtin_stage_config, read_stage_config
+    from olt_sft_recipes.training import train_two_stages
+    from olt_toolkit.console import make_progress, print_json, print_line, print_table
+    from olt_toolkit.workers import use_one_thread
+
+    use_one_thread()
+    chosen = _choose_mixture(mixture, recipe, stores, seed)
+    first = (read_stage_config(stage1) if stage1 else builtin_stage_config(1)).model_copy(update={"seed": seed})
+    second = (read_stage_config(stage2) if stage2 else builtin_stage_config(2)).model_copy(update={"seed": seed})
+    with make_progress() as progress:
+        task = progress.add_task("training", total=100)
+        results = train_two_stages(
+            (first, second),
+            lambda stage: lambda epoch: chosen.epoch(epoch, stage.samples_per_step),
+            MixtureDataset(chosen, image_size=None).load_batch,
+            out,
+            on_progress=lambda share: progress.update(task, completed=round(100 * share)),
+        )
+    if as_json:
+        print_json({"policy": str(out / "policy"), "stages": [vars(result) for result in results]})
+        return
+    rows = [(result.stage, result.steps, result.samples, result.losses[0], result.final_loss) for result in results]
+    print_table("Two-stage training", ("stage", "steps", "samples", "first loss", "last loss"), rows)
+    print_line(f"policy: {out / 'policy'}")
+
+
+@app.command(help="Open-loop errors of a policy on the samples of a clip store's validation split.")
+def evaluate(
+    policy: Annotated[str, typer.Option(help="NAME or NAME:PATH, for example toy:OUT/policy.")],
+    stores: Stores,
+    split: Annotated[str, typer.Option(help="Split whose clips are used.")] = "val",
+    samples: Annotated[int, typer.Option(min=1, help="Samples a clip, spread over it.")] = 6,
+    plans: Annotated[int, typer.Option(min=1, help="Plans drawn for each sample.")] = 6,
+    as_json: JsonOption = False,
+) -> None:
+    """Print displacement errors."""
+    from olt_closed_loop.policies import make_policy
+    from olt_generator.errors import InputError
+    from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
+    from olt_toolkit.clip_store import ClipStore
+    from olt_toolkit.console import print_json, print_table
+
+    chosen = make_policy(policy)
+    opened = [ClipStore(store) for store in stores]
+    loaded = [sample for store in opened for sample in store.load_samples(spread_keys(store, split, samples))]
+    if not loaded:
+        raise InputError(
+            f"{', '.join(map(str, stores))}: no clip of split {split!r} gives a sample; choose another split"
+        )
+    errors = evaluate_open_loop(chosen, loaded, plans)
+    if as_json:
+        print_json({"policy": policy, "samples": len(loaded), "plans_per_sample": plans, "errors_m": errors})
+    else:
+        print_table(f"{policy}: {len(loaded)} samples of split {split}", ("error", "m"), list(errors.items()))
+
+
+def _choose_mixture(mixture: Path | None, recipe: str | None, stores: list[Path], seed: int) -> "Mixture":
+    from olt_datasets.clip_table import read_clip_tables
+    from olt_datasets.mixture import compose_mixture
+    from olt_datasets.plan import read_plan
+    from olt_datasets.recipe import find_recipe
+    from olt_generator.errors import InputError
+
+    if mixture is not None and recipe is None:
+        return read_plan(mixture)
+    if recipe is not None and mixture is None and stores:
+        return compose_mixture(find_recipe(recipe), read_clip_tables(stores), seed)
+    raise InputError("olt sft train: give either --mixture FILE, or --recipe NAME with --stores DIR")

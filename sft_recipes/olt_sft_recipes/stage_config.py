@@ -1,0 +1,126 @@
+"""Settings of one training stage, read strictly from YAML; the keys are those of the real recipe where it has them."""
+
+import math
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    NonNegativeFloat,
+    NonNegativeInt,
+    PositiveFloat,
+    PositiveInt,
+    ValidationError,
+    model_validator,
+)
+
+from olt_generator.errors import InputError
+
+
+class StageConfig(BaseModel):
+    """One stage of training the toy policy.
+
+    Attributes:
+        stage: 1 trains the vision-language model on trajectory tokens, 2 the action expert by flow matching.
+        num_train_epochs: passes over the mixture.
+        per_device_train_batch_size: samples whose gradient is computed at once.
+        gradient_accumulation_steps: such batches per optimizer step.
+        learning_rate, min_lr: at the end of the warmup and at the end of training.
+        warmup_steps: optimizer steps of linear warmup.
+        weight_decay: of AdamW.
+        max_grad_norm: gradients are scaled down to this norm.
+        seed: of initial weights and of all random draws.
+        mirror_probability: share of samples that are shown mirrored, left for right. Toy only.
+        move_metres, turn_degrees: samples are shown up to this far off and askew of the path (`DrivingSamples.moved`).
+            Toy only.
+        looking_epochs: of the epochs of Stage 1, the first so many ask future-start alone, for the future in numbers.
+            They stand in for the pre-training that the real model brings along, and cost a fraction. Toy only.
+        hidden_token_probability: share of said words that are hidden from later ones in Stage 1. Toy only.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    stage: Literal[1, 2]
+    num_train_epochs: PositiveInt = 3
+    per_device_train_batch_size: PositiveInt = 1
+    gradient_accumulation_steps: PositiveInt = 1
+    learning_rate: PositiveFloat = 1e-4
+    min_lr: NonNegativeFloat = 1e-6
+    warmup_steps: NonNegativeInt = 100
+    weight_decay: NonNegativeFloat = 0.0
+    max_grad_norm: PositiveFloat = 1.0
+    seed: NonNegativeInt = 42
+    mirror_probability: float = Field(default=0.0, ge=0.0, le=1.0)
+    move_metres: NonNegativeFloat = 0.0
+    turn_degrees: NonNegativeFloat = 0.0
+    looking_epochs: NonNegativeInt = 0
+    hidden_token_probability: float = Field(default=0.0, ge=0.0, le=1.0)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> "StageConfig":
+        if self.min_lr > self.learning_rate:
+            raise ValueError(f"min_lr {self.min_lr} is above learning_rate {self.learning_rate}")
+        if self.stage == 2 and (self.hidden_token_probability or self.looking_epochs):
+            raise ValueError("hidden_token_probability and looking_epochs are for stage 1 only: stage 2 says no words")
+        if self.looking_epochs >= self.num_train_epochs:
+            raise ValueError(
+                f"looking_epochs {self.looking_epochs} is not below num_train_epochs {self.num_train_epochs}"
+            )
+        return self
+
+    def learning_rate_at(self, step: int, total_steps: int) -> float:
+        """Learning rate of one step, counted from 0: linear warmup, then cosine down to `min_lr`.
+
+        Facts sheet alpamayo_recipes_sft, section 2: (s + 1) / W below W, then with m = min_lr / learning_rate and
+        p = (s - W + 1) / (S - W) the factor m + (1 - m) (1 + cos(pi p)) / 2.
+        """
+        if step < self.warmup_steps:
+            return self.learning_rate * (step + 1) / self.warmup_steps
+        done = (step - self.warmup_steps + 1) / (total_steps - self.warmup_steps)
+        return self.min_lr + (self.learning_rate - self.min_lr) * 0.5 * (1.0 + math.cos(math.pi * done))
+
+    @property
+    def samples_per_step(self) -> int:
+        """Samples of one optimizer step."""
+        return self.per_device_train_batch_size * self.gradient_accumulation_steps
+
+
+def read_stage_config(path: Path) -> StageConfig:
+    """Read the settings of a stage from a YAML file.
+
+    Raises:
+        InputError: the file cannot be read, is not a mapping, or holds unknown keys or values out of range.
+    """
+    try:
+        settings = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot read this stage configuration ({error}); give a YAML file") from error
+    except yaml.YAMLError as error:
+        raise InputError(f"{path}: not YAML ({' '.join(str(error).split())})") from error
+    return _check(settings, str(path))
+
+
+def builtin_stage_config(stage: Literal[1, 2]) -> StageConfig:
+    """The settings of a stage that come with the package."""
+    name = f"toy_stage{stage}.yaml"
+    text = (files("olt_sft_recipes") / "stages" / name).read_text(encoding="utf-8")
+    return _check(yaml.safe_load(text), name)
+
+
+def _check(settings: Any, where: str) -> StageConfig:
+    if not isinstance(settings, dict):
+        raise InputError(f"{where}: a stage configuration is a mapping of {', '.join(StageConfig.model_fields)}")
+    unknown = [str(key) for key in settings if key not in StageConfig.model_fields]
+    if unknown:
+        known = ", ".join(StageConfig.model_fields)
+        raise InputError(f"{where}: unknown key {', '.join(unknown)}; known keys are {known}")
+    try:
+        return StageConfig.model_validate(settings)
+    except ValidationError as error:
+        first = error.errors()[0]
+        field = ".".join(map(str, first["loc"])) or "settings"
+        raise InputError(f"{where}: {field}: {first['msg']}") from error

@@ -1,0 +1,77 @@
+"""What the toy policy reads of images and history, as tensors."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from olt_generator.poses import Array
+from olt_sft_recipes.tokens import encode_history
+from olt_sft_recipes.toy_config import ToyPolicyConfig
+from olt_toolkit.action_space import DEFAULT_SETTINGS
+from olt_toolkit.policy import STEP_SECONDS
+
+MOTION_FEATURES = 7
+# Speeds are given relative to a middle one, in units that bring city speeds to within -1 and 1; m/s.
+MIDDLE_SPEED, SPEED_SPREAD = 10.0, 5.0
+# Below this speed (m/s) a curvature is a ratio of two noises.
+LEAST_SPEED = 1.0
+
+
+@dataclass(frozen=True)
+class PolicyInputs:
+    """What the prefix is made of: images (n, 4, frames, 3, H, W) uint8, history words (n, 48), motion (n, 7)."""
+
+    images: Tensor
+    history_tokens: Tensor
+    motion: Tensor
+
+
+def encode_inputs(images: NDArray[np.uint8], history: Array) -> PolicyInputs:
+    """Tensors for images (n, 4, frames, 3, H, W) and histories (n, 16, 3) of x, y, yaw in the rig frame at t0."""
+    flat = np.concatenate([history[..., :2], np.zeros_like(history[..., :1])], axis=-1)
+    return PolicyInputs(
+        torch.from_numpy(np.ascontiguousarray(images)),
+        torch.from_numpy(encode_history(flat)),
+        torch.from_numpy(describe_motion(history)),
+    )
+
+
+def describe_motion(history: Array) -> NDArray[np.float32]:
+    """Speed now, and mean acceleration and curvature over the older half, the newer half and the last three steps.
+
+    History words cut off what is fast and say nothing of heading; the toy is too small to make up for it.
+
+    Args:
+        history: (n, 16, 3) of x, y, yaw.
+
+    Returns:
+        Features (n, 7) of about unit size; accelerations and curvatures are normalised as actions are.
+    """
+    rates = np.diff(history, axis=-2) / STEP_SECONDS
+    speed = np.linalg.norm(rates[..., :2], axis=-1)
+    curvature = rates[..., 1:, 2] / np.maximum(speed[..., 1:], LEAST_SPEED)
+    actions = DEFAULT_SETTINGS.normalise(np.diff(speed, axis=-1) / STEP_SECONDS, curvature)
+    windows = [actions[..., :7, :], actions[..., 7:, :], actions[..., -3:, :]]
+    means = [window.mean(axis=-2) for window in windows]
+    return np.concatenate([(speed[..., -1:] - MIDDLE_SPEED) / SPEED_SPREAD, *means], axis=-1).astype(np.float32)
+
+
+def planar_poses(xyz: Array, rotation: Array) -> Array:
+    """x, y and unwrapped yaw (..., n, 3) of positions (..., n, 3) and rotations (..., n, 3, 3)."""
+    yaw = np.unwrap(np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]), axis=-1)
+    return np.concatenate([xyz[..., :2], yaw[..., None]], axis=-1).astype(np.float64)
+
+
+def look_at(images: NDArray[np.uint8], config: ToyPolicyConfig) -> NDArray[np.uint8]:
+    """The newest of the images (cameras, 4, 3, H, W) that the model looks at, at its size."""
+    images = images[:, -config.image_frames :]
+    height, width = config.image_height, config.image_width
+    if images.shape[-2:] == (height, width):
+        return images
+    flat = images.reshape(-1, *images.shape[-3:]).transpose(0, 2, 3, 1)
+    scaled = np.stack([cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA) for image in flat])
+    return scaled.transpose(0, 3, 1, 2).reshape(*images.shape[:3], height, width)

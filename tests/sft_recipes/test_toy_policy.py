@@ -1,0 +1,108 @@
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from olt_generator.errors import InputError
+from olt_sft_recipes.driving_samples import DrivingSamples
+from olt_sft_recipes.toy_inputs import encode_inputs
+from olt_sft_recipes.toy_model import ToyModel
+from olt_sft_recipes.toy_policy import ToyPolicy, load_toy, read_model, save_model
+from olt_toolkit.policy import Observation
+
+
+@pytest.fixture(scope="module")
+def model(tiny_config):
+    torch.manual_seed(0)
+    return ToyModel(tiny_config)
+
+
+@pytest.fixture(scope="module")
+def inputs(drives, tiny_config):
+    samples = DrivingSamples.gather(list(drives.values())[:2], tiny_config)
+    return encode_inputs(samples.images, samples.history)
+
+
+def observe(sample, seed):
+    return Observation(
+        images=sample.image_frames,
+        camera_indices=sample.camera_indices,
+        history_xyz=sample.ego_history_xyz[0].astype(float),
+        history_rotation=sample.ego_history_rot[0].astype(float),
+        route_xy=np.zeros((0, 2)),
+        time_us=sample.t0_us,
+        seed=seed,
+    )
+
+
+def test_a_word_depends_only_on_the_words_before_it(model, inputs):
+    words = torch.zeros(2, 128, dtype=torch.long)
+    changed = words.clone()
+    changed[:, 60] = 1234
+    nothing_hidden = torch.zeros(2, 128, dtype=torch.bool)
+    with torch.no_grad():
+        before, _ = model.say(inputs, words, nothing_hidden)
+        after, _ = model.say(inputs, changed, nothing_hidden)
+    assert torch.equal(before[:, :61], after[:, :61])
+    assert not torch.allclose(before[:, 61:], after[:, 61:])
+
+
+def test_a_hidden_word_is_not_heard(model, inputs):
+    words = torch.zeros(2, 128, dtype=torch.long)
+    changed = words.clone()
+    changed[:, 60] = 1234
+    hidden = torch.zeros(2, 128, dtype=torch.bool)
+    hidden[:, 60] = True
+    with torch.no_grad():
+        assert torch.equal(model.say(inputs, words, hidden)[0], model.say(inputs, changed, hidden)[0])
+
+
+def test_the_expert_sees_the_prefix_and_nothing_after_it(model, inputs, tiny_config):
+    prefix_length = tiny_config.image_tokens + 48 + 1
+    for keys, values in model.cache(inputs):
+        assert keys.shape == values.shape == (2, tiny_config.heads, prefix_length, tiny_config.head_width)
+        assert not keys.requires_grad
+
+
+def test_a_plan_is_a_pure_function_of_the_observation(model, drives):
+    policy, sample = ToyPolicy(model), next(iter(drives.values()))
+    first, again, other = (policy.plan(observe(sample, seed)) for seed in (1, 1, 2))
+    assert first.xyz.shape == (64, 3) and first.rotation.shape == (64, 3, 3)
+    assert np.array_equal(first.xyz, again.xyz) and not np.array_equal(first.xyz, other.xyz)
+
+
+def test_an_observation_without_images_is_refused(model, drives):
+    blind = observe(next(iter(drives.values())), 0)
+    blind = Observation(None, *(getattr(blind, name) for name in list(vars(blind))[1:]))
+    with pytest.raises(InputError, match="images"):
+        ToyPolicy(model).plan(blind)
+
+
+def test_a_saved_model_comes_back_equal(model, tmp_path):
+    save_model(tmp_path / "policy", model)
+    back = read_model(tmp_path / "policy")
+    assert all(map(torch.equal, model.state_dict().values(), back.state_dict().values()))
+
+
+@pytest.mark.parametrize("damage", ["no folder", "no weights", "broken config", "unknown size", "other weights"])
+def test_a_damaged_folder_is_told(model, tmp_path, damage):
+    folder = tmp_path / "policy"
+    if damage != "no folder":
+        save_model(folder, model)
+    if damage == "no weights":
+        (folder / "model.safetensors").unlink()
+    if damage == "broken config":
+        (folder / "config.json").write_text("{")
+    if damage == "unknown size":
+        (folder / "config.json").write_text(json.dumps({"depth": 3}))
+    if damage == "other weights":
+        config = model.config.model_copy(update={"layers": 3})
+        (folder / "config.json").write_text(config.model_dump_json())
+    with pytest.raises(InputError, match="policy"):
+        load_toy(str(folder))
+
+
+def test_the_policy_needs_a_folder():
+    with pytest.raises(InputError, match="toy:FOLDER"):
+        load_toy(None)
