@@ -1,0 +1,32 @@
+"""`olt demo`: the main job, from one front-camera video to a closed-loop score."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(add_completion=False)
+
+
+@app.command(help="Run the main job: one front video to four views, two mixtures, two policies, closed-loop scores.")
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder of the run; an interrupted run there goes on.")] = Path("runs/demo"),
+    video: Annotated[
+        Path | None, typer.Option(help="A front-camera video; without it a drive of the synthetic world is taken.")
+    ] = None,
+    seed: Annotated[int, typer.Option(min=0, help="The one seed of the run.")] = 0,
+    workers: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core. Results are the same.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
+) -> None:
+    """Run the main job and print the score table and the path of the report."""
+    from olt_sft_recipes.demo import main_job
+    from olt_sft_recipes.demo.report import REPORT, SCORE_COLUMNS, score_rows
+    from olt_sft_recipes.demo.settings import DemoSettings
+    from olt_toolkit.console import print_json, print_line, print_table
+
+    summary = main_job.run_demo(out, DemoSettings(seed=seed), video, workers)
+    if as_json:
+        print_json(summary)
+        return
+    print_table("Closed-loop scores on held-out long-tail scenes", SCORE_COLUMNS, score_rows(summary))
+    print_line(f"report: {out / REPORT}")

@@ -1,0 +1,1 @@
+"""The main job: from one front-camera video to closed-loop scores, every stage once, small."""

@@ -1,0 +1,73 @@
+"""Stage: the front video to a metric trajectory, four views, and a clip."""
+
+from typing import Any
+
+import numpy as np
+
+from olt_closed_loop.recorder import record_drive
+from olt_closed_loop.stage import read_scene
+from olt_generator.errors import InputError
+from olt_generator.files import write_whole
+from olt_sft_recipes.demo.job import Job
+from olt_toolkit.clip_builder import BuiltClip, build_clip
+from olt_toolkit.clip_store import ClipStore
+from olt_toolkit.clip_summary import summarize_build
+from olt_toolkit.clip_views import BuildOptions
+from olt_toolkit.pictures import contact_sheet, write_picture
+from olt_toolkit.recording import OpenOptions, Recording, open_recording
+from olt_toolkit.report.drawings import draw_trajectory
+from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
+
+CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png", "trajectory.svg"
+
+
+def build_input_clip(job: Job) -> dict[str, Any]:
+    """Turn the input into a clip of the store, and draw what was made; returns the numbers."""
+    height, width = job.settings.input_size
+    recording, factors, category = _open_input(job)
+    options = BuildOptions(
+        width=width, height=height, category=category, factors=factors, seed=job.settings.seed, name="input"
+    )
+    job.bar.start("front video to four views")
+    built = build_clip(recording, options, job.on_progress, lambda part: job.bar.start(f"front video: {part}"))
+    store = ClipStore(job.clips)
+    store.stage(built.clip)
+    store.commit([built.clip.clip_id])
+    _check_read_back(store, built)
+    _draw(job, recording, built)
+    return summarize_build(built)
+
+
+def _open_input(job: Job) -> tuple[Recording, tuple[str, ...], str]:
+    """The recording with its scene factors and category; a user's video has none that are known."""
+    if job.video is not None:
+        return open_recording(job.video, OpenOptions(duration=job.settings.video_seconds)), (), "unlabelled"
+    scene = read_scene(job.scenes / f"{job.results['scenes']['input'][0]}.usda")
+    height, width = job.settings.input_size
+    cameras = (CROSS_LEFT, FRONT_WIDE, CROSS_RIGHT)
+    recording = record_drive(
+        scene, width, height, job.settings.frame_rate, cameras, with_distance=True, on_progress=job.on_progress
+    )
+    return recording, scene.factors, scene.category
+
+
+def _check_read_back(store: ClipStore, built: BuiltClip) -> None:
+    """The clip on disk is the clip that was built."""
+    clip = built.clip
+    ego = store.read_ego_motion(clip.clip_id).trajectory
+    same_motion = np.allclose(ego.T_world_rig, clip.ego_motion.trajectory.T_world_rig, atol=1e-6)
+    times = clip.streams[FRONT_WIDE].timestamps_us
+    if not same_motion or not np.array_equal(store.read_timestamps(clip.clip_id, FRONT_WIDE), times):
+        raise InputError(f"{store.root}: clip {clip.clip_id} reads back as something else; check the disk")
+
+
+def _draw(job: Job, recording: Recording, built: BuiltClip) -> None:
+    images = {camera: stream.frames for camera, stream in built.clip.streams.items()}
+    sheet = contact_sheet(images, built.observed, recording.timestamps_us)
+    write_picture(job.pictures / CONTACT_SHEET, sheet)
+    if recording.views:
+        write_picture(job.pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
+    if built.odometry is not None and built.motion is not None:
+        drawing = draw_trajectory(built.odometry.trajectory, built.motion.trajectory, recording.reference)
+        with write_whole(job.pictures / TRAJECTORY) as path:
+            path.write_text(drawing)

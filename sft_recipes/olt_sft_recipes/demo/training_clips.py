@@ -1,0 +1,90 @@
+"""Stage: the clips that the toy policies are trained on, recorded in the closed loop's own scenes."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from olt_closed_loop.recorder import record_drive
+from olt_closed_loop.stage import read_scene
+from olt_sft_recipes.demo.job import Job
+from olt_sft_recipes.demo.settings import DemoSettings
+from olt_toolkit.clip import Split
+from olt_toolkit.clip_builder import build_clip
+from olt_toolkit.clip_store import ClipStore
+from olt_toolkit.clip_views import BuildOptions
+from olt_toolkit.rig import FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.workers import map_parallel
+
+
+@dataclass(frozen=True)
+class ClipOrder:
+    """One clip to record and build.
+
+    Attributes:
+        scene: the stage to drive.
+        store: the clip store that it is staged in.
+        real_views: whether all views are rendered (GT); otherwise the side views are synthesized (Syn).
+        split: split of the clip.
+        settings: sizes and seed.
+    """
+
+    scene: Path
+    store: Path
+    real_views: bool
+    split: Split
+    settings: DemoSettings
+
+
+def build_training_clips(job: Job) -> dict[str, Any]:
+    """Record, build and store all training and validation clips; returns how many there are and their errors."""
+    names = job.results["scenes"]
+    roles: list[tuple[str, bool, Split]] = [
+        ("nominal", True, "train"),
+        ("long_tail", False, "train"),
+        ("validation", True, "val"),
+    ]
+    orders = [
+        ClipOrder(job.scenes / f"{name}.usda", job.clips, real_views, split, job.settings)
+        for role, real_views, split in roles
+        for name in names[role]
+    ]
+    made = map_parallel(build_clip_to_order, orders, job.workers, job.on_progress)
+    ClipStore(job.clips).commit([clip["clip_id"] for clip in made])
+    position_errors = [clip["ate_m"] for clip in made if clip["ate_m"] is not None]
+    observed = [clip["observed_share"] for clip in made if clip["observed_share"] is not None]
+    return {
+        "clips": len(made),
+        "gt": sum(order.real_views for order in orders),
+        "syn": sum(not order.real_views for order in orders),
+        "syn_ate_m_median": float(np.median(position_errors)) if position_errors else None,
+        "syn_ate_m_max": max(position_errors, default=None),
+        "syn_observed_share_of_cross_views": float(np.mean(observed)) if observed else None,
+    }
+
+
+def build_clip_to_order(order: ClipOrder) -> dict[str, Any]:
+    """Record one scene's drive, build its clip and stage it; returns its id and errors."""
+    scene = read_scene(order.scene)
+    settings = order.settings
+    height, width = settings.training_size if order.real_views else settings.training_front_size
+    cameras = POLICY_CAMERAS if order.real_views else (FRONT_WIDE,)
+    recording = record_drive(scene, width, height, settings.frame_rate, cameras)
+    options = BuildOptions(
+        width=settings.training_size[1],
+        height=settings.training_size[0],
+        use_reference_views=order.real_views,
+        category=scene.category,
+        factors=scene.factors,
+        split=order.split,
+        seed=settings.seed,
+    )
+    built = build_clip(recording, options)
+    ClipStore(order.store).stage(built.clip)
+    shares = [float(observed.mean()) for observed in built.observed.values()]
+    return {
+        "clip_id": built.clip.clip_id,
+        "ate_m": None if built.pose_errors is None else built.pose_errors.metric.ate_m,
+        "observed_share": float(np.mean(shares)) if shares else None,
+    }
