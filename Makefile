@@ -18,10 +18,10 @@ demo: $(READY)  ## run the main job: one front video to a closed-loop score
 	$(BIN)/olt demo --out $(DEMO_OUT)
 
 test: $(READY)  ## run the fast tests
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -n auto -m "not slow"
 
 test-all: $(READY)  ## run every test
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto
 
 check: $(READY)  ## lint, types, layering
 	$(BIN)/ruff check .

@@ -22,8 +22,8 @@ from typing import Any, Literal
 import numpy as np
 
 from olt_closed_loop.collisions import Collision, MovingBox, ego_box, find_collisions, sample_times
+from olt_closed_loop.drivable import first_departure
 from olt_closed_loop.progress import PathTracker
-from olt_closed_loop.road import first_departure
 from olt_closed_loop.rollout import Rollout
 from olt_closed_loop.scene import Scene
 from olt_closed_loop.vehicle import STATE
