@@ -102,11 +102,18 @@ def _trajectory_rows(clip: dict[str, Any]) -> list[tuple[object, ...]]:
         ("relative 1-sigma of the metric scale", clip["scale_sigma"], ""),
     ]
     for measured in ("pose_errors", "smoothness"):
-        before, after = clip[f"{measured}_before_smoothing"], clip[measured]
-        if after is not None:
-            rows += [(name, before[name], after[name]) for name in after]
+        before, after = _flatten(clip[f"{measured}_before_smoothing"]), _flatten(clip[measured])
+        rows += [(name, before[name], value) for name, value in after.items()]
     rows.append(("distance, median relative error", "", clip["distance_median_relative_error"]))
     return rows
+
+
+def _flatten(errors: dict[str, Any] | None, prefix: str = "") -> dict[str, Any]:
+    """Nested numbers under joined names; empty where nothing was measured."""
+    flat: dict[str, Any] = {}
+    for name, value in (errors or {}).items():
+        flat |= _flatten(value, f"{prefix}{name}: ") if isinstance(value, dict) else {prefix + name: value}
+    return flat
 
 
 def _view_rows(clip: dict[str, Any]) -> list[tuple[object, ...]]:
@@ -134,8 +141,10 @@ def _training_section(summary: dict[str, Any]) -> Section:
         for name in RECIPES
         for stage in summary["training"][name]["stages"]
     ]
-    open_loop = [(name, *summary["training"][name]["open_loop"].values()) for name in RECIPES]
-    measures = list(summary["training"][RECIPES[0]]["open_loop"])
+    open_loop = [
+        (measure, *(summary["training"][name]["open_loop"][measure] for name in RECIPES))
+        for measure in summary["training"][RECIPES[0]]["open_loop"]
+    ]
     curves = [
         Picture.from_svg(
             draw_losses([(name, summary["training"][name]["stages"][index]["losses"]) for name in RECIPES], title),
@@ -148,7 +157,7 @@ def _training_section(summary: dict[str, Any]) -> Section:
         [
             Table(("mixture", "component", "samples asked", "got", "distinct"), parts),
             Table(("mixture", "stage", "steps", "first loss", "last loss"), stages),
-            Table(("mixture", *measures), open_loop, "Open-loop errors on held-out nominal drives."),
+            Table(("error (m)", *RECIPES), open_loop, "Open-loop errors on held-out nominal drives, one plan each."),
             *curves,
         ],
     )

@@ -37,6 +37,6 @@ class DemoSettings:
     rollouts: int = 2
     frame_rate: float = 10.0
     video_seconds: float = 14.0
-    input_size: tuple[int, int] = (272, 480)
+    input_size: tuple[int, int] = (270, 480)
     training_front_size: tuple[int, int] = (144, 256)
     training_size: tuple[int, int] = (64, 112)
