@@ -63,8 +63,9 @@ def _check_read_back(store: ClipStore, built: BuiltClip) -> None:
 
 def _draw(job: Job, recording: Recording, built: BuiltClip) -> None:
     images = {camera: stream.frames for camera, stream in built.clip.streams.items()}
-    sheet = contact_sheet(images, built.observed, recording.timestamps_us)
-    write_picture(job.pictures / CONTACT_SHEET, sheet)
+    # Fewer than the recording's: frames that no sample shows are not made.
+    times_us = built.clip.streams[FRONT_WIDE].timestamps_us
+    write_picture(job.pictures / CONTACT_SHEET, contact_sheet(images, built.observed, times_us))
     if recording.views:
         write_picture(job.pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
     if built.odometry is not None and built.motion is not None:
