@@ -26,7 +26,7 @@ class ScoreRow:
         category: long-tail category, or "overall".
         rollouts, valid: how many were driven, and how many of them could be scored.
         alpasim_score: AS, mean score of the valid rollouts.
-        alpasim_score_interval: 95 % interval of AS (Student t, cut to 0..1); needs two rollouts.
+        alpasim_score_interval: 95 % interval of AS (Student t, cut to 0..1); needs two different scores.
         collision_rate: CR, share of valid rollouts with any collision.
         collision_rate_interval: 95 % interval of CR (Wilson).
     """
@@ -73,14 +73,20 @@ def _row(category: str, scores: Sequence[RolloutScore]) -> ScoreRow:
         rollouts=len(scores),
         valid=valid,
         alpasim_score=float(values.mean()) if valid else None,
-        alpasim_score_interval=mean_interval(values) if valid > 1 else None,
+        alpasim_score_interval=mean_interval(values),
         collision_rate=collided / valid if valid else None,
         collision_rate_interval=wilson_interval(collided, valid) if valid else None,
     )
 
 
-def mean_interval(values: np.ndarray) -> Interval:
-    """95 % Student t interval of the mean of values (n,) in 0..1, n >= 2, cut to 0..1."""
+def mean_interval(values: np.ndarray) -> Interval | None:
+    """95 % Student t interval of the mean of values (n,) in 0..1, cut to 0..1.
+
+    None where all values are equal, or there is but one: they say nothing of the spread, and an interval of no width
+    would claim a certainty that nobody measured.
+    """
+    if len(values) < 2 or np.ptp(values) == 0.0:
+        return None
     spread = stdtrit(len(values) - 1, 0.975) * values.std(ddof=1) / np.sqrt(len(values))
     return max(float(values.mean() - spread), 0.0), min(float(values.mean() + spread), 1.0)
 

@@ -275,7 +275,10 @@ def test_intervals_are_those_of_the_textbook():
     assert wilson_interval(0, 20) == pytest.approx((0.0, 0.1611), abs=5e-5)
     # Two values one apart: mean +- 12.706 / 2, cut.
     assert mean_interval(np.array([0.0, 1.0])) == (0.0, 1.0)
-    low, high = mean_interval(np.array([0.4, 0.5, 0.6]))
+    assert mean_interval(np.array([1.0, 1.0])) is None
+    interval = mean_interval(np.array([0.4, 0.5, 0.6]))
+    assert interval is not None
+    low, high = interval
     assert (low, high) == pytest.approx((0.5 - 4.30265 * 0.1 / np.sqrt(3), 0.5 + 4.30265 * 0.1 / np.sqrt(3)), abs=1e-5)
 
 
