@@ -35,7 +35,9 @@ def build_command() -> TyperGroup:
     app.callback()(_root)
     group = typer.main.get_group(app)
     for entry in sorted(entry_points(group="olt.commands"), key=lambda entry: entry.name):
-        group.add_command(typer.main.get_command(entry.load()), name=entry.name)
+        command = typer.main.get_command(entry.load())
+        command.name = entry.name  # the name that the help shows
+        group.add_command(command)
     return group
 
 
