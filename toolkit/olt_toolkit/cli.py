@@ -16,7 +16,7 @@ from typer.core import TyperGroup
 
 from olt_generator.errors import InputError
 from olt_toolkit import __version__
-from olt_toolkit.workers import THREAD_VARIABLES
+from olt_toolkit.threads import THREAD_VARIABLES
 
 
 def build_command() -> TyperGroup:
@@ -31,6 +31,7 @@ def build_command() -> TyperGroup:
         no_args_is_help=True,
         add_completion=False,
         pretty_exceptions_enable=False,
+        rich_markup_mode=None,  # plain help: drawing its frames would take as long as all the rest
     )
     app.callback()(_root)
     group = typer.main.get_group(app)

@@ -6,7 +6,8 @@ import sys
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
-from olt_toolkit.workers import THREAD_VARIABLES, default_workers
+from olt_toolkit.threads import THREAD_VARIABLES
+from olt_toolkit.workers import default_workers
 
 CORE_PACKAGES = ("torch", "kornia", "casadi", "opencv-contrib-python-headless", "usd-core", "numpy", "scipy", "av")
 

@@ -9,11 +9,10 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from olt_generator.progress import Progress, silent
+from olt_toolkit.threads import THREAD_VARIABLES
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
-
-THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 def default_workers() -> int:
