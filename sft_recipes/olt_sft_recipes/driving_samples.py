@@ -123,10 +123,5 @@ def _road_tables(
 
 def _in_space(poses: Array) -> tuple[Array, Array]:
     """Positions (..., 3) and rotations (..., 3, 3) of planar poses (..., 3)."""
-    xyz = np.concatenate([poses[..., :2], np.zeros_like(poses[..., :1])], axis=-1)
-    rotation = np.zeros((*poses.shape, 3))
-    rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(poses[..., 2])
-    rotation[..., 1, 0] = np.sin(poses[..., 2])
-    rotation[..., 0, 1] = -rotation[..., 1, 0]
-    rotation[..., 2, 2] = 1.0
-    return xyz, rotation
+    placed = planar_pose(*np.moveaxis(poses, -1, 0))
+    return placed[..., :3, 3], placed[..., :3, :3]

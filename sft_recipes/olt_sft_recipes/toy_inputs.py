@@ -2,16 +2,16 @@
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from olt_generator.poses import Array
+from olt_generator.poses import Array, yaw_of
 from olt_sft_recipes.tokens import encode_history
 from olt_sft_recipes.toy_config import ToyPolicyConfig
 from olt_toolkit.action_space import DEFAULT_SETTINGS
+from olt_toolkit.images import resize_images
 from olt_toolkit.policy import STEP_SECONDS
 
 MOTION_FEATURES = 7
@@ -62,16 +62,13 @@ def describe_motion(history: Array) -> NDArray[np.float32]:
 
 def planar_poses(xyz: Array, rotation: Array) -> Array:
     """x, y and unwrapped yaw (..., n, 3) of positions (..., n, 3) and rotations (..., n, 3, 3)."""
-    yaw = np.unwrap(np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0]), axis=-1)
+    yaw = np.unwrap(yaw_of(rotation), axis=-1)
     return np.concatenate([xyz[..., :2], yaw[..., None]], axis=-1).astype(np.float64)
 
 
 def look_at(images: NDArray[np.uint8], config: ToyPolicyConfig) -> NDArray[np.uint8]:
     """The newest of the images (cameras, 4, 3, H, W) that the model looks at, at its size."""
     images = images[:, -config.image_frames :]
-    height, width = config.image_height, config.image_width
-    if images.shape[-2:] == (height, width):
-        return images
     flat = images.reshape(-1, *images.shape[-3:]).transpose(0, 2, 3, 1)
-    scaled = np.stack([cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA) for image in flat])
-    return scaled.transpose(0, 3, 1, 2).reshape(*images.shape[:3], height, width)
+    scaled = resize_images(flat, config.image_width, config.image_height)
+    return scaled.transpose(0, 3, 1, 2).reshape(*images.shape[:3], *scaled.shape[1:3])

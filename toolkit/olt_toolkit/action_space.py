@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from olt_generator.poses import Array
+from olt_generator.poses import Array, planar_pose, yaw_of
 from olt_toolkit.policy import FUTURE_STEPS, STEP_SECONDS
 
 
@@ -85,7 +85,7 @@ def actions_to_trajectory(
     velocity = speed[..., None] * _direction(heading)
     xy = np.cumsum(0.5 * dt * (velocity[..., :-1, :] + velocity[..., 1:, :]), axis=-2)
     xyz = np.concatenate([xy, np.zeros_like(xy[..., :1])], axis=-1)
-    return xyz, _rotation_about_z(heading[..., 1:])
+    return xyz, planar_pose(0.0, 0.0, heading[..., 1:])[..., :3, :3]
 
 
 def trajectory_to_actions(
@@ -109,7 +109,7 @@ def trajectory_to_actions(
     """
     dt = STEP_SECONDS
     initial_speed = estimate_initial_speed(history_xyz, history_rotation, settings)
-    heading = _prepend(0.0, np.unwrap(_yaw(future_rotation)) @ _heading_fit(settings.heading).T)
+    heading = _prepend(0.0, np.unwrap(yaw_of(future_rotation)) @ _heading_fit(settings.heading).T)
     path = np.concatenate([history_xyz[..., -1:, :2], future_xyz[..., :2]], axis=-2)
     speed = _prepend(initial_speed, _fit_speeds(path, heading, settings.speed, initial_speed))
     acceleration = np.diff(speed) / dt @ _acceleration_fit(settings.acceleration).T
@@ -121,7 +121,7 @@ def estimate_initial_speed(
     history_xyz: Array, history_rotation: Array, settings: ActionSpaceSettings = DEFAULT_SETTINGS
 ) -> Array:
     """Speed (...) in m/s at t0, fitted to a history of positions (..., n, 3) and rotations (..., n, 3, 3)."""
-    speeds = _fit_speeds(history_xyz[..., :2], _yaw(history_rotation), settings.speed)
+    speeds = _fit_speeds(history_xyz[..., :2], yaw_of(history_rotation), settings.speed)
     return speeds[..., -1]
 
 
@@ -204,16 +204,3 @@ def _prepend(first: Array | float, values: Array) -> Array:
 
 def _direction(heading: Array) -> Array:
     return np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-
-
-def _yaw(rotation: Array) -> Array:
-    return np.arctan2(rotation[..., 1, 0], rotation[..., 0, 0])
-
-
-def _rotation_about_z(heading: Array) -> Array:
-    rotation = np.zeros((*heading.shape, 3, 3))
-    rotation[..., 0, 0] = rotation[..., 1, 1] = np.cos(heading)
-    rotation[..., 1, 0] = np.sin(heading)
-    rotation[..., 0, 1] = -rotation[..., 1, 0]
-    rotation[..., 2, 2] = 1.0
-    return rotation

@@ -14,7 +14,6 @@ from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +24,7 @@ from olt_toolkit.clip import Clip, ClipInfo, EgoMotion, check_clip_id
 from olt_toolkit.clip_files import pack_chunk, write_clip_files, write_metadata
 from olt_toolkit.clip_table import CLIP_TABLE, read_clip_table, write_clip_table
 from olt_toolkit.clip_video import decode_frames
+from olt_toolkit.images import resize_images
 from olt_toolkit.pai_layout import (
     CAMERA_INTRINSICS,
     CLIP_INDEX,
@@ -211,7 +211,7 @@ class ClipStore:
         asked = np.array(t0s_us)[:, None] + IMAGE_OFFSETS_US
         query, places = np.unique(asked, return_inverse=True)
         views = [self._newest_frames(clip_id, name, timestamps[name], query) for name in POLICY_CAMERAS]
-        scaled = [_scaled(frames, image_size) for frames, _ in views]
+        scaled = [frames if image_size is None else resize_images(frames, *image_size[::-1]) for frames, _ in views]
         if len({frames.shape for frames in scaled}) > 1:
             raise InputError(f"{where}: its cameras have different image sizes; give an image size to scale them to")
         images, shown = np.stack(scaled), np.stack([times for _, times in views])
@@ -285,13 +285,6 @@ class ClipStore:
             except BlockingIOError as error:
                 raise InputError(f"{self.root}: another process is adding clips; wait until it is done") from error
             yield
-
-
-def _scaled(frames: NDArray[np.uint8], image_size: tuple[int, int] | None) -> NDArray[np.uint8]:
-    if image_size is None or frames.shape[1:3] == image_size:
-        return frames
-    size = (image_size[1], image_size[0])
-    return np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
 
 
 def _assemble_sample(

@@ -1,4 +1,4 @@
-"""Whole sequences of images scaled and cropped as `olt_generator.cameras.fit_camera` does with their camera."""
+"""Whole sequences of images scaled, and cropped as `olt_generator.cameras.fit_camera` does with their camera."""
 
 import cv2
 import numpy as np
@@ -16,3 +16,10 @@ def fit_images(frames: NDArray[np.uint8], width: int, height: int) -> NDArray[np
     for frame, target in zip(frames, fitted, strict=True):
         target[:] = cv2.resize(frame, size, interpolation=interpolation)[top : top + height, left : left + width]
     return fitted
+
+
+def resize_images(frames: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """Scale images (n, H, W, 3) to exactly (width, height); each new pixel is the mean of the area that it covers."""
+    if frames.shape[1:3] == (height, width):
+        return frames
+    return np.stack([cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA) for frame in frames])

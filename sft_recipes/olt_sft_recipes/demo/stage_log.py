@@ -38,10 +38,6 @@ class StageLog:
                 temporary.write_text(json.dumps(result, indent=2, allow_nan=False) + "\n")
         return json.loads(path.read_text())
 
-    def is_done(self, name: str) -> bool:
-        """Whether the named stage is finished."""
-        return (self.folder / f"{name}.json").exists()
-
     def _identify(self, job: dict[str, Any]) -> None:
         text = json.dumps(job, indent=2, sort_keys=True) + "\n"
         path = self.folder / "job.json"

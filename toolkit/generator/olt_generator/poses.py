@@ -56,7 +56,7 @@ def transform(pose: Array, points: Array) -> Array:
 
 
 def yaw_of(pose: Array) -> Array:
-    """Heading (...) about z of poses (..., 4, 4), the angle of the body's x axis in the plane."""
+    """Heading (...) about z of poses (..., 4, 4) or rotations (..., 3, 3): the angle of the x axis in the plane."""
     return np.arctan2(pose[..., 1, 0], pose[..., 0, 0])
 
 
