@@ -14,6 +14,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from olt_generator.errors import InputError
+from olt_toolkit.yaml_files import read_yaml_mapping
 
 RECIPE_VERSION = 1
 RECIPE_SUFFIXES = (".yaml", ".yml")
@@ -128,15 +129,7 @@ def read_recipe(path: Path) -> Recipe:
     Raises:
         InputError: the file cannot be read, is not YAML, or a field is wrong; names the file and the field.
     """
-    try:
-        content = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot read this recipe ({error}); give a YAML file") from error
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: not YAML ({' '.join(str(error).split())})") from error
-    if not isinstance(content, dict):
-        raise InputError(f"{path}: a recipe is a mapping with the keys {_known(Recipe)}")
-    return parse_recipe(content, str(path))
+    return parse_recipe(read_yaml_mapping(path, "recipe", Recipe.model_fields), str(path))
 
 
 def parse_recipe(content: dict[Any, Any], where: str) -> Recipe:

@@ -19,6 +19,7 @@ from pydantic import (
 )
 
 from olt_generator.errors import InputError
+from olt_toolkit.yaml_files import read_yaml_mapping
 
 
 class StageConfig(BaseModel):
@@ -93,14 +94,9 @@ def read_stage_config(path: Path) -> StageConfig:
     """Read the settings of a stage from a YAML file.
 
     Raises:
-        InputError: the file cannot be read, is not a mapping, or holds unknown keys or values out of range.
+        InputError: the file cannot be read, is not YAML or not a mapping, or holds unknown keys or values out of range.
     """
-    try:
-        settings = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot read this stage configuration ({error}); give a YAML file") from error
-    except yaml.YAMLError as error:
-        raise InputError(f"{path}: not YAML ({' '.join(str(error).split())})") from error
+    settings = read_yaml_mapping(path, "stage configuration", StageConfig.model_fields)
     return _check(settings, str(path))
 
 
@@ -111,9 +107,7 @@ def builtin_stage_config(stage: Literal[1, 2]) -> StageConfig:
     return _check(yaml.safe_load(text), name)
 
 
-def _check(settings: Any, where: str) -> StageConfig:
-    if not isinstance(settings, dict):
-        raise InputError(f"{where}: a stage configuration is a mapping of {', '.join(StageConfig.model_fields)}")
+def _check(settings: dict[Any, Any], where: str) -> StageConfig:
     unknown = [str(key) for key in settings if key not in StageConfig.model_fields]
     if unknown:
         known = ", ".join(StageConfig.model_fields)

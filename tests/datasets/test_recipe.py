@@ -94,8 +94,9 @@ def test_files_that_hold_no_recipe_are_refused(tmp_path):
     for text in ("", "- a list", "just text"):
         with pytest.raises(InputError, match="a recipe is a mapping with the keys name, description"):
             read_recipe(write(tmp_path, text))
-    with pytest.raises(InputError, match="not YAML"):
-        read_recipe(write(tmp_path, "name: !!python/object/apply:os.getcwd []"))
+    for text in ("name: !!python/object/apply:os.getcwd []", "name: 2026-13-45"):
+        with pytest.raises(InputError, match="not YAML"):
+            read_recipe(write(tmp_path, text))
 
 
 plain = st.recursive(
