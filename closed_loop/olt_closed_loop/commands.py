@@ -27,12 +27,12 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Drive scenes with a policy and print AS and CR by category."""
-    from olt_closed_loop.evaluation import run_closed_loop, save_results
+    from olt_closed_loop.evaluation import pass_gate, run_closed_loop, save_results
     from olt_closed_loop.score_table import summarize_scores
     from olt_toolkit.console import make_progress, print_json, print_line
     from olt_toolkit.workers import default_workers
 
-    _pass_gate(scene)
+    pass_gate(scene)
     with make_progress() as progress:
         total = len(scene) * rollouts
         task = progress.add_task("closed loop", total=total)
@@ -57,22 +57,6 @@ def run(
             print_line(line)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
-
-
-def _pass_gate(scenes: list[str]) -> None:
-    """Refuse to score where drives of known worth do not get what they are worth."""
-    from olt_closed_loop.evaluation import load_scene
-    from olt_closed_loop.gate import check_gate
-    from olt_generator.errors import InputError
-
-    for source in scenes:
-        result = check_gate(load_scene(source))
-        for check in result.checks:
-            if check.passed is False:
-                raise InputError(
-                    f"scene {result.scene}: the gate fails ({check.name}: {check.finding}); "
-                    "scores on it would mean nothing, repair the scene"
-                )
 
 
 def _print_scores(policy: str, table: "ScoreTable") -> None:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
+from olt_closed_loop.gate import GateResult, check_gate
 from olt_closed_loop.policies import make_policy
 from olt_closed_loop.rollout import Rollout, save_rollouts
 from olt_closed_loop.scene import Scene
@@ -53,6 +54,21 @@ def run_closed_loop(
     settings = settings or SimulationSettings()
     work = [_Work(scene, policy, seed + index, settings) for scene in scenes for index in range(rollouts)]
     return map_parallel(_drive, work, workers, on_progress)
+
+
+def pass_gate(scenes: Sequence[SceneSource]) -> list[GateResult]:
+    """Check that drives of known worth get what they are worth (`olt_closed_loop.gate.check_gate`); by scene.
+
+    Raises:
+        InputError: a scene cannot be loaded or driven, or a check fails on one, so that its scores would mean nothing.
+    """
+    results = [check_gate(load_scene(scene)) for scene in scenes]
+    failures = [
+        f"scene {result.scene} ({check.name}: {check.finding})" for result in results for check in result.failed
+    ]
+    if failures:
+        raise InputError(f"the gate fails on {'; '.join(failures)}: scores would mean nothing, repair the scene")
+    return results
 
 
 def load_scene(source: SceneSource) -> Scene:

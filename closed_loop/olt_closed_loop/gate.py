@@ -31,9 +31,14 @@ class GateResult:
     checks: tuple[GateCheck, ...]
 
     @property
+    def failed(self) -> list[GateCheck]:
+        """The checks that were asked and do not hold."""
+        return [check for check in self.checks if check.passed is False]
+
+    @property
     def passed(self) -> bool:
         """Whether no check failed."""
-        return all(check.passed is not False for check in self.checks)
+        return not self.failed
 
     def to_dict(self) -> dict[str, Any]:
         """The result as JSON can hold it."""

@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from olt_closed_loop import policies
 from olt_closed_loop.commands import app
-from olt_closed_loop.evaluation import load_scene, run_closed_loop, save_results
+from olt_closed_loop.evaluation import load_scene, pass_gate, run_closed_loop, save_results
 from olt_closed_loop.rollout import load_rollouts
 from olt_closed_loop.simulation import SimulationSettings
 from olt_generator.errors import InputError
@@ -59,6 +59,13 @@ def test_unusable_scene_names_are_refused(source):
 def test_at_least_one_rollout_is_asked_for(straight_scene):
     with pytest.raises(InputError, match="1 or more"):
         run_closed_loop([straight_scene()], "route", rollouts=0)
+
+
+def test_no_scene_is_scored_where_the_recording_itself_collides(straight_scene, moving_agent):
+    blocked = replace(straight_scene((moving_agent("in the way", (50.0, 0.0)),)), name="blocked")
+    assert [result.scene for result in pass_gate([straight_scene()])] == ["straight"]
+    with pytest.raises(InputError, match=r"gate fails on scene blocked \(replay scores 1: score 0\.0000"):
+        pass_gate([straight_scene(), blocked])
 
 
 def test_the_command_prints_a_table_and_writes_files(tmp_path):

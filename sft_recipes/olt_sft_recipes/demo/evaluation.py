@@ -2,11 +2,8 @@
 
 from typing import Any
 
-from olt_closed_loop.evaluation import run_closed_loop, save_results
-from olt_closed_loop.gate import check_gate
+from olt_closed_loop.evaluation import pass_gate, run_closed_loop, save_results
 from olt_closed_loop.score_table import summarize_scores
-from olt_closed_loop.stage import read_scene
-from olt_generator.errors import InputError
 from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.mixtures import RECIPES
 
@@ -17,16 +14,13 @@ def score_policies(job: Job) -> dict[str, Any]:
     Raises:
         InputError: a scene fails the gate, so that its scores would mean nothing.
     """
-    scenes = [job.scenes / f"{name}.usda" for name in job.results["scenes"]["evaluation"]]
-    gate = [check_gate(read_scene(scene)).to_dict() for scene in scenes]
-    failed = [result["scene"] for result in gate if not result["passed"]]
-    if failed:
-        raise InputError(f"scenes {', '.join(failed)}: the gate fails, so no score is given")
+    scenes = [str(job.scenes / f"{name}.usda") for name in job.results["scenes"]["evaluation"]]
+    gate = [result.to_dict() for result in pass_gate(scenes)]
     policies = {}
     for index, name in enumerate(RECIPES):
         job.bar.start(f"closed loop: {name}")
         results = run_closed_loop(
-            [str(scene) for scene in scenes],
+            scenes,
             f"toy:{job.policy(name) / 'policy'}",
             rollouts=job.settings.rollouts,
             seed=job.settings.seed,
