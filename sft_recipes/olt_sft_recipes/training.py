@@ -19,6 +19,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from olt_datasets.dataset import MixtureDataset
+from olt_datasets.mixture import Mixture
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array
@@ -68,6 +70,24 @@ class StageResult:
     looking_losses: tuple[float, ...]
     saturated_words: int
     seconds: float
+
+
+def train_on_mixture(
+    mixture: Mixture, stages: tuple[StageConfig, StageConfig], seed: int, out: Path, on_progress: Progress = silent
+) -> list[StageResult]:
+    """Train both stages on a mixture, as `train_two_stages` does; `seed` replaces that of the stages.
+
+    Raises:
+        InputError: as `train_two_stages`, or a sample of the mixture cannot be loaded.
+    """
+    first, second = (stage.model_copy(update={"seed": seed}) for stage in stages)
+    return train_two_stages(
+        (first, second),
+        lambda stage: lambda epoch: mixture.epoch(epoch, stage.samples_per_step),
+        MixtureDataset(mixture, image_size=None).load_batch,
+        out,
+        on_progress=on_progress,
+    )
 
 
 def train_two_stages(

@@ -26,24 +26,21 @@ def train(
     as_json: JsonOption = False,
 ) -> None:
     """Train, and print the losses."""
-    from olt_datasets.dataset import MixtureDataset
     from olt_sft_recipes.stage_config import builtin_stage_config, read_stage_config
-    from olt_sft_recipes.training import train_two_stages
+    from olt_sft_recipes.training import train_on_mixture
     from olt_toolkit.console import make_progress, print_json, print_line, print_table
     from olt_toolkit.workers import use_one_thread
 
     use_one_thread()
     chosen = _choose_mixture(mixture, recipe, stores, seed)
-    first = (read_stage_config(stage1) if stage1 else builtin_stage_config(1)).model_copy(update={"seed": seed})
-    second = (read_stage_config(stage2) if stage2 else builtin_stage_config(2)).model_copy(update={"seed": seed})
+    stages = (
+        read_stage_config(stage1) if stage1 else builtin_stage_config(1),
+        read_stage_config(stage2) if stage2 else builtin_stage_config(2),
+    )
     with make_progress() as progress:
         task = progress.add_task("training", total=100)
-        results = train_two_stages(
-            (first, second),
-            lambda stage: lambda epoch: chosen.epoch(epoch, stage.samples_per_step),
-            MixtureDataset(chosen, image_size=None).load_batch,
-            out,
-            on_progress=lambda share: progress.update(task, completed=round(100 * share)),
+        results = train_on_mixture(
+            chosen, stages, seed, out, lambda share: progress.update(task, completed=round(100 * share))
         )
     if as_json:
         print_json({"policy": str(out / "policy"), "stages": [vars(result) for result in results]})

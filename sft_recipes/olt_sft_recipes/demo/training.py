@@ -4,14 +4,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from olt_datasets.dataset import MixtureDataset
 from olt_datasets.mixture import Mixture
 from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.mixtures import RECIPES, compose
 from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
 from olt_sft_recipes.stage_config import builtin_stage_config
 from olt_sft_recipes.toy_policy import load_toy
-from olt_sft_recipes.training import train_two_stages
+from olt_sft_recipes.training import train_on_mixture
 from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.workers import map_parallel
 
@@ -40,14 +39,7 @@ def train_policies(job: Job) -> dict[str, Any]:
 def train_to_order(order: TrainingOrder) -> tuple[list[dict[str, Any]], float]:
     """Train one policy; returns the results of its stages, times apart."""
     stages = builtin_stage_config(1), builtin_stage_config(2)
-    first, second = (stage.model_copy(update={"seed": order.seed}) for stage in stages)
-    dataset = MixtureDataset(order.mixture, image_size=None)
-    results = train_two_stages(
-        (first, second),
-        lambda stage: lambda epoch: order.mixture.epoch(epoch, stage.samples_per_step),
-        dataset.load_batch,
-        order.out,
-    )
+    results = train_on_mixture(order.mixture, stages, order.seed, order.out)
     described = [vars(result).copy() for result in results]
     return described, sum(stage.pop("seconds") for stage in described)
 
