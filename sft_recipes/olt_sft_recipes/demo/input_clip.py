@@ -1,5 +1,7 @@
 """Stage: the front video to a metric trajectory, four views, and a clip."""
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,6 +11,7 @@ from olt_closed_loop.stage import read_scene
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_sft_recipes.demo.job import Job
+from olt_sft_recipes.demo.settings import DemoSettings
 from olt_toolkit.clip_builder import BuiltClip, build_clip
 from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.clip_summary import summarize_build
@@ -23,11 +26,7 @@ CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png"
 
 def build_input_clip(job: Job) -> dict[str, Any]:
     """Turn the input into a clip of the store, and draw what was made; returns the numbers."""
-    height, width = job.settings.input_size
-    recording, factors, category = _open_input(job)
-    options = BuildOptions(
-        width=width, height=height, category=category, factors=factors, seed=job.settings.seed, name="input"
-    )
+    recording, options = _take_input(job)
     job.bar.start("front video to four views")
     built = build_clip(recording, options, job.on_progress, lambda part: job.bar.start(f"front video: {part}"))
     store = ClipStore(job.clips)
@@ -38,17 +37,34 @@ def build_input_clip(job: Job) -> dict[str, Any]:
     return summarize_build(built)
 
 
-def _open_input(job: Job) -> tuple[Recording, tuple[str, ...], str]:
-    """The recording with its scene factors and category; a user's video has none that are known."""
-    if job.video is not None:
-        return open_recording(job.video, OpenOptions(duration=job.settings.video_seconds)), (), "unlabelled"
-    scene = read_scene(job.scenes / f"{job.results['scenes']['input'][0]}.usda")
+def open_video(video: Path, settings: DemoSettings) -> Recording:
+    """Decode as much of a front video as the job uses.
+
+    Raises:
+        InputError: the video cannot be used.
+    """
+    return open_recording(video, OpenOptions(duration=settings.video_seconds))
+
+
+def _take_input(job: Job) -> tuple[Recording, BuildOptions]:
+    """The recording and how its clip is built; a user's video has no category and no scene factors that are known."""
     height, width = job.settings.input_size
+    options = BuildOptions(width=width, height=height, category="unlabelled", seed=job.settings.seed, name="input")
+    if job.recording is None:
+        return _record_input(job, options)
+    recording, job.recording = job.recording, None  # its frames are large; nothing after this stage needs them
+    return recording, options
+
+
+def _record_input(job: Job, options: BuildOptions) -> tuple[Recording, BuildOptions]:
+    """A drive of the synthetic world, whose truth is known."""
+    scene = read_scene(job.scenes / f"{job.results['scenes']['input'][0]}.usda")
     cameras = (CROSS_LEFT, FRONT_WIDE, CROSS_RIGHT)
+    height, width = job.settings.input_size
     recording = record_drive(
         scene, width, height, job.settings.frame_rate, cameras, with_distance=True, on_progress=job.on_progress
     )
-    return recording, scene.factors, scene.category
+    return recording, replace(options, category=scene.category, factors=scene.factors)
 
 
 def _check_read_back(store: ClipStore, built: BuiltClip) -> None:

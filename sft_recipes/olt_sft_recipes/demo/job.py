@@ -10,6 +10,7 @@ from olt_generator.files import make_folder
 from olt_generator.progress import Progress
 from olt_sft_recipes.demo.settings import DemoSettings
 from olt_sft_recipes.demo.stage_log import StageLog, checksum
+from olt_toolkit.recording import Recording
 
 
 class StageBar(Protocol):
@@ -34,6 +35,7 @@ class Job:
         video: front video given by the user; None for the synthetic world.
         workers: processes for work that can be split; results do not depend on it.
         bar: the progress display.
+        recording: what the video holds, until the stage that makes its clip takes it.
         results: what the finished stages returned, by stage.
     """
 
@@ -42,6 +44,7 @@ class Job:
     video: Path | None
     workers: int
     bar: StageBar
+    recording: Recording | None = None
     results: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @property

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from olt_sft_recipes.demo.evaluation import score_policies
-from olt_sft_recipes.demo.input_clip import build_input_clip
+from olt_sft_recipes.demo.input_clip import build_input_clip, open_video
 from olt_sft_recipes.demo.job import Job, Stage, run_stages
 from olt_sft_recipes.demo.mixtures import compose_mixtures
 from olt_sft_recipes.demo.report import draw_report
@@ -14,7 +14,6 @@ from olt_sft_recipes.demo.summary import summarize_job, write_summary
 from olt_sft_recipes.demo.training import train_policies
 from olt_sft_recipes.demo.training_clips import build_training_clips
 from olt_toolkit.console import make_progress
-from olt_toolkit.recording import OpenOptions, open_recording
 from olt_toolkit.workers import default_workers, use_one_thread
 
 STAGES = [
@@ -56,10 +55,10 @@ def run_demo(out: Path, settings: DemoSettings, video: Path | None = None, worke
         InputError: the video cannot be used, or the folder is not writable or holds another run.
     """
     use_one_thread()
-    if video is not None:
-        open_recording(video, OpenOptions(width=64, duration=settings.video_seconds))  # unusable: nothing is written
     bar = RichBar()
     job = Job(out, settings, video, workers or default_workers(), bar)
+    if video is not None:
+        job.recording = open_video(video, settings)  # unusable: nothing is written
     with bar.progress:
         seconds = run_stages(job, STAGES)
         bar.start("report")
