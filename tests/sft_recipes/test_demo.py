@@ -9,6 +9,7 @@ from olt_sft_recipes.demo.main_job import run_demo
 from olt_sft_recipes.demo.scenes import ROLES, plan_scenes
 from olt_sft_recipes.demo.settings import DemoSettings
 from olt_sft_recipes.demo.stage_log import StageLog
+from olt_toolkit.rig import FRONT_WIDE
 
 SMALL = DemoSettings(
     nominal_clips=1,
@@ -68,6 +69,7 @@ def test_the_main_job_runs_resumes_and_does_not_depend_on_the_number_of_workers(
     assert (tmp_path / "one" / "report.html").stat().st_size > 10_000
     assert comparable(json.loads((tmp_path / "one" / "summary.json").read_text())) == comparable(summary)
     assert summary["input"]["pose_errors"]["metric"]["ate_m"] < 5.0
+    assert summary["input"]["clip"]["views"][FRONT_WIDE]["kind"] == "rendered"
     (tmp_path / "one" / "stages" / "closed_loop.json").unlink()
     assert comparable(run_demo(tmp_path / "one", SMALL, workers=1)) == comparable(summary)
     assert comparable(run_demo(tmp_path / "two", SMALL, workers=2)) == comparable(summary)
@@ -79,4 +81,5 @@ def test_a_five_frame_video_runs_to_the_end(tmp_path, make_textured_drive):
     write_video(video, make_textured_drive(5), 25.0)
     summary = run_demo(tmp_path / "out", replace(SMALL, long_tail_clips=1), video, workers=2)
     assert summary["input"]["clip"]["no_sample_reason"]
+    assert summary["input"]["clip"]["views"][FRONT_WIDE]["kind"] == "observed"
     assert any("policy samples of the input clip" in line for line in summary["left_out"])

@@ -64,7 +64,7 @@ def _record_input(job: Job, options: BuildOptions) -> tuple[Recording, BuildOpti
     recording = record_drive(
         scene, width, height, job.settings.frame_rate, cameras, with_distance=True, on_progress=job.on_progress
     )
-    return recording, replace(options, category=scene.category, factors=scene.factors)
+    return recording, replace(options, category=scene.category, factors=scene.factors, image_kind="rendered")
 
 
 def _check_read_back(store: ClipStore, built: BuiltClip) -> None:

@@ -75,6 +75,7 @@ def build_clip_to_order(order: ClipOrder) -> dict[str, Any]:
         width=settings.training_size[1],
         height=settings.training_size[0],
         use_reference_views=order.real_views,
+        image_kind="rendered",
         category=scene.category,
         factors=scene.factors,
         split=order.split,
