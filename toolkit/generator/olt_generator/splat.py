@@ -6,6 +6,8 @@ stand square to it.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +21,7 @@ from olt_generator.poses import Array
 NEAREST = 0.5
 FARTHEST = 200.0
 
-# Source pixels worked on at a time: their intermediate arrays stay in the processor's cache, which halves the time.
+# Source pixels worked on at a time: their intermediate arrays stay in the processor's cache.
 BLOCK_PIXELS = 16384
 
 
@@ -54,6 +56,20 @@ class Landing:
     distance: NDArray[np.float32]
 
 
+@dataclass(frozen=True)
+class Surface:
+    """What another camera would see, by reference to the source image.
+
+    Attributes:
+        distance: (h, w) float32 metres from the target, inf where nothing lands.
+        source: (h, w) int64 index of the pixel in the flattened source image, the number of its pixels where nothing
+            lands.
+    """
+
+    distance: NDArray[np.float32]
+    source: NDArray[np.int64]
+
+
 def splat(
     image: NDArray[np.uint8],
     distance: NDArray[np.float32],
@@ -82,19 +98,32 @@ def splat(
     Raises:
         InputError: image or distance have another size than the source camera.
     """
+    if image.shape != (source.height, source.width, 3):
+        raise InputError(_size_mismatch("image", image.shape, source))
+    surface = nearest_surface(distance, source, target, T_target_source, radius, nearest, farthest)
+    colours = np.concatenate([image.reshape(-1, 3), np.zeros((1, 3), np.uint8)])
+    return Warp(colours.take(surface.source, axis=0), surface.source < distance.size, surface.distance)
+
+
+def nearest_surface(
+    distance: NDArray[np.float32],
+    source: Camera,
+    target: Camera,
+    T_target_source: Array,
+    radius: int = 1,
+    nearest: float = NEAREST,
+    farthest: float = FARTHEST,
+) -> Surface:
+    """The source pixel that each target pixel sees; arguments, order and errors are those of `splat`."""
     width, height = target.width + 2 * radius, target.height + 2 * radius
     # One integer sorts by distance, then by source pixel: the bits of positive floats sort like their values. The
-    # empty key stands for a black pixel at infinity behind all others.
-    empty = _sortable(np.array([np.inf], np.float32), np.array([distance.size]))
-    closest = np.repeat(empty, width * height)
-    for landing in land(image, distance, source, target, T_target_source, radius, nearest, farthest):
+    # empty key stands for a pixel after the last, at infinity behind all others.
+    closest = np.repeat(_sortable(np.array([np.inf], np.float32), np.array([distance.size])), width * height)
+    for landing in land(distance, source, target, T_target_source, radius, nearest, farthest):
         pixel = (landing.row + radius) * width + landing.column + radius
         np.minimum.at(closest, pixel, _sortable(landing.distance, landing.source))
-
     winner = _spread(closest.reshape(height, width), radius)
-    colours = np.concatenate([image.reshape(-1, 3), np.zeros((1, 3), np.uint8)])
-    warped = colours.take(winner & 0xFFFFFFFF, axis=0)
-    return Warp(warped, winner != empty, (winner >> 32).astype(np.int32).view(np.float32))
+    return Surface((winner >> 32).astype(np.int32).view(np.float32), winner & 0xFFFFFFFF)
 
 
 def splat_reference(
@@ -113,7 +142,7 @@ def splat_reference(
         np.zeros((target.height, target.width), bool),
         np.full((target.height, target.width), np.inf, np.float32),
     )
-    landings = land(image, distance, source, target, T_target_source, radius, nearest, farthest)
+    landings = land(distance, source, target, T_target_source, radius, nearest, farthest)
     points = [
         point
         for landing in landings
@@ -129,7 +158,6 @@ def splat_reference(
 
 
 def land(
-    image: NDArray[np.uint8],
     distance: NDArray[np.float32],
     source: Camera,
     target: Camera,
@@ -140,28 +168,45 @@ def land(
 ) -> Iterator[Landing]:
     """Lift the source pixels by their distance, move them to the target camera and round to its pixels.
 
-    Yields one block of source pixels after the other; arguments and errors are those of `splat`.
+    Single precision: it moves a point by less than a thousandth of a pixel. Yields one block of source pixels after the
+    other; arguments and errors are those of `splat`.
     """
-    if image.shape != (source.height, source.width, 3) or distance.shape != image.shape[:2]:
-        raise InputError(
-            f"splat: image {image.shape} and distance {distance.shape} for a source camera of {source.width} x "
-            f"{source.height}; give the camera at the size of both"
-        )
+    if distance.shape != (source.height, source.width):
+        raise InputError(_size_mismatch("distance", distance.shape, source))
     # Footprints may reach into the image from outside, so the target is widened by their radius.
     widened = target.cropped(-radius, -radius, target.width + 2 * radius, target.height + 2 * radius)
-    rotation, translation = T_target_source[:3, :3], T_target_source[:3, 3:]
-    all_distances, all_rays = distance.astype(np.float32, copy=False).ravel(), pixel_rays(source).reshape(-1, 3)
+    rotation, translation = T_target_source[:3, :3].astype(np.float32), T_target_source[:3, 3:].astype(np.float32)
+    all_distances, all_rays = distance.astype(np.float32, copy=False).ravel(), _ray_rows(source)
     for first in range(0, distance.size, BLOCK_PIXELS):
         block = all_distances[first : first + BLOCK_PIXELS]
-        valid = np.flatnonzero((block > nearest) & (block < farthest))
-        # One row per axis, so that the projection reads contiguous memory.
-        rays = all_rays[first : first + BLOCK_PIXELS].take(valid, axis=0).T
-        points = (rotation @ rays) * block.take(valid) + translation
-        pixels, inside = widened.project(points.T)
-        target_distance = np.sqrt((points**2).sum(axis=0))
-        kept = np.flatnonzero(inside & (target_distance > nearest))
-        column, row = (np.floor(pixels[:, axis].take(kept) + 0.5).astype(np.int64) - radius for axis in (0, 1))
-        yield Landing(first + valid.take(kept), row, column, target_distance.take(kept).astype(np.float32))
+        # What is not a number lies outside of every image.
+        block = np.where((block > nearest) & (block < farthest), block, np.float32(np.nan))
+        points: NDArray[Any] = rotation @ all_rays[:, first : first + BLOCK_PIXELS]
+        points *= block
+        points += translation
+        with np.errstate(invalid="ignore", over="ignore"):
+            pixels, inside = widened.project(points.T)
+        landed = np.flatnonzero(inside)
+        target_distance = np.sqrt((points.take(landed, axis=1) ** 2).sum(axis=0))
+        far_enough = target_distance > nearest
+        landed = landed[far_enough]
+        column, row = (np.floor(pixels[:, axis].take(landed) + 0.5).astype(np.int64) - radius for axis in (0, 1))
+        yield Landing(first + landed, row, column, target_distance[far_enough])
+
+
+@lru_cache(maxsize=32)
+def _ray_rows(camera: Camera) -> NDArray[np.float32]:
+    """Unit rays (3, height * width), one row per axis so that projections read contiguous memory; read-only."""
+    rows = np.ascontiguousarray(pixel_rays(camera).reshape(-1, 3).T, np.float32)
+    rows.flags.writeable = False
+    return rows
+
+
+def _size_mismatch(what: str, shape: tuple[int, ...], source: Camera) -> str:
+    return (
+        f"splat: {what} {shape} for a source camera of {source.width} x {source.height}; give the camera at the size "
+        "of image and distance"
+    )
 
 
 def _sortable(distance: NDArray[np.float32], source: NDArray[np.int64]) -> NDArray[np.int64]:

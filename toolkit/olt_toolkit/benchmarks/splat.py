@@ -28,7 +28,7 @@ def overwrite(
     Points are sorted from far to near and written once for each of the nine offsets of the footprint, so that a
     later offset of a far point overwrites an earlier one of a near point.
     """
-    landings = list(land(image, distance, source, target, T_target_source))
+    landings = list(land(distance, source, target, T_target_source))
     pixel, row, column, depth = (
         np.concatenate([getattr(landing, name) for landing in landings])
         for name in ("source", "row", "column", "distance")
