@@ -1,0 +1,68 @@
+"""Tensors of trained networks, read from local files without running any code in them."""
+
+import pickle
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import Tensor
+
+from olt_generator.errors import InputError
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The tensors of a network by name.
+
+    Attributes:
+        path: the file that holds them.
+        tensors: float32 on the device where the network runs.
+    """
+
+    path: Path
+    tensors: dict[str, Tensor]
+
+    def __getitem__(self, name: str) -> Tensor:
+        """The named tensor.
+
+        Raises:
+            InputError: the file has none of that name.
+        """
+        if name not in self.tensors:
+            raise InputError(f"{self.path}: holds no tensor {name!r}; these are the weights of another network")
+        return self.tensors[name]
+
+
+def read_weights(path: Path, device: str = "cpu") -> Weights:
+    """Read a `.safetensors` file, or a state dictionary saved by torch, bare or under the key "state_dict".
+
+    Raises:
+        InputError: the file is missing, damaged, or holds anything but tensors.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: no such weights file; download it and give its path")
+    tensors = _read_safetensors(path) if path.suffix == ".safetensors" else _read_state_dictionary(path)
+    return Weights(path, {name: tensor.to(device).float() for name, tensor in tensors.items()})
+
+
+def _read_safetensors(path: Path) -> dict[str, Tensor]:
+    try:
+        return load_file(path)
+    except SafetensorError as error:
+        raise InputError(f"{path}: not a readable safetensors file ({error}); copy or download it again") from error
+
+
+def _read_state_dictionary(path: Path) -> dict[str, Tensor]:
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
+        raise InputError(
+            f"{path}: not a file of plain tensors; save it as safetensors or a state dictionary"
+        ) from error
+    if isinstance(content, dict) and "state_dict" in content:
+        content = content["state_dict"]
+    if not isinstance(content, dict) or not all(isinstance(value, torch.Tensor) for value in content.values()):
+        raise InputError(f"{path}: holds something else than a dictionary of tensors; save the state dictionary alone")
+    return content
