@@ -9,6 +9,7 @@ from olt_sft_recipes.demo.main_job import run_demo
 from olt_sft_recipes.demo.scenes import ROLES, plan_scenes
 from olt_sft_recipes.demo.settings import DemoSettings
 from olt_sft_recipes.demo.stage_log import StageLog
+from olt_sft_recipes.demo.summary import list_left_out
 from olt_toolkit.rig import FRONT_WIDE
 
 SMALL = DemoSettings(
@@ -57,6 +58,18 @@ def test_an_unusable_video_leaves_no_folder(tmp_path):
     with pytest.raises(InputError, match=r"notes\.mp4"):
         run_demo(tmp_path / "out", SMALL, video)
     assert not (tmp_path / "out").exists()
+
+
+def test_what_was_left_out_is_told_with_its_reason():
+    clip = {"left_out": {"camera_rear": "not wanted"}, "clip": {"no_sample_reason": "too short"}}
+    policies = {"toy": {"left_out": ["rendering"], "scores": [{"left_out": ["tests"]}, {"left_out": ["tests"]}]}}
+    results = {"input_clip": clip, "closed_loop": {"policies": policies}}
+    assert list_left_out(results) == [
+        "camera_rear: not wanted",
+        "policy samples of the input clip: too short",
+        "rendering",
+        "tests",
+    ]
 
 
 def comparable(summary):

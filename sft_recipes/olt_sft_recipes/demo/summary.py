@@ -27,7 +27,7 @@ def summarize_job(job: Job, seconds: dict[str, float]) -> dict[str, Any]:
         "mixtures": results["mixtures"],
         "training": training,
         "closed_loop": results["closed_loop"],
-        "left_out": list_left_out(job),
+        "left_out": list_left_out(results),
         "timings": {"stages_s": seconds, "input_clip_s": parts, "training_s": training_seconds},
         "machine": describe_machine(),
     }
@@ -39,13 +39,14 @@ def write_summary(job: Job, summary: dict[str, Any]) -> None:
         path.write_text(json.dumps(summary, indent=2, allow_nan=False) + "\n")
 
 
-def list_left_out(job: Job) -> list[str]:
-    """Everything that this run did not compute, and why."""
-    clip = job.results["input_clip"]
-    views = [f"view {name}: {reason}" for name, reason in clip["left_out"].items()]
-    if clip["clip"]["no_sample_reason"]:
-        views.append(f"policy samples of the input clip: {clip['no_sample_reason']}")
-    policies = job.results["closed_loop"]["policies"].values()
+def list_left_out(results: dict[str, dict[str, Any]]) -> list[str]:
+    """Everything that the stages with these results did not compute, and why."""
+    clip = results["input_clip"]
+    views = [f"{name}: {reason}" for name, reason in clip["left_out"].items()]
+    no_sample_reason = clip["clip"]["no_sample_reason"]
+    if no_sample_reason:
+        views.append(f"policy samples of the input clip: {no_sample_reason}")
+    policies = results["closed_loop"]["policies"].values()
     drives = sorted({reason for policy in policies for reason in policy["left_out"]})
     scores = sorted({reason for policy in policies for score in policy["scores"] for reason in score["left_out"]})
     return [*views, *drives, *scores]
