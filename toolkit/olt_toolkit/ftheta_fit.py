@@ -1,23 +1,26 @@
 """Camera models as the f-theta polynomials that calibration tables hold.
 
 PhysicalAI-AV tables hold two polynomials of degree 4 without constant term: angle to radius and radius to angle (facts
-sheet pai_dataset, section 7). An f-theta camera of that degree goes in unchanged. A pinhole camera, whose radius is
-f tan(angle), is fitted over the radii that its image reaches.
+sheet pai_dataset, section 7). An f-theta camera of that degree goes in unchanged. Any other lens is fitted over the
+radii that its image reaches; what a radius alone cannot say, such as tangential distortion, is part of the error.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
+from olt_generator.cameras import Camera, FthetaCamera
 from olt_generator.errors import InputError
+from olt_generator.ftheta import TABLE_DEGREE
+from olt_generator.lens_curves import Polynomial, evaluate, fit_through_origin
 from olt_generator.poses import Array
 
-DEGREE = 4
 # A pixel that is not square may move no image point further than this, and a fitted lens none further than that.
 PIXEL_SHAPE_TOLERANCE = 0.5
 LENS_TOLERANCE = 1.0
 _NODES = 400
+# The error is measured on a grid of pixels with this many to a side.
+_GRID = 41
 
 
 @dataclass(frozen=True)
@@ -39,54 +42,69 @@ def fit_ftheta(camera: Camera) -> FthetaFit:
     """Express a camera in f-theta polynomials of degree 4.
 
     Raises:
-        InputError: its pixels are not square, its polynomials have a higher degree, or its lens is too wide for them.
+        InputError: its pixels are not square, its polynomials have a higher degree, or its lens is too wide or too
+            bent for them.
     """
-    if isinstance(camera, PinholeCamera):
-        return _fit_pinhole(camera)
+    right, down = camera.pixels_per_radian
+    shape_error = _shape_error(camera, right / down)
     if isinstance(camera, FthetaCamera):
-        return _convert_ftheta(camera)
-    raise InputError(f"{type(camera).__name__}: calibration tables hold f-theta and pinhole cameras only")
+        return _convert_ftheta(camera, shape_error)
+    return _fit_lens(camera, shape_error)
 
 
-def _convert_ftheta(camera: FthetaCamera) -> FthetaFit:
-    shape_error = _shape_error(camera, camera.aspect)
+def _convert_ftheta(camera: FthetaCamera, shape_error: float) -> FthetaFit:
     polynomials = camera.fw_poly, camera.bw_poly
-    if any(any(coefficients[DEGREE + 1 :]) or coefficients[0] for coefficients in polynomials):
+    if any(any(coefficients[TABLE_DEGREE + 1 :]) for coefficients in polynomials):
         raise InputError("f-theta camera: calibration tables hold polynomials of degree 4 without constant term")
     forward, backward = (_padded(coefficients) for coefficients in polynomials)
-    radii = np.linspace(0.0, _reach(camera), _NODES)
-    angles = _evaluate(backward, radii)
-    converted = replace(camera, fw_poly=forward, bw_poly=backward, max_angle=float(angles[-1]), aspect=1.0)
-    return FthetaFit(converted, shape_error, float(np.abs(_evaluate(forward, angles) - radii).max()))
+    converted = _trusted_to_corner(replace(camera, fw_poly=forward, bw_poly=backward, aspect=1.0))
+    return FthetaFit(converted, shape_error, _round_trip(converted))
 
 
-def _fit_pinhole(camera: PinholeCamera) -> FthetaFit:
-    shape_error = _shape_error(camera, camera.fx / camera.fy)
-    focal = float(np.sqrt(camera.fx * camera.fy))
-    reach = _reach(camera)
-    max_angle = float(np.arctan(reach / focal))
+def _fit_lens(camera: Camera, shape_error: float) -> FthetaFit:
+    centre, corner = np.array([camera.cx, camera.cy]), _furthest_corner(camera)
     # Least squares at Chebyshev nodes comes close to the smallest largest error.
     nodes = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_NODES) + 0.5) / _NODES)
-    angles, radii = max_angle * nodes, reach * nodes
-    forward = _fit(angles, focal * np.tan(angles), np.ones(_NODES))
-    # An error of the angle counts by how far it moves a pixel: dr/dangle = f (1 + (r/f)^2).
-    backward = _fit(radii, np.arctan(radii / focal), focal * (1.0 + (radii / focal) ** 2))
-    fitted = FthetaCamera(camera.width, camera.height, camera.cx, camera.cy, forward, backward, max_angle)
-    angles, radii = np.linspace(0.0, max_angle, _NODES), np.linspace(0.0, reach, _NODES)
-    through = _evaluate(backward, radii)
-    error = max(
-        np.abs(_evaluate(forward, angles) - focal * np.tan(angles)).max(), np.abs(focal * np.tan(through) - radii).max()
-    )
-    if error > LENS_TOLERANCE:
+    angles = _angle(camera.rays(centre + nodes[:, None] * (corner - centre)))
+    radii = nodes * float(np.linalg.norm(corner - centre))
+    if np.isnan(angles).any():
         raise InputError(
-            f"pinhole camera of {np.degrees(2 * max_angle):.0f} degrees across its corners: polynomials of degree 4 "
-            f"miss it by {error:.1f} px; give an f-theta camera, a smaller field of view, or a narrower crop"
+            f"{type(camera).__name__} of {camera.width} x {camera.height} pixels: its lens does not reach the corners "
+            "of the image; crop the images first"
         )
-    round_trip = np.abs(_evaluate(forward, through) - radii).max()
-    return FthetaFit(fitted, float(error + shape_error), float(round_trip))
+    pixels_per_radian = np.gradient(radii, angles)
+    forward = fit_through_origin(angles, radii, TABLE_DEGREE)
+    # An error of the angle counts by how far it moves a pixel.
+    backward = fit_through_origin(radii, angles, TABLE_DEGREE, pixels_per_radian)
+    error = max(
+        float(np.abs(evaluate(forward, angles) - radii).max()),
+        float(np.abs((evaluate(backward, radii) - angles) * pixels_per_radian).max()),
+    )
+    _check_error(camera, error, angles)
+    fitted = FthetaCamera(camera.width, camera.height, camera.cx, camera.cy, forward, backward)
+    error = max(error, _difference(camera, fitted))
+    _check_error(camera, error, angles)
+    return FthetaFit(_trusted_to_corner(fitted), error + shape_error, _round_trip(fitted))
 
 
-def _shape_error(camera: FthetaCamera | PinholeCamera, aspect: float) -> float:
+def _check_error(camera: Camera, error: float, angles: Array) -> None:
+    if not error <= LENS_TOLERANCE:
+        raise InputError(
+            f"{type(camera).__name__} of {np.degrees(2 * angles.max()):.0f} degrees across its corners: polynomials "
+            f"of degree 4 miss it by {error:.1f} px; give an f-theta camera, a smaller field of view, or a narrower "
+            "crop"
+        )
+
+
+def _trusted_to_corner(camera: FthetaCamera) -> FthetaCamera:
+    angle = float(_angle(camera.rays(_furthest_corner(camera))))
+    if np.isnan(angle):
+        raise InputError("f-theta camera: its polynomials do not rise to the corners of the image; give better ones")
+    # A hair more, so that rounding does not cut off the corner itself.
+    return replace(camera, max_angle=angle * (1.0 + 1e-9))
+
+
+def _shape_error(camera: Camera, aspect: float) -> float:
     """How far (px) a pixel of this aspect moves the image's furthest row or column when it is taken as square."""
     furthest = max(camera.cx, camera.width - camera.cx, camera.cy, camera.height - camera.cy)
     error = abs(aspect - 1.0) * furthest
@@ -98,24 +116,34 @@ def _shape_error(camera: FthetaCamera | PinholeCamera, aspect: float) -> float:
     return float(error)
 
 
-def _reach(camera: FthetaCamera | PinholeCamera) -> float:
-    """Distance (px) from the principal point to the furthest image corner."""
-    across = max(camera.cx + 0.5, camera.width - 0.5 - camera.cx)
-    down = max(camera.cy + 0.5, camera.height - 0.5 - camera.cy)
-    return float(np.hypot(across, down))
+def _furthest_corner(camera: Camera) -> Array:
+    """Pixel (2,) of the image corner that is furthest from the optical axis."""
+    right = camera.cx < 0.5 * (camera.width - 1)
+    below = camera.cy < 0.5 * (camera.height - 1)
+    return np.array([camera.width - 0.5 if right else -0.5, camera.height - 0.5 if below else -0.5])
 
 
-def _fit(x: Array, y: Array, weights: Array) -> tuple[float, ...]:
-    """Weighted least-squares polynomial of degree 4 through the origin, ascending powers."""
-    scale = x.max()
-    design = np.stack([(x / scale) ** power for power in range(1, DEGREE + 1)], axis=-1)
-    coefficients = np.linalg.lstsq(design * weights[:, None], y * weights, rcond=None)[0]
-    return (0.0, *(float(value / scale**power) for power, value in enumerate(coefficients, start=1)))
+def _angle(rays: Array) -> Array:
+    """Angle (...) of rays (..., 3) from the optical axis, radians."""
+    return np.arctan2(np.hypot(rays[..., 0], rays[..., 1]), rays[..., 2])
 
 
-def _evaluate(coefficients: tuple[float, ...], x: Array) -> Array:
-    return np.asarray(np.polynomial.polynomial.polyval(x, coefficients), np.float64)
+def _difference(camera: Camera, fitted: FthetaCamera) -> float:
+    """Largest distance in pixels between where the two cameras see the same ray; NaN where one does not reach."""
+    columns = np.linspace(-0.5, camera.width - 0.5, _GRID)
+    rows = np.linspace(-0.5, camera.height - 0.5, _GRID)
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1)
+    distances = [
+        np.linalg.norm(to.project(by.rays(pixels))[0] - pixels, axis=-1).max()
+        for by, to in ((camera, fitted), (fitted, camera))
+    ]
+    return float(np.max(distances))
 
 
-def _padded(coefficients: tuple[float, ...]) -> tuple[float, ...]:
-    return (tuple(coefficients) + (0.0,) * DEGREE)[: DEGREE + 1]
+def _round_trip(camera: FthetaCamera) -> float:
+    radii = np.linspace(0.0, float(np.linalg.norm(_furthest_corner(camera) - [camera.cx, camera.cy])), _NODES)
+    return float(np.abs(evaluate(camera.fw_poly, evaluate(camera.bw_poly, radii)) - radii).max())
+
+
+def _padded(coefficients: Polynomial) -> Polynomial:
+    return (tuple(coefficients) + (0.0,) * TABLE_DEGREE)[: TABLE_DEGREE + 1]
