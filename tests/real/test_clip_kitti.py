@@ -27,8 +27,8 @@ def test_clip_from_a_real_drive(shared_real, tmp_path):
     assert summary["pose_errors"]["metric"]["step_rotation_deg"] < 0.1
     before, after = summary["smoothness_before_smoothing"], summary["smoothness"]
     assert after["jerk_rms_m_s3"] < 0.2 * before["jerk_rms_m_s3"]
-    assert cv2.imread(summary["preview"]) is not None
-    assert Path(summary["preview"]).parent == tmp_path / "previews"
+    assert cv2.imread(summary["pictures"]["contact_sheet"]) is not None
+    assert Path(summary["pictures"]["animation"]).parent == tmp_path / "previews"
 
     store = ClipStore(tmp_path)
     info = store.info(summary["clip"]["clip_id"])

@@ -12,11 +12,12 @@ from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
+from olt_generator.video import read_video
 from olt_toolkit.clip import make_clip_id
 from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.commands.clip import app
 from olt_toolkit.recording import Recording
-from olt_toolkit.rig import CROSS_LEFT, DEFAULT_VEHICLE, POLICY_CAMERAS
+from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS
 
 
 @pytest.fixture
@@ -41,7 +42,7 @@ def source(monkeypatch):
         options = None
 
         def recognises(self, path: Path) -> bool:
-            return path.suffix == ".drive"
+            return path.suffix.lower() == ".drive"
 
         def open(self, path, options):
             self.options = options
@@ -97,8 +98,9 @@ def test_build_writes_clip_and_pictures(tmp_path, drive, source):
         "camera_rear_tele_30fov",
     }
     assert "6.4 s of future" in summary["clip"]["no_sample_reason"]
-    assert Path(summary["preview"]) == store / "previews" / "town.png"
-    assert Path(summary["preview"]).is_file()
+    for path in (store / "previews" / "town.png", store / "previews" / "town.webp"):
+        assert str(path) in summary["pictures"].values()
+        assert path.is_file()
     info = ClipStore(store).info(summary["clip"]["clip_id"])
     assert info.views[CROSS_LEFT].kind == "warped"
 
@@ -154,6 +156,123 @@ def test_interrupted_build_leaves_nothing_and_the_next_one_completes(tmp_path, d
 
 
 @pytest.fixture
+def drives(tmp_path, drive):
+    """A folder of three recordings and a file that is none."""
+    for name in ("bridge", "alley"):
+        (tmp_path / f"{name}.drive").write_text("")
+    (tmp_path / "notes.txt").write_text("")
+    return tmp_path
+
+
+def files_of(store: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(store)): path.read_bytes() for path in sorted(store.rglob("*")) if path.is_file()}
+
+
+def test_a_folder_gives_one_clip_for_each_recording(drives):
+    result = build(drives, "--out", drives / "clips", "--workers", 1, "--json")
+    assert result.exit_code == 0, result.output
+    outcomes = json.loads(result.stdout)["recordings"]
+    assert [Path(outcome["path"]).stem for outcome in outcomes] == ["alley", "bridge", "town"]
+    assert {outcome["state"] for outcome in outcomes} == {"built"}
+    assert outcomes[0]["summary"]["clip"]["name"] == "alley"
+    store = ClipStore(drives / "clips")
+    assert [info.clip_id for info in store.clips()] == [outcome["clip_id"] for outcome in outcomes]
+    assert (drives / "clips" / "previews" / "bridge.webp").is_file()
+
+    again = build(drives, "--out", drives / "clips", "--workers", 1, "--json")
+    assert {outcome["state"] for outcome in json.loads(again.stdout)["recordings"]} == {"found"}
+    assert "town.drive" in build(drives, "--out", drives / "clips", "--workers", 1).stdout
+
+
+def test_an_interrupted_folder_run_goes_on_and_ends_the_same(drives, source, monkeypatch):
+    whole, resumed = drives / "whole", drives / "resumed"
+    assert build(drives, "--out", whole, "--workers", 1).exit_code == 0
+    opened = []
+
+    def open_until_interrupted(path, options):
+        opened.append(path.stem)
+        if path.stem == "town":
+            raise KeyboardInterrupt
+        return type(source).open(source, path, options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(source, "open", open_until_interrupted)
+        assert build(drives, "--out", resumed, "--workers", 1).exit_code != 0
+    assert not (resumed / "clips.parquet").exists()
+    assert "town" in opened
+    result = build(drives, "--out", resumed, "--workers", 1, "--json")
+    states = [outcome["state"] for outcome in json.loads(result.stdout)["recordings"]]
+    assert states == ["found", "found", "built"]
+    assert files_of(resumed) == files_of(whole)
+
+
+def test_a_recording_that_fails_stops_the_run_or_is_listed_at_its_end(drives, source, monkeypatch):
+    def open_or_fail(path, options):
+        if path.stem == "bridge":
+            raise InputError("bridge: too dark; give another video")
+        return type(source).open(source, path, options)
+
+    monkeypatch.setattr(source, "open", open_or_fail)
+    stopped = build(drives, "--out", drives / "clips", "--workers", 1)
+    assert "too dark" in str(stopped.exception)
+    assert not (drives / "clips" / "clips.parquet").exists()
+    kept = build(drives, "--out", drives / "clips", "--workers", 1, "--keep-going")
+    assert "1 of 3 recordings could not be used" in str(kept.exception)
+    assert "failed: bridge.drive: bridge: too dark" in kept.stdout
+    assert [info.name for info in ClipStore(drives / "clips").clips()] == ["alley", "town"]
+
+
+def test_folders_that_cannot_be_built_are_refused(drives):
+    assert "leave --name out" in str(build(drives, "--out", drives / "clips", "--name", "x").exception)
+    (drives / "empty").mkdir()
+    assert "no recording" in str(build(drives / "empty", "--out", drives / "clips").exception)
+    (drives / "more").mkdir()
+    for suffix in ("drive", "DRIVE"):
+        (drives / "more" / f"a.{suffix}").write_text("")
+    assert "2 recordings are called 'a'" in str(build(drives / "more", "--out", drives / "clips").exception)
+
+
+def test_only_the_wanted_views_are_written(tmp_path, drive):
+    out = tmp_path / "views"
+    result = run("views", drive, "--cameras", "cross_left, front_wide", "--out", out, "--width", 96, "--height", 54)
+    assert result.exit_code == 0, result.output
+    assert "left out: camera_cross_right_120fov" in result.stdout
+    plan = json.loads((out / "plan.json").read_text())
+    assert list(plan["views"]) == [CROSS_LEFT, FRONT_WIDE]
+    assert plan["order"] == [FRONT_WIDE, CROSS_LEFT]
+    assert plan["views"][CROSS_LEFT]["method"] == "synthesized"
+    assert set(plan["left_out"]) > {CROSS_RIGHT, "camera_rear_tele_30fov"}
+    videos = sorted(path.name for path in out.glob("*.mp4"))
+    assert videos == [f"{CROSS_LEFT}.mp4", f"{FRONT_WIDE}.mp4"]
+    assert read_video(out / videos[0]).frames.shape == (30, 54, 96, 3)
+    assert (out / "views.png").is_file()
+    assert (out / "views.webp").is_file()
+
+
+def test_further_views_are_made_of_a_stored_clip(tmp_path, drive):
+    assert build(drive, "--out", tmp_path / "clips").exit_code == 0
+    arguments = ("--cameras", "front_wide", "--width", 96, "--height", 54, "--json")
+    result = run("views", tmp_path / "clips", "town", "--out", tmp_path / "views", *arguments)
+    assert result.exit_code == 0, result.output
+    plan = json.loads(result.stdout)
+    assert plan["recording"] == "town"
+    assert "stored" in plan["assumptions"][0]
+    store = ClipStore(tmp_path / "clips")
+    clip_id = store.clips()[0].clip_id
+    stored, _ = store.read_frames(clip_id, FRONT_WIDE, store.read_timestamps(clip_id, FRONT_WIDE))
+    written = read_video(tmp_path / "views" / f"{FRONT_WIDE}.mp4").frames
+    assert np.abs(stored.astype(int) - written).mean() < 6.0
+
+
+def test_unknown_cameras_are_refused(tmp_path, drive):
+    for text in ("roof", "", "cross_left,roof"):
+        result = run("views", drive, "--cameras", text, "--out", tmp_path / "views")
+        assert isinstance(result.exception, InputError)
+        assert "cross_right" in str(result.exception)
+    assert not (tmp_path / "views").exists()
+
+
+@pytest.fixture
 def store(tmp_path, make_clip):
     store = ClipStore(tmp_path / "clips")
     store.stage(make_clip("bend"))
@@ -181,6 +300,14 @@ def test_inspect_shows_one_clip(store):
     text = run("inspect", store.root, clip_id).stdout
     assert "clip bend (GT, nominal, train)" in text
     assert "0.00 to 8.90 s" in text
+
+
+def test_inspect_draws_a_clip(store, tmp_path):
+    result = run("inspect", store.root, "bend", "--pictures", tmp_path / "pictures")
+    assert result.exit_code == 0, result.output
+    assert sorted(path.name for path in (tmp_path / "pictures").iterdir()) == ["bend.png", "bend.webp"]
+    assert "bend.webp" in result.stdout
+    assert "name the clip" in str(run("inspect", store.root, "--pictures", tmp_path / "pictures").exception)
 
 
 def test_inspect_names_what_is_missing(store, tmp_path):

@@ -1,7 +1,18 @@
 import cv2
 import numpy as np
+import pytest
+from PIL import Image
 
-from olt_toolkit.pictures import INVENTED_TINT, contact_sheet, tint_invented, write_picture
+from olt_toolkit.pictures import (
+    INVENTED_TINT,
+    contact_sheet,
+    preview,
+    tint_invented,
+    write_animation,
+    write_clip_pictures,
+    write_picture,
+)
+from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
 
 GREY = np.full((6, 20, 40, 3), 100, np.uint8)
 TIMES_US = 100_000 * np.arange(6)
@@ -41,3 +52,48 @@ def test_a_picture_is_written_in_rgb(tmp_path):
     red[..., 0] = 255
     write_picture(tmp_path / "previews" / "red.png", red)
     np.testing.assert_array_equal(cv2.imread(str(tmp_path / "previews" / "red.png"))[0, 0], [0, 0, 255])
+
+
+def test_preview_puts_views_where_their_cameras_look_at_the_speed_of_the_clip():
+    times_us = 100_000 * np.arange(21)
+    images = {
+        name: np.full((21, 20, 40, 3), level, np.uint8)
+        for name, level in ((FRONT_WIDE, 100), (CROSS_LEFT, 50), (CROSS_RIGHT, 150), (FRONT_TELE, 200))
+    }
+    frames, rate = preview(images, times_us, tile_width=40)
+    assert rate == pytest.approx(5.0, rel=0.1)
+    assert (len(frames) - 1) / rate == pytest.approx(2.0)
+    height = frames.shape[1] // 2
+    upper, lower = frames[0, height - 5], frames[0, -5]
+    assert [int(upper[place, 0]) for place in (10, 50, 90)] == [50, 100, 150]
+    assert [int(lower[place, 0]) for place in (10, 50, 110)] == [0, 200, 0]
+
+
+def test_preview_of_one_frame(tmp_path):
+    frames, rate = preview({FRONT_WIDE: GREY[:1]}, TIMES_US[:1])
+    assert len(frames) == 1
+    write_animation(tmp_path / "one.webp", frames, rate)
+    assert Image.open(tmp_path / "one.webp").size == frames.shape[2:0:-1]
+
+
+@pytest.mark.parametrize("suffix", ["webp", "gif"])
+def test_an_animation_keeps_frames_order_and_duration(tmp_path, suffix):
+    frames = np.stack([np.full((16, 24, 3), level, np.uint8) for level in (0, 120, 240)])
+    path = tmp_path / f"moving.{suffix}"
+    write_animation(path, frames, 5.0)
+    with Image.open(path) as animation:
+        assert animation.n_frames == 3
+        for index, level in enumerate((0, 120, 240)):
+            animation.seek(index)
+            np.testing.assert_allclose(np.asarray(animation.convert("RGB")), level, atol=3)
+            animation.load()
+            assert animation.info["duration"] == 200
+    first = path.read_bytes()
+    write_animation(path, frames, 5.0)
+    assert path.read_bytes() == first
+
+
+def test_contact_sheet_and_preview_of_a_clip(tmp_path):
+    pictures = write_clip_pictures(tmp_path, "drive", {FRONT_WIDE: GREY}, {}, TIMES_US)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["drive.png", "drive.webp"]
+    assert pictures == {"contact_sheet": str(tmp_path / "drive.png"), "animation": str(tmp_path / "drive.webp")}

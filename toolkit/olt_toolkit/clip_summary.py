@@ -10,6 +10,7 @@ from olt_generator.trajectory import Trajectory
 from olt_toolkit.clip import ClipInfo, EgoMotion
 from olt_toolkit.clip_builder import BuiltClip
 from olt_toolkit.clip_files import describe_clip
+from olt_toolkit.clip_store import ClipStore
 
 
 def summarize_build(built: BuiltClip) -> dict[str, Any]:
@@ -44,6 +45,33 @@ def summarize_motion(motion: EgoMotion) -> dict[str, float]:
         "mean_speed": float(speed.mean()),
         "lowest_speed": float(speed.min()),
         "highest_speed": float(speed.max()),
+    }
+
+
+def summarize_stored(store: ClipStore, clip_id: str) -> dict[str, Any]:
+    """A clip as it is stored: its row in the clip table, motion, vehicle and cameras.
+
+    Raises:
+        InputError: the store has no such clip, or its files are damaged.
+    """
+    info = store.info(clip_id)
+    return {
+        "store": str(store.root),
+        "clip": summarize_info(info),
+        "trajectory": summarize_motion(store.read_ego_motion(clip_id)),
+        "vehicle": asdict(store.read_vehicle(clip_id)),
+        "cameras": {name: _summarize_camera(store, clip_id, name) for name in info.views},
+    }
+
+
+def _summarize_camera(store: ClipStore, clip_id: str, name: str) -> dict[str, Any]:
+    mounted, times_us = store.read_camera(clip_id, name), store.read_timestamps(clip_id, name)
+    return {
+        "size": [mounted.camera.width, mounted.camera.height],
+        "position_rig": mounted.T_rig_camera[:3, 3].tolist(),
+        "frames": len(times_us),
+        "first_us": int(times_us[0]),
+        "last_us": int(times_us[-1]),
     }
 
 

@@ -92,9 +92,18 @@ def open_recording(path: Path, options: OpenOptions | None = None) -> Recording:
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")
-    sources: list[Source] = [entry.load() for entry in sorted(entry_points(group="olt.sources"))]
+    sources = _sources()
     for source in sources:
         if source.recognises(path):
             return source.open(path, options or OpenOptions())
     names = ", ".join(source.name for source in sources)
     raise InputError(f"{path}: not a recording that any reader knows ({names}); give a video file or a drive folder")
+
+
+def is_recording(path: Path) -> bool:
+    """Whether any reader recognises the path."""
+    return any(source.recognises(path) for source in _sources())
+
+
+def _sources() -> list[Source]:
+    return [entry.load() for entry in sorted(entry_points(group="olt.sources"))]

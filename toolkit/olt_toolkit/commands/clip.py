@@ -1,4 +1,4 @@
-"""`olt clip`: build four-camera clips from recordings, and look into a store of them."""
+"""`olt clip`: build four-camera clips from recordings, look into a store of them, and score them."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -6,250 +6,257 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from olt_toolkit.clip_builder import BuildOptions, BuiltClip
+    from olt_toolkit.clip_builder import BuiltClip
+    from olt_toolkit.clip_folder import BuildJob
     from olt_toolkit.clip_store import ClipStore
-    from olt_toolkit.recording import Recording
+    from olt_toolkit.clip_views import BuildOptions
+    from olt_toolkit.recording import OpenOptions, Recording
 
-app = typer.Typer(add_completion=False, no_args_is_help=True, help="Build clips from recordings, and inspect them.")
+app = typer.Typer(add_completion=False, no_args_is_help=True, help="Build, inspect and score clips.")
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+FovOption = Annotated[float | None, typer.Option(help="Horizontal field of view in degrees, if not calibrated.")]
+HeightOption = Annotated[float | None, typer.Option(help="Height of the camera in metres, if unknown.")]
+WidthOption = Annotated[int, typer.Option("--width", min=32, help="Width of the views in pixels, even.")]
+ViewHeightOption = Annotated[int, typer.Option("--height", min=32, help="Height of the views in pixels, even.")]
+DurationOption = Annotated[float, typer.Option(min=0.1, help="Use at most this many seconds.")]
+StoreArgument = Annotated[Path, typer.Argument(help="Folder of the clip store.")]
 
 
-@app.command(help="Build the clip of one recording and add it to a store.")
+@app.command(help="Build the clip of a recording, or of each recording in a folder, and add it to a store.")
 def build(
-    recording: Annotated[Path, typer.Argument(metavar="INPUT", help="A video file or a drive folder.")],
+    recording: Annotated[Path, typer.Argument(metavar="INPUT", help="A video, a drive folder, or a folder of them.")],
     out: Annotated[Path, typer.Option(help="Folder of the clip store; it is made if it is missing.")],
     name: Annotated[str | None, typer.Option(help="Name of the clip; that of the recording by default.")] = None,
-    fov: Annotated[float | None, typer.Option(help="Horizontal field of view in degrees, if not calibrated.")] = None,
-    camera_height: Annotated[float | None, typer.Option(help="Height of the camera in metres, if unknown.")] = None,
-    width: Annotated[int, typer.Option(min=32, help="Width of the views in pixels, even.")] = 576,
-    height: Annotated[int, typer.Option(min=32, help="Height of the views in pixels, even.")] = 320,
-    duration: Annotated[float, typer.Option(min=0.1, help="Use at most this many seconds.")] = 20.0,
+    fov: FovOption = None,
+    camera_height: HeightOption = None,
+    width: WidthOption = 576,
+    height: ViewHeightOption = 320,
+    duration: DurationOption = 20.0,
     all_frames: Annotated[bool, typer.Option("--all-frames", help="Make frames that no sample shows too.")] = False,
     seed: Annotated[int, typer.Option(help="Seed of the clip.")] = 0,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes for a folder; all processors.")] = None,
+    keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a recording that fails.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Recording to trajectory, distance and four views; then one clip in the store and a contact sheet beside it."""
-    from math import radians
-
+    """Recording to trajectory, distance and views; then clips in the store and pictures beside them."""
     from olt_generator.errors import InputError
     from olt_generator.files import make_folder
-    from olt_toolkit.clip_builder import BuildOptions
-    from olt_toolkit.clip_store import ClipStore
-    from olt_toolkit.clip_summary import summarize_build
-    from olt_toolkit.console import print_json
-    from olt_toolkit.recording import OpenOptions, open_recording
+    from olt_toolkit.clip_folder import BuildJob, find_recordings
+    from olt_toolkit.clip_views import BuildOptions
+    from olt_toolkit.recording import is_recording
 
     if name is not None and Path(name).name != name:
         raise InputError(f"--name {name!r}: pictures are named after the clip; give a name without slashes")
-    store = ClipStore(make_folder(out))
-    field_of_view = None if fov is None else radians(fov)
-    opened = open_recording(
-        recording, OpenOptions(duration=duration, horizontal_fov=field_of_view, camera_height=camera_height)
-    )
     options = BuildOptions(width=width, height=height, all_frames=all_frames, name=name, seed=seed)
-    built, stored = _build_and_store(opened, options, store)
-    summary = summarize_build(built) | stored
-    if as_json:
-        print_json(summary)
+    job = BuildJob(recording, make_folder(out), _opening(duration, fov, camera_height), options, keep_going)
+    if is_recording(recording) or not recording.is_dir():
+        _build_one(job, as_json)
+    elif name is not None:
+        raise InputError(f"--name {name!r}: clips of a folder take the names of their recordings; leave --name out")
     else:
-        _print_summary(summary)
+        _build_all(job, find_recordings(recording), workers, as_json)
+
+
+@app.command(help="Make single views of a recording, or further views of a stored clip, as video files.")
+def views(
+    source: Annotated[Path, typer.Argument(metavar="INPUT", help="A recording, or a clip store.")],
+    cameras: Annotated[str, typer.Option(help="Views, with commas: cross_left, front_tele, rear_tele, ...")],
+    out: Annotated[Path, typer.Option(help="Folder for the videos, the pictures and plan.json.")],
+    clip: Annotated[str | None, typer.Argument(help="Name or id of a clip, where INPUT is a store.")] = None,
+    fov: FovOption = None,
+    camera_height: HeightOption = None,
+    width: WidthOption = 576,
+    height: ViewHeightOption = 320,
+    duration: DurationOption = 20.0,
+    all_frames: Annotated[bool, typer.Option("--all-frames", help="Make frames that no sample shows too.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Only the wanted views and those they are made from; the rest is named as left out."""
+    from olt_toolkit.clip_views import BuildOptions
+    from olt_toolkit.commands.clip_tables import print_plan
+    from olt_toolkit.console import print_json
+    from olt_toolkit.recording import open_recording
+    from olt_toolkit.view_files import parse_cameras, write_view_files
+
+    wanted = parse_cameras(cameras)
+    options = BuildOptions(
+        width=width, height=height, cameras=wanted, all_frames=all_frames, use_reference_motion=clip is not None
+    )
+    opening = _opening(duration, fov, camera_height)
+    recording = open_recording(source, opening) if clip is None else _stored_recording(source, clip)
+    plan = write_view_files(out, _build_with_progress(recording, options))
+    if as_json:
+        print_json(plan)
+    else:
+        print_plan(plan, out)
 
 
 @app.command(help="List the clips of a store, or show one of them.")
 def inspect(
-    store: Annotated[Path, typer.Argument(help="Folder of the clip store.")],
-    clip_id: Annotated[str | None, typer.Argument(help="Clip to show; all are listed without it.")] = None,
+    store: StoreArgument,
+    clip: Annotated[str | None, typer.Argument(help="Name or id of a clip; all are listed without it.")] = None,
+    pictures: Annotated[Path | None, typer.Option(help="Folder for a contact sheet and an animated preview.")] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the clip table, or one clip with its motion and calibration as they are stored."""
+    from olt_generator.errors import InputError
+    from olt_toolkit.clip_score import find_clip
     from olt_toolkit.clip_store import ClipStore
+    from olt_toolkit.clip_summary import summarize_info, summarize_stored
+    from olt_toolkit.commands.clip_tables import print_clip, print_clips
     from olt_toolkit.console import print_json
 
     opened = ClipStore(store)
-    if clip_id is None:
-        summary = _list_clips(opened)
-        if as_json:
-            print_json(summary)
-        else:
-            _print_clips(summary)
+    if clip is None and pictures is not None:
+        raise InputError("--pictures: name the clip to draw")
+    if clip is None:
+        summary: dict[str, Any] = {"store": str(store), "clips": [summarize_info(info) for info in opened.clips()]}
+        print_json(summary) if as_json else print_clips(summary)
         return
-    summary = _show_clip(opened, clip_id)
-    if as_json:
-        print_json(summary)
-    else:
-        _print_clip(summary)
+    clip_id = find_clip(opened, clip)
+    summary = summarize_stored(opened, clip_id)
+    if pictures is not None:
+        summary["pictures"] = _draw_stored(opened, clip_id, pictures)
+    print_json(summary) if as_json else print_clip(summary)
 
 
-def _build_and_store(
-    recording: "Recording", options: "BuildOptions", store: "ClipStore"
-) -> "tuple[BuiltClip, dict[str, Any]]":
+@app.command(help="Score the views of a clip: GeoKPM, and errors against a reference clip.")
+def score(
+    store: StoreArgument,
+    clip: Annotated[str, typer.Argument(help="Name or id of the clip.")],
+    reference: Annotated[str | None, typer.Option(help="Name or id of a clip with the true views.")] = None,
+    reference_store: Annotated[Path | None, typer.Option(help="Store of the reference; STORE by default.")] = None,
+    moments: Annotated[int, typer.Option(min=1, help="Moments that GeoKPM looks at, spread evenly.")] = 41,
+    loftr_weights: Annotated[Path | None, typer.Option(help="loftr_outdoor.ckpt; without it, SIFT matches.")] = None,
+    lpips_weights: Annotated[
+        Path | None, typer.Option(help="Folder with alexnet-owt-7be5be79.pth and alex.pth; without it, no LPIPS.")
+    ] = None,
+    device: Annotated[str, typer.Option(help="Where torch runs the networks.")] = "cpu",
+    as_json: JsonOption = False,
+) -> None:
+    """The matcher is named in the result, because numbers of two matchers do not compare."""
+    from olt_generator.errors import InputError
+    from olt_toolkit.clip_score import find_clip, open_lpips, open_matcher, score_against, score_consistency
+    from olt_toolkit.clip_store import ClipStore
+    from olt_toolkit.commands.clip_tables import print_scores
+    from olt_toolkit.console import make_progress, print_json
+
+    if reference is None and (reference_store is not None or lpips_weights is not None):
+        raise InputError("--reference is missing: the true views are needed to compare with")
+    opened, truth = ClipStore(store), ClipStore(reference_store or store)
+    clip_id = find_clip(opened, clip)
+    reference_id = None if reference is None else find_clip(truth, reference)
+    matcher, lpips = open_matcher(loftr_weights, device), open_lpips(lpips_weights, device)
+    with make_progress() as progress:
+        task = progress.add_task("GeoKPM", total=100)
+        consistency = score_consistency(
+            opened, clip_id, matcher, moments, lambda share: progress.update(task, completed=round(100 * share))
+        )
+    errors = None if reference_id is None else score_against(opened, clip_id, truth, reference_id, lpips)
+    summary = {"store": str(store), "clip_id": clip_id, "geokpm": consistency, "reference": errors}
+    print_json(summary) if as_json else print_scores(summary)
+
+
+def _opening(duration: float, fov: float | None, camera_height: float | None) -> "OpenOptions":
+    from math import radians
+
+    from olt_toolkit.recording import OpenOptions
+
+    field_of_view = None if fov is None else radians(fov)
+    return OpenOptions(duration=duration, horizontal_fov=field_of_view, camera_height=camera_height)
+
+
+def _build_one(job: "BuildJob", as_json: bool) -> None:
     import time
 
     from olt_generator.errors import InputError
-    from olt_toolkit.clip_builder import build_clip, clip_id_of
-    from olt_toolkit.console import make_progress
+    from olt_toolkit.clip_builder import clip_id_of
+    from olt_toolkit.clip_folder import stage_clip
+    from olt_toolkit.clip_store import ClipStore
+    from olt_toolkit.commands.clip_tables import print_build
+    from olt_toolkit.console import make_progress, print_json
+    from olt_toolkit.recording import open_recording
 
-    if clip_id_of(recording, options) in store:
-        name = options.name or recording.name
+    recording, store = open_recording(job.path, job.opening), ClipStore(job.store)
+    if clip_id_of(recording, job.options) in store:
+        name = job.options.name or recording.name
         raise InputError(f"{store.root}: already holds the clip {name!r}; give another --name, --seed or --out")
     with make_progress() as progress:
         task = progress.add_task("clip", total=100)
-        built = build_clip(
+        summary = stage_clip(
+            job,
             recording,
-            options,
-            on_progress=lambda share: progress.update(task, completed=round(100 * share)),
-            on_stage=lambda stage: progress.update(task, description=f"clip: {stage}"),
+            lambda share: progress.update(task, completed=round(100 * share)),
+            lambda stage: progress.update(task, description=f"clip: {stage}"),
         )
         progress.update(task, description="clip: store")
         start = time.perf_counter()
-        store.stage(built.clip)
-        staged = time.perf_counter()
-        # Pictures before the commit: whatever is interrupted, a second run then makes all of it.
-        preview = _write_preview(built, store.root)
-        before_commit = time.perf_counter()
-        store.commit([built.clip.clip_id])
-    seconds = {"stage": staged - start, "commit": time.perf_counter() - before_commit}
-    return built, {"store_seconds": seconds, "preview": str(preview)}
+        store.commit([summary["clip"]["clip_id"]])
+    summary["store_seconds"]["commit"] = time.perf_counter() - start
+    print_json(summary) if as_json else print_build(summary)
 
 
-def _write_preview(built: "BuiltClip", out: Path) -> Path:
-    from olt_toolkit.pictures import contact_sheet, write_picture
+def _build_all(job: "BuildJob", recordings: list[Path], workers: int | None, as_json: bool) -> None:
+    from dataclasses import asdict, replace
 
-    path = out / "previews" / f"{built.clip.name}.png"
-    streams = built.clip.streams
-    times = next(iter(streams.values())).timestamps_us
-    images = {name: stream.frames for name, stream in streams.items()}
-    write_picture(path, contact_sheet(images, built.observed, times))
-    return path
+    from olt_generator.errors import InputError
+    from olt_toolkit.clip_folder import build_folder
+    from olt_toolkit.commands.clip_tables import print_outcomes
+    from olt_toolkit.console import make_progress, print_json
+    from olt_toolkit.workers import default_workers
 
-
-def _print_summary(summary: dict[str, Any]) -> None:
-    from olt_toolkit.console import print_line, print_table
-
-    clip, trajectory = summary["clip"], summary["trajectory"]
-    print_line(f"clip {clip['name']} ({clip['kind']}) {clip['clip_id']}")
-    print_line(
-        f"trajectory: {trajectory['length']:.1f} m in {trajectory['duration']:.1f} s, speed "
-        f"{trajectory['lowest_speed']:.1f} to {trajectory['highest_speed']:.1f} m/s"
-    )
-    print_table(
-        "Errors against the reference, and jerk", ["quantity", "before smoothing", "after"], _error_rows(summary)
-    )
-    print_table("Views", ["view", "kind", "observed", "invented", "PSNR dB", "PSNR dB, observed"], _view_rows(summary))
-    seconds = summary["seconds"] | summary["store_seconds"]
-    print_table("Run time", ["stage", "seconds"], list(seconds.items()))
-    for part, reason in summary["left_out"].items():
-        print_line(f"left out: {part}: {reason}")
-    for assumption in summary["assumptions"]:
-        print_line(f"assumed: {assumption}")
-    print_line(_sample_line(clip))
-    print_line(f"pictures: {summary['preview']}")
+    jobs = [replace(job, path=path) for path in recordings]
+    with make_progress() as progress:
+        task = progress.add_task("clips", total=len(jobs))
+        outcomes = build_folder(
+            jobs,
+            workers or default_workers(),
+            lambda share: progress.update(task, completed=round(share * len(jobs))),
+        )
+    if as_json:
+        print_json(
+            {"store": str(job.store), "recordings": [asdict(each) | {"path": str(each.path)} for each in outcomes]}
+        )
+    else:
+        print_outcomes(outcomes, job.store)
+    failed = sum(outcome.state == "failed" for outcome in outcomes)
+    if failed:
+        raise InputError(f"{failed} of {len(outcomes)} recordings could not be used; the others are in {job.store}")
 
 
-# Label, and where the number is found in the pose errors.
-_POSE_ROWS = (
-    ("ATE (m)", ("metric", "ate_m")),
-    ("rotation to first pose (deg)", ("metric", "rotation_to_first_deg")),
-    ("rotation by step (deg)", ("metric", "step_rotation_deg")),
-    ("translation by step (%)", ("metric", "step_translation_percent")),
-    ("drift at the end (%)", ("metric", "drift_percent")),
-    ("ATE after Sim(3) alignment (m)", ("sim3", "ate_m")),
-    ("scale of the Sim(3) alignment", ("sim3", "scale")),
-)
+def _build_with_progress(recording: "Recording", options: "BuildOptions") -> "BuiltClip":
+    from olt_toolkit.clip_builder import build_clip
+    from olt_toolkit.console import make_progress
+
+    with make_progress() as progress:
+        task = progress.add_task("views", total=100)
+        return build_clip(
+            recording,
+            options,
+            on_progress=lambda share: progress.update(task, completed=round(100 * share)),
+            on_stage=lambda stage: progress.update(task, description=f"views: {stage}"),
+        )
 
 
-def _error_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
-    before, after = summary["pose_errors_before_smoothing"], summary["pose_errors"]
-    rows: list[tuple[object, ...]] = [(label, _find(before, keys), _find(after, keys)) for label, keys in _POSE_ROWS]
-    before, after = summary["smoothness_before_smoothing"], summary["smoothness"]
-    rows.append(("jerk, RMS (m/s3)", _find(before, ("jerk_rms_m_s3",)), _find(after, ("jerk_rms_m_s3",))))
-    rows.append(("scale, 1 sigma relative", summary["scale_sigma"], ""))
-    rows.append(("distance, median relative error", "", summary["distance_median_relative_error"]))
-    return rows
+def _stored_recording(root: Path, clip: str) -> "Recording":
+    from olt_toolkit.clip_score import find_clip
+    from olt_toolkit.clip_store import ClipStore
+    from olt_toolkit.view_files import reopen_clip
+
+    store = ClipStore(root)
+    return reopen_clip(store, find_clip(store, clip))
 
 
-def _find(numbers: dict[str, Any] | None, keys: tuple[str, ...]) -> object:
-    """A number in nested dictionaries, None where a level of them is None."""
-    found: Any = numbers
-    for key in keys:
-        found = None if found is None else found[key]
-    return found
-
-
-def _view_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
-    rows = []
-    for name, view in summary["clip"]["views"].items():
-        errors = summary["view_errors"].get(name, {}) if view["kind"] == "warped" else {"psnr": "", "psnr_observed": ""}
-        shares = (f"{100 * view['observed_share']:.1f} %", f"{100 * view['invented_share']:.1f} %")
-        rows.append((name, view["kind"], *shares, errors.get("psnr"), errors.get("psnr_observed")))
-    return rows
-
-
-def _sample_line(clip: dict[str, Any]) -> str:
-    times = clip["sample_t0_us"]
-    if not times:
-        return f"no policy sample: {clip['no_sample_reason']}"
-    return f"policy samples: {len(times)}, t0 = {times[0] / 1e6:.1f} to {times[-1] / 1e6:.1f} s"
-
-
-def _list_clips(store: "ClipStore") -> dict[str, Any]:
-    from olt_toolkit.clip_summary import summarize_info
-
-    return {"store": str(store.root), "clips": [summarize_info(info) for info in store.clips()]}
-
-
-def _show_clip(store: "ClipStore", clip_id: str) -> dict[str, Any]:
-    from dataclasses import asdict
-
-    from olt_toolkit.clip_summary import summarize_info, summarize_motion
+def _draw_stored(store: "ClipStore", clip_id: str, folder: Path) -> dict[str, str]:
+    from olt_toolkit.pictures import write_clip_pictures
 
     info = store.info(clip_id)
-    cameras = {}
-    for name in info.views:
-        mounted, times = store.read_camera(clip_id, name), store.read_timestamps(clip_id, name)
-        cameras[name] = {
-            "size": [mounted.camera.width, mounted.camera.height],
-            "position_rig": mounted.T_rig_camera[:3, 3].tolist(),
-            "frames": len(times),
-            "first_us": int(times[0]),
-            "last_us": int(times[-1]),
-        }
-    return {
-        "store": str(store.root),
-        "clip": summarize_info(info),
-        "trajectory": summarize_motion(store.read_ego_motion(clip_id)),
-        "vehicle": asdict(store.read_vehicle(clip_id)),
-        "cameras": cameras,
-    }
-
-
-def _print_clips(summary: dict[str, Any]) -> None:
-    from olt_toolkit.console import print_table
-
-    rows = [
-        (clip["clip_id"], clip["name"], clip["kind"], clip["category"], clip["split"], _sample_line(clip))
-        for clip in summary["clips"]
+    times_us = {name: store.read_timestamps(clip_id, name) for name in info.views}
+    shown_us = next(iter(times_us.values()))
+    shown_us = shown_us[
+        (shown_us >= max(times[0] for times in times_us.values()))
+        & (shown_us <= min(times[-1] for times in times_us.values()))
     ]
-    print_table(f"Clips in {summary['store']}", ["clip", "name", "kind", "category", "split", "samples"], rows)
-
-
-def _print_clip(summary: dict[str, Any]) -> None:
-    from olt_toolkit.console import print_line, print_table
-
-    clip, trajectory = summary["clip"], summary["trajectory"]
-    print_line(f"clip {clip['name']} ({clip['kind']}, {clip['category']}, {clip['split']}) {clip['clip_id']}")
-    print_line(f"trajectory: {trajectory['length']:.1f} m in {trajectory['duration']:.1f} s")
-    print_line(_sample_line(clip))
-    rows = [
-        (
-            name,
-            clip["views"][name]["kind"],
-            "x".join(str(side) for side in camera["size"]),
-            camera["frames"],
-            f"{camera['first_us'] / 1e6:.2f} to {camera['last_us'] / 1e6:.2f} s",
-            f"{100 * clip['views'][name]['invented_share']:.1f} %",
-        )
-        for name, camera in summary["cameras"].items()
-    ]
-    print_table("Cameras", ["camera", "kind", "size", "frames", "times", "invented"], rows)
+    images = {name: store.read_frames(clip_id, name, shown_us)[0] for name in info.views}
+    return write_clip_pictures(folder, info.name, images, {}, shown_us)
