@@ -26,17 +26,9 @@ CROSS_RIGHT = "camera_cross_right_120fov"
 REAR_LEFT = "camera_rear_left_70fov"
 REAR_TELE = "camera_rear_tele_30fov"
 REAR_RIGHT = "camera_rear_right_70fov"
-REAR_LEFT = "camera_rear_left_70fov"
-REAR_TELE = "camera_rear_tele_30fov"
-REAR_RIGHT = "camera_rear_right_70fov"
 
 # The four cameras that Alpamayo eats, in the order of their indices.
 POLICY_CAMERAS: tuple[str, ...] = (CROSS_LEFT, FRONT_WIDE, CROSS_RIGHT, FRONT_TELE)
-
-
-def short_name(camera: str) -> str:
-    """What people call a camera: `camera_cross_left_120fov` is `cross_left`."""
-    return camera.removeprefix("camera_").rpartition("_")[0]
 
 
 def short_name(camera: str) -> str:
