@@ -1,209 +1,303 @@
-"""Forward Kalman filter and backward Rauch-Tung-Striebel smoother over a trajectory (paper, section 3.2).
+"""Smoothing of measured trajectories: forward Kalman filter and backward Rauch-Tung-Striebel pass (paper, section 3.2).
 
-Position and rotation follow separate linear models whose highest derivative is white noise, at the trajectory's own,
-possibly irregular, times:
-
-    position  p' = v, v' = a, a' = white jerk, for every axis of the world alike;
-    rotation  r' = w, w' = white angular acceleration, for every axis of the body alike.
-
-r sums the rotation vectors from pose to pose, so a full turn is as good as none; what the smoother changes in r, a
-small rotation, is applied to the measured pose in its own axes. All axes share the model and the noise and so one
-covariance: the state of the three axes is one matrix with a column each.
+`smooth_trajectory` takes out jitter and outliers, bridges gaps, holds standstills, and says how certain each pose is.
+The motion model is `car_motion`, the method `iterated_smoother`; noise levels that are not given are estimated from the
+trajectory itself (`noise_levels`). Long trajectories are cut into windows that overlap by far more than the smoother's
+memory, which is a few seconds, and are smoothed side by side as other trajectories are.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
-from scipy.special import factorial
 
-from olt_generator.poses import Array, make_pose
+from olt_generator.car_motion import POSE, STATES, CarMotion
+from olt_generator.iterated_smoother import STANDSTILL_SPEED, MeasuredPoses, SmoothedPoses, smooth_poses
+from olt_generator.noise_levels import POSITION_GRID, ROTATION_GRID, LevelGrid, estimate_levels
+from olt_generator.poses import Array
+from olt_generator.stray_poses import replace_strays
 from olt_generator.trajectory import Trajectory
+from olt_generator.twists import vector_from_rotation
 
-Floats = NDArray[np.floating]
+# Poses of one window and of its overlap with each neighbour.
+WINDOW, OVERLAP = 2000, 400
+# Noise levels of a trajectory are judged by so many stretches of so many poses at most.
+LEVEL_STRETCHES, LEVEL_POSES = 4, 500
+# Poses that are smoothed side by side: more gain little and need 14 kB of memory each.
+BATCH_POSES = 20_000
 
-# Below this speed in m/s a vehicle counts as standing: its curvature is not defined and is given as 0.
-STANDSTILL_SPEED = 0.3
-
-
-@dataclass(frozen=True)
-class MotionModel:
-    """One coordinate that is the repeated integral of white noise, and how it is measured.
-
-    Attributes:
-        noise_density: square root of the spectral density of the highest derivative's noise.
-        measurement_sigma: standard deviation of a measurement of the coordinate itself.
-        initial_sigmas: standard deviations of the derivatives at the first time, about 0; their number is the
-            order of the model.
-    """
-
-    noise_density: float
-    measurement_sigma: float
-    initial_sigmas: tuple[float, ...]
-
-    @property
-    def states(self) -> int:
-        """The coordinate and its derivatives."""
-        return 1 + len(self.initial_sigmas)
-
-    def transition(self, seconds: Array) -> Array:
-        """Taylor matrices (n, states, states) over time steps (n,)."""
-        power = np.arange(self.states) - np.arange(self.states)[:, None]
-        taylor = seconds[:, None, None] ** np.maximum(power, 0) / factorial(np.maximum(power, 0))
-        return np.where(power >= 0, taylor, 0.0)
-
-    def process_noise(self, seconds: Array) -> Array:
-        """Covariances (n, states, states) of what the white noise adds over time steps (n,): integral of F g g' F'."""
-        power = np.arange(self.states - 1, -1, -1)
-        total = power[:, None] + power[None, :] + 1
-        scale = 1.0 / (total * np.outer(factorial(power), factorial(power)))
-        return self.noise_density**2 * scale * seconds[:, None, None] ** total
-
-    def initial_covariance(self) -> Array:
-        """Covariance (states, states) after the first measurement."""
-        return np.diag(np.square([self.measurement_sigma, *self.initial_sigmas]))
+# Spread of the state at the first pose: about the measured pose, and about rest.
+_INITIAL_POSE = (10.0, 10.0, 10.0, 0.3, 0.3, 0.3)
+_INITIAL_SPEED, _INITIAL_TURN_RATE, _INITIAL_ACCELERATION = 100.0, 1.0, 5.0
 
 
 @dataclass(frozen=True)
 class SmootherSettings:
-    """Noise of the measured poses and of the motion itself.
-
-    The defaults suit a car seen by visual odometry at 10 to 30 Hz: measurements wander by a few centimetres, ride
-    comfort keeps jerk near 1 m/s3 for about a second, and a body turns with few tenths of rad/s2.
+    """Noise of the measured poses and of the motion itself; None where it is to be estimated.
 
     Attributes:
         position_sigma: standard deviation of a measured position, m, per axis.
         rotation_sigma: standard deviation of a measured rotation, rad, per axis.
-        jerk_density: root spectral density of the jerk, m/s3 per root Hz.
+        jerk_density: root spectral density of the forward jerk, m/s3 per root Hz.
         angular_acceleration_density: root spectral density of the angular acceleration, rad/s2 per root Hz.
-        initial_speed_sigma, initial_acceleration_sigma: spread of the motion at the first pose about rest, m/s, m/s2.
-        initial_turn_rate_sigma: the same for the turn rate, rad/s.
+        least_position_sigma, least_rotation_sigma: what estimated noise counts as at least, since recovered poses
+            also err in ways that do not look like jitter.
+        slip_sigma: standard deviation of the velocities sideways and up, m/s.
+        slip_seconds: time in which they return to 0.
     """
 
-    position_sigma: float = 0.05
-    rotation_sigma: float = 0.0005
-    jerk_density: float = 1.0
-    angular_acceleration_density: float = 0.1
-    initial_speed_sigma: float = 100.0
-    initial_acceleration_sigma: float = 5.0
-    initial_turn_rate_sigma: float = 1.0
+    position_sigma: float | None = None
+    rotation_sigma: float | None = None
+    jerk_density: float | None = None
+    angular_acceleration_density: float | None = None
+    least_position_sigma: float = 0.05
+    least_rotation_sigma: float = 3e-4
+    slip_sigma: float = 0.1
+    slip_seconds: float = 1.0
 
-    @property
-    def position_model(self) -> MotionModel:
-        """Constant acceleration disturbed by white jerk."""
-        initial = (self.initial_speed_sigma, self.initial_acceleration_sigma)
-        return MotionModel(self.jerk_density, self.position_sigma, initial)
 
-    @property
-    def rotation_model(self) -> MotionModel:
-        """Constant turn rate disturbed by white angular acceleration."""
-        return MotionModel(self.angular_acceleration_density, self.rotation_sigma, (self.initial_turn_rate_sigma,))
+# Visual odometry errs in speed, over tenths of a second: its positions are smooth, and yet accelerate like no car.
+# Noise levels cannot be told from such a trajectory; these make the smoother average speed over about a second.
+ODOMETRY_SETTINGS = SmootherSettings(position_sigma=0.2, rotation_sigma=3e-4, jerk_density=0.35)
 
 
 @dataclass(frozen=True)
 class SmoothedMotion:
-    """A smoothed trajectory and its derivatives.
+    """A smoothed trajectory, its derivatives, and how certain they are.
 
     Attributes:
         trajectory: smoothed poses at the times of the measured ones.
         velocity: (n, 3) m/s in world axes.
         acceleration: (n, 3) m/s2 in world axes.
         curvature: (n,) 1/m, turn rate about the rig's z axis over forward speed; positive to the left, 0 at standstill.
+        covariance: (n, 6, 6) of the error of each pose in its own axes, translation (m) before rotation (rad): the
+            true pose is about `pose @ exponential(error)` (`twists`).
+        rate_covariance: (n, 7, 7) of the errors of velocity (m/s) and turn rate (rad/s) in body axes and of the forward
+            acceleration (m/s2).
+        outliers: (n,) measured poses that were not believed.
+        standing: (n,) whether the vehicle stands.
+        position_sigma, rotation_sigma: the measurement noise that was given or found, m and rad.
     """
 
     trajectory: Trajectory
     velocity: Array
     acceleration: Array
     curvature: Array
+    covariance: Array
+    rate_covariance: Array
+    outliers: NDArray[np.bool_]
+    standing: NDArray[np.bool_]
+    position_sigma: float
+    rotation_sigma: float
 
 
 @dataclass(frozen=True)
-class FilterPass:
-    """States (n, states, axes) and covariances (n, states, states) of the forward pass.
+class _Window:
+    """Poses start to stop - 1 of a trajectory, of whose result those from first to last - 1 are kept."""
 
-    `predicted` holds what was expected at each time before its measurement, `filtered` what was known after it;
-    `transitions[k]` leads from time k - 1 to time k.
-    """
+    trajectory: int
+    start: int
+    stop: int
+    first: int
+    last: int
 
-    transitions: Floats
-    predicted: Floats
-    predicted_covariance: Floats
-    filtered: Floats
-    filtered_covariance: Floats
+    def __len__(self) -> int:
+        return self.stop - self.start
 
-    def part(self, start: int, stop: int) -> "FilterPass":
-        """The pass over the times start to stop - 1."""
-        window = slice(start, stop)
-        return FilterPass(
-            self.transitions[window],
-            self.predicted[window],
-            self.predicted_covariance[window],
-            self.filtered[window],
-            self.filtered_covariance[window],
-        )
+
+@dataclass(frozen=True)
+class _Levels:
+    """Noise levels (trajectories,) of all trajectories; see `SmootherSettings`."""
+
+    position: Array
+    rotation: Array
+    jerk: Array
+    angular_acceleration: Array
 
 
 def smooth_trajectory(trajectory: Trajectory, settings: SmootherSettings | None = None) -> SmoothedMotion:
     """Remove jitter from a trajectory, using all of it for every pose.
 
     Args:
-        trajectory: measured poses.
-        settings: noise levels; None for the defaults.
+        trajectory: measured poses of a rig whose origin is on the rear axle and whose x axis points ahead.
+        settings: noise levels; None to estimate them all.
     """
+    return smooth_trajectories([trajectory], settings)[0]
+
+
+def smooth_trajectories(
+    trajectories: Sequence[Trajectory], settings: SmootherSettings | None = None
+) -> list[SmoothedMotion]:
+    """What `smooth_trajectory` gives for each of the trajectories, to the last bit, in less time."""
     settings = settings or SmootherSettings()
-    origin = trajectory.positions[0]
-    position = smooth(trajectory.times, trajectory.positions - origin, settings.position_model).astype(np.float64)
-    measured = Rotation.from_matrix(trajectory.T_world_rig[:, :3, :3])
-    steps = (measured[:-1].inv() * measured[1:]).as_rotvec()
-    summed = np.concatenate([np.zeros((1, 3)), np.cumsum(steps, axis=0)])
-    rotation = smooth(trajectory.times, summed, settings.rotation_model).astype(np.float64)
-    smoothed = (measured * Rotation.from_rotvec(rotation[:, 0] - summed)).as_matrix()
-    poses = make_pose(smoothed, position[:, 0] + origin)
-    curvature = _curvature(rotation[:, 1, 2], np.einsum("ni,ni->n", position[:, 1], smoothed[:, :, 0]))
-    return SmoothedMotion(Trajectory(trajectory.timestamps_us, poses), position[:, 1], position[:, 2], curvature)
+    starts = [replace_strays(trajectory) for trajectory in trajectories]
+    levels = _find_levels(trajectories, starts, settings)
+    windows = [window for index, trajectory in enumerate(trajectories) for window in _cut(index, len(trajectory))]
+    parts: dict[_Window, _Part] = {}
+    for batch in _batches(windows):
+        parts.update(_smooth_batch(batch, trajectories, starts, levels, settings))
+    return [
+        _join([parts[window] for window in windows if window.trajectory == index], trajectory, levels, index)
+        for index, trajectory in enumerate(trajectories)
+    ]
 
 
-def smooth(times: Array, measurements: Floats, model: MotionModel) -> Floats:
-    """Smoothed states (n, states, axes): each coordinate and its derivatives at every time.
-
-    Args:
-        times: (n,) seconds, increasing.
-        measurements: (n, axes) coordinates.
-        model: the motion of every axis.
-    """
-    return smooth_backward(filter_forward(times, measurements, model))
-
-
-def filter_forward(times: Array, measurements: Floats, model: MotionModel) -> FilterPass:
-    """Kalman filter, in the floating-point type of the measurements; covariances are updated in Joseph's form."""
-    n, states, kind = len(times), model.states, measurements.dtype
-    seconds = np.diff(times, prepend=times[0])
-    transitions, noise = model.transition(seconds).astype(kind), model.process_noise(seconds).astype(kind)
-    predicted, filtered = np.zeros((2, n, states, measurements.shape[1]), dtype=kind)
-    predicted_covariance, covariance = np.zeros((2, n, states, states), dtype=kind)
-    filtered[0, 0] = predicted[0, 0] = measurements[0]
-    covariance[0] = predicted_covariance[0] = model.initial_covariance()
-    for k in range(1, n):
-        F = transitions[k]
-        predicted[k] = F @ filtered[k - 1]
-        predicted_covariance[k] = F @ covariance[k - 1] @ F.T + noise[k]
-        gain = predicted_covariance[k][:, :1] / (predicted_covariance[k][0, 0] + model.measurement_sigma**2)
-        filtered[k] = predicted[k] + gain * (measurements[k] - predicted[k][0])
-        keep = np.eye(states, dtype=kind)
-        keep[:, :1] -= gain
-        covariance[k] = keep @ predicted_covariance[k] @ keep.T + model.measurement_sigma**2 * gain @ gain.T
-    return FilterPass(transitions, predicted, predicted_covariance, filtered, covariance)
+def _cut(trajectory: int, length: int) -> list[_Window]:
+    """Windows of about equal size, each kept up to the middle of its overlaps."""
+    count = max(1, round(length / WINDOW))
+    edges = np.linspace(0, length, count + 1).round().astype(int).tolist()
+    return [
+        _Window(trajectory, max(0, first - OVERLAP), min(length, last + OVERLAP), first, last)
+        for first, last in pairwise(edges)
+    ]
 
 
-def smooth_backward(forward: FilterPass) -> Floats:
-    """Rauch-Tung-Striebel pass: states (n, states, axes) given all measurements of the forward pass."""
-    smoothed = forward.filtered.copy()
-    cross = forward.transitions[1:] @ forward.filtered_covariance[:-1]
-    gains = np.swapaxes(np.linalg.solve(forward.predicted_covariance[1:], cross), -1, -2)
-    for k in range(len(smoothed) - 2, -1, -1):
-        smoothed[k] += gains[k] @ (smoothed[k + 1] - forward.predicted[k + 1])
-    return smoothed
+def _batches(windows: Sequence[_Window]) -> Iterator[list[_Window]]:
+    """Windows by falling length, so many at a time as may be smoothed side by side."""
+    waiting = sorted(windows, key=len, reverse=True)
+    while waiting:
+        count = max(1, BATCH_POSES // len(waiting[0]))
+        yield waiting[:count]
+        waiting = waiting[count:]
+
+
+def _find_levels(trajectories: Sequence[Trajectory], starts: Sequence[Array], settings: SmootherSettings) -> _Levels:
+    stretches = [
+        _Window(index, start, min(len(trajectory), start + LEVEL_POSES), start, start)
+        for index, trajectory in enumerate(trajectories)
+        for start in _stretch_starts(len(trajectory))
+    ]
+    found = np.zeros((len(stretches), 4))
+    for batch in _batches(stretches):
+        rows = [stretches.index(stretch) for stretch in batch]
+        lengths = np.array([len(stretch) for stretch in batch])
+        seconds = _time_steps(batch, trajectories)
+        poses = _pad([starts[part.trajectory][part.start : part.stop] for part in batch])
+        positions = poses[..., :3, 3] - poses[:1, :, :3, 3]
+        grid = _known(POSITION_GRID, settings.position_sigma, settings.jerk_density)
+        found[rows, 0], found[rows, 1] = estimate_levels(lengths, seconds, positions, grid)
+        grid = _known(ROTATION_GRID, settings.rotation_sigma, settings.angular_acceleration_density)
+        found[rows, 2], found[rows, 3] = estimate_levels(lengths, seconds, _summed_rotations(poses), grid)
+    owner = np.array([stretch.trajectory for stretch in stretches])
+    position, jerk, rotation, turning = np.array(
+        [np.median(found[owner == index], axis=0) for index in range(len(trajectories))]
+    ).T
+    if settings.position_sigma is None:
+        position = np.maximum(position, settings.least_position_sigma)
+    if settings.rotation_sigma is None:
+        rotation = np.maximum(rotation, settings.least_rotation_sigma)
+    return _Levels(position, rotation, jerk, turning)
+
+
+def _stretch_starts(length: int) -> list[int]:
+    count = min(LEVEL_STRETCHES, -(-length // LEVEL_POSES))
+    return np.linspace(0, max(0, length - LEVEL_POSES), count).round().astype(int).tolist()
+
+
+def _known(grid: LevelGrid, jitter: float | None, density: float | None) -> LevelGrid:
+    """The grid with what is known as its only value."""
+    jitters = grid.jitters if jitter is None else np.array([jitter])
+    densities = grid.densities if density is None else np.array([density])
+    return replace(grid, jitters=jitters, densities=densities)
+
+
+def _summed_rotations(poses: Array) -> Array:
+    """Sums (n, b, 3) of the rotation vectors from pose to pose: a full turn is as good as none."""
+    rotations = poses[..., :3, :3]
+    steps = vector_from_rotation(np.swapaxes(rotations[:-1], -1, -2) @ rotations[1:])
+    return np.concatenate([np.zeros((1, *poses.shape[1:2], 3)), np.cumsum(steps, axis=0)])
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What is kept of a window: poses (k, 4, 4), rates (k, 7), covariances (k, 13, 13), and flags (k,)."""
+
+    poses: Array
+    rates: Array
+    covariances: Array
+    outliers: NDArray[np.bool_]
+    standing: NDArray[np.bool_]
+
+
+def _smooth_batch(
+    batch: Sequence[_Window],
+    trajectories: Sequence[Trajectory],
+    starts: Sequence[Array],
+    levels: _Levels,
+    settings: SmootherSettings,
+) -> dict[_Window, _Part]:
+    owner = [window.trajectory for window in batch]
+    measured = _pad([trajectories[part.trajectory].T_world_rig[part.start : part.stop] for part in batch])
+    start = _pad([starts[part.trajectory][part.start : part.stop] for part in batch])
+    origins = start[0, :, :3, 3].copy()
+    measured[..., :3, 3] -= origins
+    start[..., :3, 3] -= origins
+    sigmas = np.repeat(np.stack([levels.position[owner], levels.rotation[owner]], axis=-1), 3, axis=-1)
+    poses = MeasuredPoses(
+        np.array([len(window) for window in batch]), _time_steps(batch, trajectories), measured, sigmas
+    )
+    slip = (settings.slip_sigma, settings.slip_sigma)
+    initial = np.array([*_INITIAL_POSE, _INITIAL_SPEED, *slip, *3 * [_INITIAL_TURN_RATE], _INITIAL_ACCELERATION])
+    car = CarMotion(
+        levels.jerk[owner], levels.angular_acceleration[owner], settings.slip_sigma, settings.slip_seconds, initial
+    )
+    smoothed = smooth_poses(poses, start, car)
+    return {window: _keep(window, smoothed, origins[column], column) for column, window in enumerate(batch)}
+
+
+def _keep(window: _Window, smoothed: SmoothedPoses, origin: Array, column: int) -> _Part:
+    kept = slice(window.first - window.start, window.last - window.start)
+    poses = smoothed.motion.poses[kept, column].copy()
+    poses[:, :3, 3] += origin
+    return _Part(
+        poses,
+        smoothed.motion.rates()[kept, column],
+        smoothed.covariances[kept, column],
+        smoothed.outliers[kept, column],
+        smoothed.standing[kept, column],
+    )
+
+
+def _join(parts: Sequence[_Part], trajectory: Trajectory, levels: _Levels, index: int) -> SmoothedMotion:
+    poses, rates = np.concatenate([part.poses for part in parts]), np.concatenate([part.rates for part in parts])
+    covariances = np.concatenate([part.covariances for part in parts])
+    velocity, turn_rate = rates[:, :3], rates[:, 3:6]
+    acceleration = np.cross(turn_rate, velocity)
+    acceleration[:, 0] += rates[:, 6]
+    R_world_rig = poses[:, :3, :3]
+    return SmoothedMotion(
+        trajectory=Trajectory(trajectory.timestamps_us, poses),
+        velocity=np.matmul(R_world_rig, velocity[..., None])[..., 0],
+        acceleration=np.matmul(R_world_rig, acceleration[..., None])[..., 0],
+        curvature=_curvature(turn_rate[:, 2], velocity[:, 0]),
+        covariance=covariances[:, POSE, POSE],
+        rate_covariance=covariances[:, POSE.stop : STATES, POSE.stop : STATES],
+        outliers=np.concatenate([part.outliers for part in parts]),
+        standing=np.concatenate([part.standing for part in parts]),
+        position_sigma=float(levels.position[index]),
+        rotation_sigma=float(levels.rotation[index]),
+    )
+
+
+def _time_steps(batch: Sequence[_Window], trajectories: Sequence[Trajectory]) -> Array:
+    """Seconds (n - 1, b) between the poses of each window; 1 behind its end."""
+    steps = [np.diff(trajectories[part.trajectory].times[part.start : part.stop]) for part in batch]
+    seconds = np.ones((max(len(step) for step in steps), len(batch)))
+    for column, step in enumerate(steps):
+        seconds[: len(step), column] = step
+    return seconds
+
+
+def _pad(sequences: Sequence[Array]) -> Array:
+    """Sequences (n_i, ...) side by side, (n, b, ...); each goes on with its last value behind its end."""
+    longest = max(len(values) for values in sequences)
+    padded = np.empty((longest, len(sequences), *sequences[0].shape[1:]))
+    for column, values in enumerate(sequences):
+        padded[: len(values), column] = values
+        padded[len(values) :, column] = values[-1]
+    return padded
 
 
 def _curvature(turn_rate: Array, forward_speed: Array) -> Array:

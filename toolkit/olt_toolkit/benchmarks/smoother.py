@@ -4,92 +4,125 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, lil_matrix
 from scipy.sparse.linalg import spsolve
 
-from olt_generator.poses import Array
+from olt_generator.car_motion import BodyMotion, CarMotion
+from olt_generator.iterated_smoother import MeasuredPoses, linear_system
+from olt_generator.kalman import LinearSystem, filter_forward, smooth_states, smoothing_gains
+from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import make_generator
-from olt_generator.smoother import Floats, MotionModel, SmootherSettings, filter_forward, smooth, smooth_backward
+from olt_generator.twists import exponential
 from olt_toolkit.benchmark import Benchmark, Setting
 
-POSES = 400
-NOISE_METRES = 0.05
+Floats = NDArray[np.floating]
+
+POSES = 150
+SIGMAS = np.array([0.05, 0.05, 0.05, 0.002, 0.002, 0.002])
 LAGS = (2, 5, 10, 20)
-MODEL = SmootherSettings(position_sigma=NOISE_METRES).position_model
+CAR = CarMotion(
+    jerk_density=np.array([0.5]),
+    angular_acceleration_density=np.array([0.05]),
+    slip_sigma=0.1,
+    slip_seconds=1.0,
+    initial_sigmas=np.array([10.0, 10.0, 10.0, 0.3, 0.3, 0.3, 100.0, 0.1, 0.1, 1.0, 1.0, 1.0, 5.0]),
+)
 
 
-def make_drive() -> tuple[Array, Array]:
-    """Times (n,) about 10 Hz with jitter and gaps, and noisy positions (n, 3) of a drive that brakes and turns."""
+@lru_cache(maxsize=1)
+def make_system() -> LinearSystem:
+    """The smoother's problem about a drive that brakes and turns, at about 10 Hz with jitter, gaps and noise."""
     random = make_generator("smoother benchmark")
     steps = random.uniform(0.07, 0.13, POSES)
-    steps[:: POSES // 8] += 0.4
+    steps[:: POSES // 4] += 0.4
     times = np.cumsum(steps)
     heading, speed = 0.8 * np.sin(0.15 * times), 9.0 + 4.0 * np.sin(0.25 * times)
-    velocity = speed[:, None] * np.stack([np.cos(heading), np.sin(heading), np.full(POSES, 0.01)], axis=-1)
-    positions = np.cumsum(velocity * steps[:, None], axis=0)
-    return times - times[0], positions - positions[0] + NOISE_METRES * random.standard_normal((POSES, 3))
+    turn_rate, acceleration = 0.12 * np.cos(0.15 * times), np.cos(0.25 * times)
+    x, y = np.cumsum(speed * np.cos(heading) * steps), np.cumsum(speed * np.sin(heading) * steps)
+    velocity, turning = np.zeros((2, POSES, 1, 3))
+    velocity[:, 0, 0], turning[:, 0, 2] = speed, turn_rate
+    poses = planar_pose(x - x[0], y - y[0], heading)[:, None]
+    motion = BodyMotion(poses, velocity, turning, acceleration[:, None])
+    noisy = motion.poses @ exponential(SIGMAS * random.standard_normal((POSES, 1, 6)))
+    measured = MeasuredPoses(np.array([POSES]), np.diff(times)[:, None], noisy, SIGMAS[None])
+    return linear_system(measured, motion, np.zeros((POSES, 1), dtype=np.bool_), CAR, convex=False)
 
 
-def batch_problem(times: Array, measurements: Array, model: MotionModel) -> tuple[csc_matrix, Array]:
-    """Whitened equations A x = b whose least-squares solution (n * states, axes) is the most probable motion.
+def batch_problem(system: LinearSystem) -> tuple[csc_matrix, Array]:
+    """Whitened equations A x = b whose least-squares solution (n * states,) is the most probable sequence of states.
 
-    One block of rows for the start, one row for every later measurement, one block for every step of the motion.
+    One block of rows for the start, one for every measurement, one for every step.
     """
-    n, states = len(times), model.states
-    equations = states + (states + 1) * (n - 1)
-    A = lil_matrix((equations, n * states))
-    b = np.zeros((equations, measurements.shape[1]))
-    A[:states, :states] = np.diag(1.0 / np.sqrt(np.diag(model.initial_covariance())))
-    b[0] = measurements[0] / model.measurement_sigma
-    seconds = np.diff(times, prepend=times[0])
-    transitions, noise = model.transition(seconds), model.process_noise(seconds)
+    n, (_, states, _) = len(system.measurements), system.initial_state.shape
+    measured = system.measurements.shape[2]
+    A = lil_matrix((n * (states + measured), n * states))
+    b = np.zeros(n * (states + measured))
+    whiten = np.linalg.inv(np.linalg.cholesky(system.initial_covariance[0]))
+    A[:states, :states] = whiten
+    b[:states] = whiten @ system.initial_state[0, :, 0]
     row = states
-    for k in range(1, n):
-        before, here = slice((k - 1) * states, k * states), slice(k * states, (k + 1) * states)
-        whiten = np.linalg.inv(np.linalg.cholesky(noise[k]))
-        A[row : row + states, before] = -whiten @ transitions[k]
-        A[row : row + states, here] = whiten
-        A[row + states, k * states] = 1.0 / model.measurement_sigma
-        b[row + states] = measurements[k] / model.measurement_sigma
-        row += states + 1
+    for k in range(n):
+        here = slice(k * states, (k + 1) * states)
+        deviation = np.sqrt(system.measurement_noise[k, 0])
+        A[row : row + measured, here] = np.eye(measured, states) / deviation[:, None]
+        b[row : row + measured] = system.measurements[k, 0, :, 0] / deviation
+        row += measured
+        if k + 1 < n:
+            whiten = np.linalg.inv(np.linalg.cholesky(system.process_noise[k, 0]))
+            A[row : row + states, here] = -whiten @ system.transitions[k, 0]
+            A[row : row + states, (k + 1) * states : (k + 2) * states] = whiten
+            b[row : row + states] = whiten @ system.offsets[k, 0, :, 0]
+            row += states
     return csc_matrix(A), b
 
 
 @lru_cache(maxsize=1)
-def exact_positions() -> Array:
-    """Positions (n, 3) by orthogonal decomposition of the dense batch problem."""
-    A, b = batch_problem(*make_drive(), MODEL)
+def exact_states() -> Array:
+    """States (n, 13) by orthogonal decomposition of the dense batch problem."""
+    A, b = batch_problem(make_system())
     Q, R = np.linalg.qr(np.asarray(A.toarray(), dtype=np.float64))
-    solution = np.asarray(np.linalg.solve(R, Q.T @ b), dtype=np.float64)
-    return solution[:: MODEL.states]
+    return np.asarray(np.linalg.solve(R, Q.T @ b), dtype=np.float64).reshape(POSES, -1)
 
 
 def filter_only() -> Floats:
-    """What is known of each position from the past alone."""
-    return filter_forward(*make_drive(), MODEL).filtered[:, 0]
+    """What is known of each state from the past alone."""
+    return filter_forward(make_system()).filtered[:, 0, :, 0]
 
 
 def fixed_lag(lag: int) -> Floats:
-    """Positions that use the past and the next `lag` measurements."""
-    forward = filter_forward(*make_drive(), MODEL)
-    return np.array([smooth_backward(forward.part(k, k + lag + 1))[0, 0] for k in range(POSES)])
+    """States that use the past and the next `lag` measurements."""
+    system = make_system()
+    forward = filter_forward(system)
+    gains = smoothing_gains(system, forward)
+    states = forward.filtered.copy()
+    for k in range(POSES):
+        last = min(k + lag, POSES - 1)
+        state = forward.filtered[last]
+        for j in range(last - 1, k - 1, -1):
+            state = forward.filtered[j] + gains[j] @ (state - forward.predicted[j + 1])
+        states[k] = state
+    return states[:, 0, :, 0]
 
 
 def full(kind: type[np.floating]) -> Floats:
-    """Positions that use all measurements, computed in the given floating-point type."""
-    times, measurements = make_drive()
-    return smooth(times, measurements.astype(kind), MODEL)[:, 0]
+    """States that use all measurements, computed in the given floating-point type."""
+    system = make_system()
+    arrays = {name: value.astype(kind) for name, value in vars(system).items() if name != "lengths"}
+    system = LinearSystem(lengths=system.lengths, **arrays)
+    forward = filter_forward(system)
+    return smooth_states(system, forward, smoothing_gains(system, forward))[:, 0, :, 0]
 
 
 def batch_sparse() -> Array:
     """The batch problem by sparse normal equations."""
-    A, b = batch_problem(*make_drive(), MODEL)
-    return np.asarray(spsolve((A.T @ A).tocsc(), A.T @ b), dtype=np.float64)[:: MODEL.states]
+    A, b = batch_problem(make_system())
+    return np.asarray(spsolve((A.T @ A).tocsc(), A.T @ b), dtype=np.float64).reshape(POSES, -1)
 
 
-def measure_error(positions: Floats) -> float:
-    """Root mean square distance in metres from the exact solution."""
-    return float(np.sqrt(np.mean(np.sum((positions - exact_positions()) ** 2, axis=1))))
+def measure_error(states: Floats) -> float:
+    """Root mean square distance in metres of the positions from the exact solution."""
+    return float(np.sqrt(np.mean(np.sum((states[:, :3] - exact_states()[:, :3]) ** 2, axis=1))))
 
 
 def _settings() -> Sequence[Setting]:
@@ -104,12 +137,13 @@ def _settings() -> Sequence[Setting]:
 
 
 def _prepared(call: Callable[[], Floats]) -> Callable[[], Floats]:
+    make_system()
     return call
 
 
 BENCHMARK = Benchmark(
     name="smoother",
-    title=f"Smoothing {POSES} noisy positions at irregular times",
+    title=f"Smoothing {POSES} noisy poses at irregular times, one linearisation",
     error_name="rms position difference",
     error_unit="m",
     reference="the dense batch least-squares solution of the same model and measurements",

@@ -1,0 +1,47 @@
+"""Poses that no vehicle can have been at, judged by the poses around them."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.poses import Array
+from olt_generator.trajectory import Trajectory
+from olt_generator.twists import vector_from_rotation
+
+# Each pose is compared with so many before and behind it.
+NEIGHBOURS = 3
+# How far and how fast a vehicle and its noise may go from one pose to another: m, m/s, rad, rad/s.
+REACH, SPEED = 1.0, 80.0
+ANGLE, TURN_RATE = 0.2, 1.5
+
+
+def find_strays(trajectory: Trajectory) -> NDArray[np.bool_]:
+    """Poses (n,) from which most of the neighbours cannot be reached."""
+    n = len(trajectory)
+    reached, compared = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
+    for offset in range(1, min(NEIGHBOURS, n - 1) + 1):
+        reachable = _reachable(trajectory, offset)
+        for side in (slice(offset, n), slice(0, n - offset)):
+            reached[side] += reachable
+            compared[side] += 1
+    return 2 * reached < compared
+
+
+def replace_strays(trajectory: Trajectory) -> Array:
+    """Poses (n, 4, 4) with the strays interpolated between those that are none; at the ends, the nearest such pose."""
+    strays = find_strays(trajectory)
+    if not strays.any() or strays.all():
+        return trajectory.T_world_rig
+    times = trajectory.timestamps_us
+    credible = Trajectory(times[~strays], trajectory.T_world_rig[~strays])
+    poses = trajectory.T_world_rig.copy()
+    poses[strays] = credible.interpolate(np.clip(times[strays], credible.timestamps_us[0], credible.timestamps_us[-1]))
+    return poses
+
+
+def _reachable(trajectory: Trajectory, offset: int) -> NDArray[np.bool_]:
+    seconds = trajectory.times[offset:] - trajectory.times[:-offset]
+    distance = np.linalg.norm(trajectory.positions[offset:] - trajectory.positions[:-offset], axis=1)
+    rotations = trajectory.T_world_rig[:, :3, :3]
+    turn = vector_from_rotation(np.swapaxes(rotations[:-offset], -1, -2) @ rotations[offset:])
+    angle = np.linalg.norm(turn, axis=1)
+    return (distance <= REACH + SPEED * seconds) & (angle <= ANGLE + TURN_RATE * seconds)
