@@ -91,7 +91,7 @@ def pair_of_cameras(seed: int, yaw: float):
     camera_a = PinholeCamera.from_field_of_view(METRIC_WIDTH, METRIC_HEIGHT, generator.uniform(0.8, 2.0))
     camera_b = PinholeCamera.from_field_of_view(METRIC_WIDTH, METRIC_HEIGHT, generator.uniform(0.8, 2.0))
     T_rig_a = camera_pose_in_rig(generator.normal(size=3), 0.0, 0.0, 0.0)
-    T_rig_b = camera_pose_in_rig(T_rig_a[:3, 3] + generator.normal(size=3), *generator.normal(0.0, 0.1, 2), yaw)
+    T_rig_b = camera_pose_in_rig(T_rig_a[:3, 3] + generator.normal(size=3), 0.05, generator.normal(0.0, 0.1), yaw)
     T_b_a = invert(T_rig_b) @ T_rig_a
     points_a = camera_a.rays(generator.uniform(0, [METRIC_WIDTH, METRIC_HEIGHT], (500, 2)))
     points_a *= generator.uniform(3.0, 80.0, (500, 1))

@@ -16,11 +16,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.cameras import Camera, Mask, PinholeCamera, remap_table
+from olt_generator.cameras import Camera, Mask, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.matchers import Matcher, Matches
 from olt_generator.poses import Array, invert
 from olt_generator.progress import Progress, silent
+from olt_generator.remap import Remapper
 
 METRIC_WIDTH, METRIC_HEIGHT = 832, 480
 WIDEST_FIELD_OF_VIEW = np.radians(120.0)
@@ -138,12 +139,13 @@ class _Undistortion:
     """Resamples a view to the camera of the metric, and knows which pixels show something there."""
 
     def __init__(self, source: Camera, target: PinholeCamera) -> None:
-        self._table, seen = remap_table(source, target, np.eye(3))
+        self._remapper = Remapper(source, target, np.eye(3))
         size = 2 * EDGE_PIXELS + 1
-        self._shown: Mask = cv2.erode(seen.astype(np.uint8), np.ones((size, size), np.uint8), borderValue=0) > 0
+        seen = np.asarray(self._remapper.seen, np.uint8)
+        self._shown: Mask = cv2.erode(seen, np.ones((size, size), np.uint8), borderValue=0) > 0
 
     def __call__(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        return np.asarray(cv2.remap(image, self._table[..., 0], self._table[..., 1], cv2.INTER_LINEAR), np.uint8)
+        return self._remapper.remap(image)
 
     def shows(self, pixels: Array) -> Mask:
         """Whether each pixel (n, 2) is well inside of what the view shows."""
