@@ -60,7 +60,7 @@ def test_checksum_follows_what_decides_a_mixture_only(make_table, make_clip):
     ("change", "message"),
     [
         (lambda table: table.drop_columns(["scene_id"]), "column scene_id is missing"),
-        (lambda table: table.replace_schema_metadata({"table_version": "2"}), "table_version is '2'"),
+        (lambda table: table.replace_schema_metadata({"table_version": "1"}), "table_version is '1'"),
         (lambda table: table.replace_schema_metadata(None), "table_version is None"),
         (with_column("duration_us", pa.array([1.0, 2.0])), "column duration_us is Float64, not Int64"),
         (with_column("sample_t0_us", pa.array([["1"], ["2"]])), "column sample_t0_us is List(String)"),

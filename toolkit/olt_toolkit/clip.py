@@ -130,6 +130,8 @@ class ViewProvenance:
         seed: seed of whatever was random; None where nothing was.
         observed_share: share of pixels taken from what the front camera saw, 0 to 1.
         invented_share: share of pixels that no camera saw, 0 to 1.
+        other_times_share: share of pixels taken from what the front camera saw at other times than that of the image,
+            0 to 1; a part of `observed_share`.
     """
 
     kind: ViewKind
@@ -138,6 +140,7 @@ class ViewProvenance:
     seed: int | None
     observed_share: float
     invented_share: float
+    other_times_share: float = 0.0
 
 
 @dataclass(frozen=True)

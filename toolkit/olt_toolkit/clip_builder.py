@@ -7,7 +7,9 @@ from numpy.typing import NDArray
 
 from olt_generator.depth import DistanceEstimate, estimate_distance
 from olt_generator.errors import InputError
+from olt_generator.front_view import FrontView
 from olt_generator.image_metrics import psnr
+from olt_generator.moving_objects import find_moving
 from olt_generator.odometry import Odometry, estimate_odometry
 from olt_generator.pose_metrics import PoseErrors, compare_trajectories
 from olt_generator.poses import Array
@@ -114,12 +116,14 @@ def build_clip(
     distance = _estimate_distance(recording, motion, stages) if synthesizes else None
     kept = _kept_frames(recording, options)
     shown = _only_frames(recording, kept)
-    maker = ViewMaker(shown, options, motion.T_rig_camera, distance.distance[kept] if distance else None)
-    views = _make_views(maker, plan, stages)
+    front = None if distance is None else _front_view(recording, motion, distance)
+    views = _make_views(ViewMaker(shown, options, motion.T_rig_camera, front, kept), plan, stages)
     return BuiltClip(
         clip=_assemble(shown, options, plan, views, motion.ego),
         plan=plan,
-        left_out=plan.left_out | _frames_left_out(len(recording.frames), len(kept)),
+        left_out=plan.left_out
+        | _frames_left_out(len(recording.frames), len(kept))
+        | _sources_left_out(len(recording.frames), views),
         odometry=motion.odometry,
         motion=motion.smoothed,
         distance=distance,
@@ -155,6 +159,11 @@ def _estimate_distance(recording: Recording, motion: _Motion, stages: Stages) ->
         )
 
 
+def _front_view(recording: Recording, motion: _Motion, distance: DistanceEstimate) -> FrontView:
+    front = FrontView(recording.frames, distance.distance, motion.trajectory, recording.camera, motion.T_rig_camera)
+    return replace(front, moving=find_moving(front))
+
+
 def _kept_frames(recording: Recording, options: BuildOptions) -> NDArray[np.int64]:
     return np.arange(len(recording.frames)) if options.all_frames else shown_frames(recording.timestamps_us)
 
@@ -176,6 +185,17 @@ def _frames_left_out(count: int, kept: int) -> dict[str, str]:
     if kept == count:
         return {}
     return {f"{count - kept} of {count} frames of each view": "no sample with t0 on the 0.1 s grid shows them"}
+
+
+def _sources_left_out(count: int, views: dict[str, View]) -> dict[str, str]:
+    """Which front frames the synthesized images were not made from."""
+    drawn_on = [len(frames) for view in views.values() for frames in view.drawn_on or ()]
+    if not drawn_on:
+        return {}
+    others = (
+        f"on average {count - 1 - np.mean(drawn_on):.1f} of {count - 1} other front frames of each synthesized image"
+    )
+    return {others: "the frames drawn on show most of what the front camera saw of it"}
 
 
 def _make_views(maker: ViewMaker, plan: ViewPlan, stages: Stages) -> dict[str, View]:

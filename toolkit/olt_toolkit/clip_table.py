@@ -17,7 +17,7 @@ from olt_toolkit.clip import ClipInfo, ClipKind, Split, ViewKind, ViewProvenance
 from olt_toolkit.pai_tables import read_table
 
 CLIP_TABLE = "clips.parquet"
-TABLE_VERSION = b"1"
+TABLE_VERSION = b"2"
 
 _VIEW = pa.struct(
     [
@@ -28,6 +28,7 @@ _VIEW = pa.struct(
         ("seed", pa.int64()),
         ("observed_share", pa.float64()),
         ("invented_share", pa.float64()),
+        ("other_times_share", pa.float64()),
     ]
 )
 SCHEMA = pa.schema(

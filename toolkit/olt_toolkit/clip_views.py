@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 import olt_generator
 from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera, fit_camera
 from olt_generator.errors import InputError
+from olt_generator.front_view import FrontView
+from olt_generator.lookback import LOOKBACK_LATENTS
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
-from olt_generator.synthesis import synthesize_view
+from olt_generator.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
 from olt_generator.tele import crop_tele, tele_camera
 from olt_toolkit import __version__
 from olt_toolkit.clip import Split, ViewKind, ViewProvenance
@@ -70,14 +72,21 @@ class View:
         camera: their lens.
         T_rig_camera: (4, 4) mounting.
         provenance: where the pixels came from.
-        observed: (n, height, width) pixels taken from what the front camera saw; None where all are true.
+        origin: (n, height, width) a `PixelOrigin` per pixel; None where all are true.
+        drawn_on: for each image the other front frames that it was made from; None where all are true.
     """
 
     images: Images
     camera: Camera
     T_rig_camera: Array
     provenance: ViewProvenance
-    observed: NDArray[np.bool_] | None = None
+    origin: NDArray[np.uint8] | None = None
+    drawn_on: tuple[tuple[int, ...], ...] | None = None
+
+    @property
+    def observed(self) -> NDArray[np.bool_] | None:
+        """Pixels (n, height, width) taken from what the front camera saw; None where all are true."""
+        return None if self.origin is None else self.origin != PixelOrigin.INVENTED
 
 
 @dataclass(frozen=True)
@@ -85,16 +94,18 @@ class ViewMaker:
     """Makes any view of a recording.
 
     Attributes:
-        recording: front images, and true images of other cameras where they are known.
+        recording: the images to make views for, and true images of other cameras where they are known.
         options: size, rig and whether to take true images.
         T_rig_front: (4, 4) mounting of the front camera, as corrected by the motion.
-        distance: (n, H, W) metres along the rays of the front images; None where nothing is synthesized.
+        front: all images of the front camera with their distances; None where nothing is synthesized.
+        indices: (n,) numbers of the recording's images among those of `front`.
     """
 
     recording: Recording
     options: BuildOptions
     T_rig_front: Array
-    distance: NDArray[np.float32] | None
+    front: FrontView | None
+    indices: NDArray[np.int64]
 
     def make(self, name: str, on_progress: Progress = silent) -> View:
         """Make one view.
@@ -108,9 +119,9 @@ class ViewMaker:
             return self._true_view(name)
         if name == FRONT_TELE:
             return self._tele()
-        if self.distance is None:
+        if self.front is None:
             raise InputError(f"{self.recording.name}: no true images of {name}; let it be synthesized instead")
-        return self._synthesized(name, self.distance, on_progress)
+        return self._synthesized(name, self.front, on_progress)
 
     def _front(self) -> View:
         camera = fit_camera(self.recording.camera, self.options.width, self.options.height)
@@ -140,22 +151,25 @@ class ViewMaker:
             self._as_given(self.options.image_kind),
         )
 
-    def _synthesized(self, name: str, distance: NDArray[np.float32], on_progress: Progress) -> View:
+    def _synthesized(self, name: str, front: FrontView, on_progress: Progress) -> View:
         target = self.options.rig.fitted(self.options.width, self.options.height)[name]
-        view = synthesize_view(
-            self.recording.frames,
-            distance,
-            self.recording.camera,
-            self.T_rig_front,
-            target.camera,
-            target.T_rig_camera,
-            on_progress,
+        settings = SynthesisSettings(lookback=LOOKBACK_LATENTS.get(name))
+        indices = self.indices.tolist()
+        view = synthesize_view(front, target.camera, target.T_rig_camera, indices, settings, on_progress)
+        same_frame, other_frame = (
+            float((view.origin == origin).mean()) for origin in (PixelOrigin.SAME_FRAME, PixelOrigin.OTHER_FRAME)
         )
-        seen = float(view.observed.mean())
+        observed = same_frame + other_frame
         provenance = ViewProvenance(
-            "warped", "olt_generator.synthesis", olt_generator.__version__, self.options.seed, seen, 1.0 - seen
+            kind="warped",
+            engine="olt_generator.synthesis",
+            version=olt_generator.__version__,
+            seed=self.options.seed,
+            observed_share=observed,
+            invented_share=1.0 - observed,
+            other_times_share=other_frame,
         )
-        return View(view.images, target.camera, target.T_rig_camera, provenance, view.observed)
+        return View(view.images, target.camera, target.T_rig_camera, provenance, view.origin, view.drawn_on)
 
     def _as_given(self, kind: ViewKind) -> ViewProvenance:
         return ViewProvenance(kind, self.recording.source, __version__, None, 1.0, 0.0)

@@ -9,15 +9,26 @@ from numpy.typing import NDArray
 
 MID_GREY = 128
 
+# Halvings of the image over which holes are closed from their edges; what lies deeper than some 2^2 pixels is
+# background. More lets the colours of a house run into the sky beside it.
+EDGE_LEVELS = 2
 
-def fill_holes(image: NDArray[np.uint8], visible: NDArray[np.bool_]) -> NDArray[np.uint8]:
+
+def fill_holes(
+    image: NDArray[np.uint8], visible: NDArray[np.bool_], background: NDArray[np.float32] | None = None
+) -> NDArray[np.uint8]:
     """Fill the pixels (H, W) that are not `visible` in `image` (H, W, 3); visible pixels keep their bytes.
 
-    An image without visible pixels comes back mid-grey.
+    Cracks close from their edges. Deep inside, holes take the colours of `background` (H, W, 3); without one, those of
+    their far surroundings, and an image without visible pixels comes back mid-grey.
     """
-    if not visible.any():
+    if background is not None:
+        smooth = _pull_push(_weighted(image, visible), background, EDGE_LEVELS)
+    elif visible.any():
+        smooth = interpolate(image, visible)
+    else:
         return np.full_like(image, MID_GREY)
-    filled = np.clip(np.rint(interpolate(image, visible)), 0, 255).astype(np.uint8)
+    filled = np.clip(np.rint(smooth), 0, 255).astype(np.uint8)
     return np.where(visible[..., None], image, filled)
 
 
@@ -27,20 +38,33 @@ def interpolate(values: NDArray[np.generic], known: NDArray[np.bool_]) -> NDArra
     Values are averaged over ever coarser levels of an image pyramid until every hole is covered, and blended back
     down (Gortler et al., The Lumigraph, 1996, pull-push).
     """
+    return _pull_push(_weighted(values, known))
+
+
+def _weighted(values: NDArray[np.generic], known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Values (H, W, channels) times weight, and the weight as last channel."""
     weight = known[..., None]
-    return _pull_push(np.concatenate([np.where(weight, values, 0), weight], axis=-1, dtype=np.float32))
+    return np.concatenate([np.where(weight, values, 0), weight], axis=-1, dtype=np.float32)
 
 
-def _pull_push(weighted: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Values (h, w, channels) of a pyramid level that is given as values times weight, and weight as last channel."""
+def _pull_push(
+    weighted: NDArray[np.float32], background: NDArray[np.float32] | None = None, levels: int = 64
+) -> NDArray[np.float32]:
+    """Values (h, w, channels) of a pyramid level that is given as values times weight, and weight as last channel.
+
+    After `levels` halvings the rest is `background` (h, w, channels); without one the pyramid must end at one pixel.
+    """
     height, width = weighted.shape[:2]
+    if background is not None and (levels == 0 or max(height, width) == 1):
+        return np.asarray(weighted[..., :-1] + background * (1.0 - weighted[..., -1:]), np.float32)
     if max(height, width) == 1:
         return weighted[..., :-1] / weighted[..., -1:]
     coarser = cv2.pyrDown(weighted)
     # A pixel counts as known once a quarter of it is, so that holes are closed from as near as possible.
     weight = coarser[..., -1:]
     coarser = np.asarray(coarser * (np.minimum(4.0 * weight, 1.0) / np.maximum(weight, 1e-12)), np.float32)
-    enlarged = cv2.pyrUp(_pull_push(coarser), dstsize=(width, height))
-    background = np.asarray(enlarged, np.float32).reshape(height, width, -1)
-    background *= 1.0 - weighted[..., -1:]
-    return weighted[..., :-1] + background
+    coarser_background = None if background is None else np.asarray(cv2.pyrDown(background), np.float32)
+    enlarged = cv2.pyrUp(_pull_push(coarser, coarser_background, levels - 1), dstsize=(width, height))
+    behind = np.asarray(enlarged, np.float32).reshape(height, width, -1)
+    behind *= 1.0 - weighted[..., -1:]
+    return weighted[..., :-1] + behind

@@ -122,7 +122,7 @@ def nearest_surface(
     for landing in land(distance, source, target, T_target_source, radius, nearest, farthest):
         pixel = (landing.row + radius) * width + landing.column + radius
         np.minimum.at(closest, pixel, _sortable(landing.distance, landing.source))
-    winner = _spread(closest.reshape(height, width), radius)
+    winner = spread_nearest(closest.reshape(height, width), radius)
     return Surface((winner >> 32).astype(np.int32).view(np.float32), winner & 0xFFFFFFFF)
 
 
@@ -213,8 +213,8 @@ def _sortable(distance: NDArray[np.float32], source: NDArray[np.int64]) -> NDArr
     return distance.view(np.int32).astype(np.int64) << 32 | source
 
 
-def _spread(keys: NDArray[np.int64], radius: int) -> NDArray[np.int64]:
-    """The smallest key within `radius` pixels, along rows and then along columns; the margin falls away."""
+def spread_nearest(keys: NDArray[np.int64], radius: int) -> NDArray[np.int64]:
+    """The smallest of the keys (h + 2 radius, w + 2 radius) within `radius` pixels of each of (h, w)."""
     height, width = keys.shape[0] - 2 * radius, keys.shape[1] - 2 * radius
     offsets = range(1, 2 * radius + 1)
     along_rows = keys[:, :width].copy()
