@@ -1,5 +1,12 @@
 """The paper's pose metrics."""
 
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -122,3 +129,74 @@ def test_mirrored_points_are_not_aligned_by_a_reflection():
     points = np.random.default_rng(1).standard_normal((20, 3))
     _, rotation, _ = align_similarity(points, points * [1.0, 1.0, -1.0])
     assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+# evo is under the GPL: an outside program beside Python's, never imported.
+PROGRAMS = Path(sys.executable).parent
+
+
+def write_tum(path, trajectory):
+    """Times in seconds, positions and quaternions, one pose a line."""
+    quaternions = Rotation.from_matrix(trajectory.T_world_rig[:, :3, :3]).as_quat()
+    np.savetxt(path, np.column_stack([trajectory.times, trajectory.positions, quaternions]), fmt="%.12f")
+
+
+def ask_evo(folder, program, *options):
+    """Mean and root mean square of what evo's program says about the two trajectories in the folder."""
+    result = folder / f"{len(list(folder.iterdir()))}.zip"
+    files = [str(folder / name) for name in ("reference.tum", "estimate.tum")]
+    environment = os.environ | {"HOME": str(folder)}
+    command = [PROGRAMS / program, "tum", *files, *options, "--save_results", str(result), "--no_warnings"]
+    subprocess.run(command, check=True, capture_output=True, env=environment, timeout=120)
+    with zipfile.ZipFile(result) as archive:
+        statistics = json.loads(archive.read("stats.json"))
+    return statistics["mean"], statistics["rmse"]
+
+
+def test_the_columns_of_the_paper():
+    random = np.random.default_rng(3)
+    poses = curve().T_world_rig.copy()
+    poses[:, :3, 3] += 0.1 * random.standard_normal((len(poses), 3))
+    errors = compare_trajectories(Trajectory(curve().timestamps_us, poses), curve())
+    metric, sim3 = errors.metric.paper_columns(), errors.sim3.paper_columns()
+    assert list(metric) == ["ATE", "RPE-r", "RPE-t", "RotErr", "Jerk", "Acc.Var", "LDJ"]
+    assert list(sim3) == ["ATE", "RotAnc", "RotErr", "TrErr", "Jerk", "Acc.Var"]
+    assert (metric["RotErr"], metric["RPE-r"]) == pytest.approx((sim3["RotAnc"], sim3["RotErr"]))
+    assert metric["Jerk"] == pytest.approx(errors.metric.smoothness.jerk_rms_m_s3**2)
+    assert sim3["TrErr"] == errors.sim3.step_translation_percent
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not (PROGRAMS / "evo_ape").exists(), reason="evo is not installed (pip install evo)")
+def test_errors_are_those_of_evo(tmp_path):
+    # Steps of equal length turn evo's metres into our percent.
+    count, step = 60, 0.8
+    yaw = 0.03 * np.arange(count)
+    radius = 0.5 * step / np.sin(0.015)
+    positions = planar_pose(radius * np.sin(yaw), radius * (1.0 - np.cos(yaw)), yaw)
+    reference = Trajectory(np.arange(count, dtype=np.int64) * 100_000, positions)
+    random = np.random.default_rng(2)
+    wander = np.cumsum(0.02 * random.standard_normal((count, 3)), axis=0)
+    turn = Rotation.from_rotvec(np.cumsum(0.003 * random.standard_normal((count, 3)), axis=0)).as_matrix()
+    estimate = Trajectory(
+        reference.timestamps_us,
+        make_pose(turn @ positions[:, :3, :3], 1.04 * positions[:, :3, 3] + wander + [5.0, -3.0, 1.0]),
+    )
+    write_tum(tmp_path / "reference.tum", reference)
+    write_tum(tmp_path / "estimate.tum", estimate)
+    ours = compare_trajectories(estimate, reference)
+    step_by_step = ("--delta", "1", "--delta_unit", "f")
+
+    def evo(program, relation, *options):
+        return ask_evo(tmp_path, program, "--pose_relation", relation, *options)
+
+    assert ours.metric.ate_m == pytest.approx(evo("evo_ape", "trans_part", "--align_origin")[1], rel=1e-6)
+    assert ours.sim3.ate_m == pytest.approx(evo("evo_ape", "trans_part", "-as")[1], rel=1e-6)
+    # evo counts the first pose, which has no error to itself.
+    to_first = evo("evo_ape", "angle_deg", "--align_origin")[0] * count / (count - 1)
+    assert ours.metric.rotation_to_first_deg == pytest.approx(to_first, rel=1e-6)
+    step_angle = evo("evo_rpe", "angle_deg", *step_by_step)[0]
+    assert ours.metric.step_rotation_deg == pytest.approx(step_angle, rel=1e-6)
+    for errors, options in ((ours.metric, ()), (ours.sim3, ("-as",))):
+        metres = evo("evo_rpe", "trans_part", *step_by_step, *options)[0]
+        assert errors.step_translation_percent == pytest.approx(100.0 * metres / step, rel=1e-6)

@@ -39,6 +39,11 @@ class Smoothness:
     acceleration_variance_m2_s4: float | None
     log_dimensionless_jerk: float | None
 
+    @property
+    def squared_jerk(self) -> float | None:
+        """Mean square of the jerk, m2/s6, as the paper tabulates it."""
+        return None if self.jerk_rms_m_s3 is None else self.jerk_rms_m_s3**2
+
 
 @dataclass(frozen=True)
 class MetricErrors:
@@ -61,6 +66,18 @@ class MetricErrors:
     drift_percent: float | None
     smoothness: Smoothness
 
+    def paper_columns(self) -> dict[str, float | None]:
+        """The row of the paper's table, metric-scale evaluation, by its column names."""
+        return {
+            "ATE": self.ate_m,
+            "RPE-r": self.step_rotation_deg,
+            "RPE-t": self.step_translation_percent,
+            "RotErr": self.rotation_to_first_deg,
+            "Jerk": self.smoothness.squared_jerk,
+            "Acc.Var": self.smoothness.acceleration_variance_m2_s4,
+            "LDJ": self.smoothness.log_dimensionless_jerk,
+        }
+
 
 @dataclass(frozen=True)
 class AlignedErrors:
@@ -81,6 +98,17 @@ class AlignedErrors:
     step_rotation_deg: float
     step_translation_percent: float | None
     smoothness: Smoothness
+
+    def paper_columns(self) -> dict[str, float | None]:
+        """The row of the paper's table, Sim(3)-aligned evaluation, by its column names."""
+        return {
+            "ATE": self.ate_m,
+            "RotAnc": self.rotation_to_first_deg,
+            "RotErr": self.step_rotation_deg,
+            "TrErr": self.step_translation_percent,
+            "Jerk": self.smoothness.squared_jerk,
+            "Acc.Var": self.smoothness.acceleration_variance_m2_s4,
+        }
 
 
 @dataclass(frozen=True)
