@@ -68,7 +68,7 @@ def test_video_opens_with_every_assumption_said(tmp_path):
     assert recording.camera.rays(np.array([[-0.5, 17.5]]))[0, 0] == pytest.approx(-np.sin(np.radians(35.0)))
     assert recording.T_rig_camera[2, 3] == 1.5
     said = " ".join(recording.assumptions)
-    for word in ("70 degrees", "1.50 m", "rear axle", "vehicle"):
+    for word in ("70 degrees", "the video does not tell: only 0 windows", "1.50 m", "rear axle", "vehicle"):
         assert word in said
     assert recording.reference is None
 

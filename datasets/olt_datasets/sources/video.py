@@ -1,21 +1,21 @@
 """Plain video files of a front camera, with nothing known about the camera."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
-from olt_generator.poses import camera_pose_in_rig
+from olt_generator.focal_length import estimate_field_of_view
 from olt_generator.video import read_video
 from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.rigs import load_rig
 
 SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm", ".ts", ".mpg", ".mpeg"})
-DEFAULT_FIELD_OF_VIEW = np.radians(70.0)
-DEFAULT_CAMERA_HEIGHT = 1.5
-# Behind the windscreen, ahead of the rear axle, in metres.
-CAMERA_FORWARD = 1.7
+# The rig in which an unknown camera is taken to be, and its only camera.
+RIG, CAMERA = "dashcam", "front"
 # Wider lenses are built to keep angles rather than straight lines.
 WIDEST_PINHOLE = np.radians(100.0)
 FIELD_OF_VIEW_RANGE = (np.radians(10.0), np.radians(200.0))
@@ -36,18 +36,52 @@ class VideoSource:
         if len(video.frames) < 2:
             raise InputError(f"{path}: holds a single frame; give a video of at least 2 frames")
         height, width = video.frames.shape[1:3]
-        field_of_view = DEFAULT_FIELD_OF_VIEW if options.horizontal_fov is None else options.horizontal_fov
-        camera_height = DEFAULT_CAMERA_HEIGHT if options.camera_height is None else options.camera_height
+        lens = find_field_of_view(video.frames, video.timestamps_us, options.horizontal_fov)
+        camera = assume_camera(width, height, lens.field_of_view)
+        rig = load_rig(RIG)
+        T_rig_camera = rig[CAMERA].T_rig_camera
+        if options.camera_height is not None:
+            T_rig_camera[2, 3] = options.camera_height
         return Recording(
             name=path.stem,
             source=self.name,
             frames=video.frames,
             timestamps_us=video.timestamps_us,
-            camera=assume_camera(width, height, field_of_view),
-            T_rig_camera=camera_pose_in_rig([CAMERA_FORWARD, 0.0, camera_height], 0.0, 0.0, 0.0),
-            vehicle=DEFAULT_VEHICLE,
-            assumptions=_assumptions(options, field_of_view, camera_height),
+            camera=camera,
+            T_rig_camera=T_rig_camera,
+            vehicle=rig.vehicle,
+            assumptions=(lens.sentence, *_mounting_sentences(T_rig_camera, options)),
         )
+
+
+@dataclass(frozen=True)
+class AssumedLens:
+    """A horizontal field of view in radians, and the sentence that says where it comes from."""
+
+    field_of_view: float
+    sentence: str
+
+
+def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64], given: float | None) -> AssumedLens:
+    """The field of view as given, else as estimated from the video, else as assumed for dashcams.
+
+    Args:
+        frames: (n, H, W, 3) uint8.
+        timestamps_us: (n,) int64.
+        given: radians, None where nobody knows.
+    """
+    if given is not None:
+        return _described(given, "as given")
+    estimate = estimate_field_of_view(frames, timestamps_us, assume_camera)
+    if estimate.field_of_view is not None and estimate.interval is not None:
+        low, high = np.degrees(estimate.interval)
+        return _described(
+            estimate.field_of_view, f"estimated from the turns in the video, likely between {low:.0f} and {high:.0f}"
+        )
+    dashcam = load_rig(RIG)[CAMERA].camera
+    edges = dashcam.rays(np.array([[-0.5, dashcam.cy], [dashcam.width - 0.5, dashcam.cy]]))
+    usual = float(np.arccos(edges[0] @ edges[1]))
+    return _described(usual, f"the default for dashcams; the video does not tell: {estimate.reason}")
 
 
 def assume_camera(width: int, height: int, field_of_view: float) -> Camera:
@@ -67,15 +101,21 @@ def assume_camera(width: int, height: int, field_of_view: float) -> Camera:
     return FthetaCamera.equidistant(width, height, 0.5 * (width - 1), 0.5 * (height - 1), width / field_of_view)
 
 
-def _assumptions(options: OpenOptions, field_of_view: float, camera_height: float) -> tuple[str, ...]:
+def _described(field_of_view: float, origin: str) -> AssumedLens:
     lens = "without distortion" if field_of_view <= WIDEST_PINHOLE else "with an equidistant fisheye lens"
-    given = "as given" if options.horizontal_fov is not None else "the default for dashcams"
+    return AssumedLens(
+        field_of_view,
+        f"The camera has a horizontal field of view of {np.degrees(field_of_view):.0f} degrees ({origin}), {lens}, and "
+        "its axis is in the middle of the image.",
+    )
+
+
+def _mounting_sentences(T_rig_camera: NDArray[np.float64], options: OpenOptions) -> tuple[str, ...]:
+    forward, height = T_rig_camera[0, 3], T_rig_camera[2, 3]
     height_given = "as given" if options.camera_height is not None else "the default"
     return (
-        f"The camera has a horizontal field of view of {np.degrees(field_of_view):.0f} degrees ({given}), {lens}, and "
-        "its axis is in the middle of the image.",
-        f"The camera is {camera_height:.2f} m above ground ({height_given}), which fixes the metric scale.",
-        f"The camera is {CAMERA_FORWARD:.1f} m ahead of the rear axle, in the middle of the vehicle and not rolled.",
+        f"The camera is {height:.2f} m above ground ({height_given}), which fixes the metric scale.",
+        f"The camera is {forward:.1f} m ahead of the rear axle, in the middle of the vehicle and not rolled.",
         "The vehicle has the size of the default passenger car.",
     )
 
