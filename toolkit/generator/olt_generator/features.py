@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 Gray = NDArray[np.uint8]
 Pixels = NDArray[np.float32]
 
+NO_PIXELS: Pixels = np.zeros((0, 2), np.float32)
+
 CELL_PIXELS = 32
-CORNERS_PER_CELL = 4
 BORDER_PIXELS = 8
+SPACING_PIXELS = 6
 CORNER_WINDOW = 5
 MIN_CORNER_STRENGTH = 1e-5
 TRACK_WINDOW = (15, 15)
@@ -24,10 +26,17 @@ MAX_RETURN_PIXELS = 0.5
 
 @dataclass(frozen=True)
 class TrackedPair:
-    """Points (n, 2) of frame `key` and where the same points are in frame `current`, in pixels."""
+    """Points in frame `key` and where the same points are in frame `current`.
+
+    Attributes:
+        key, current: indices of the frames.
+        points: (n,) identity of each point, the same throughout the video.
+        key_pixels, current_pixels: (n, 2) pixels.
+    """
 
     key: int
     current: int
+    points: NDArray[np.int64]
     key_pixels: Pixels
     current_pixels: Pixels
 
@@ -37,20 +46,34 @@ class TrackedPair:
         return np.linalg.norm(self.current_pixels.astype(np.float64) - self.key_pixels, axis=1)
 
 
-def detect_corners(gray: Gray) -> Pixels:
+def detect_corners(
+    gray: Gray, per_cell: int, hidden: NDArray[np.bool_] | None = None, present: Pixels = NO_PIXELS
+) -> Pixels:
     """The strongest Shi-Tomasi corners of every grid cell, (n, 2) pixels.
 
     A few corners a cell, however weak beside the strongest of the image, keep the road and the distance in play.
+
+    Args:
+        gray: (H, W) image.
+        per_cell: how many points a cell holds at most.
+        hidden: (H, W) pixels where no point is wanted.
+        present: (k, 2) points that are there already: they count in their cells, and none is found next to them.
     """
     strength = cv2.cornerMinEigenVal(gray, CORNER_WINDOW)
     is_peak = (strength == cv2.dilate(strength, np.ones((7, 7), np.uint8))) & (strength > MIN_CORNER_STRENGTH)
-    inner = np.zeros_like(is_peak)
-    inner[BORDER_PIXELS:-BORDER_PIXELS, BORDER_PIXELS:-BORDER_PIXELS] = True
-    rows, columns = np.nonzero(is_peak & inner)
-    cells = (rows // CELL_PIXELS) * gray.shape[1] + columns // CELL_PIXELS
+    allowed = np.zeros(gray.shape, np.uint8)
+    allowed[BORDER_PIXELS:-BORDER_PIXELS, BORDER_PIXELS:-BORDER_PIXELS] = 1
+    if hidden is not None:
+        allowed[hidden] = 0
+    for column, row in np.rint(present).astype(int).tolist():
+        cv2.circle(allowed, (column, row), SPACING_PIXELS, 0, cv2.FILLED)
+    taken = np.sort(_cells(*np.rint(present[:, ::-1]).astype(np.int64).T, gray.shape[1]))
+    rows, columns = np.nonzero(is_peak & (allowed > 0))
+    cells = _cells(rows, columns, gray.shape[1])
     order = np.lexsort((-strength[rows, columns], cells))
     rank_in_cell = np.arange(len(order)) - np.searchsorted(cells[order], cells[order])
-    kept = order[rank_in_cell < CORNERS_PER_CELL]
+    present_in_cell = np.searchsorted(taken, cells[order], "right") - np.searchsorted(taken, cells[order], "left")
+    kept = order[rank_in_cell + present_in_cell < per_cell]
     return np.stack([columns[kept], rows[kept]], axis=-1).astype(np.float32)
 
 
@@ -58,24 +81,51 @@ def track_corners(previous: Gray, current: Gray, pixels: Pixels) -> tuple[Pixels
     """Follow points (n, 2) from one frame to the next with pyramidal Lucas-Kanade.
 
     Returns:
-        Points (n, 2) in the current frame, and which of them lead back to where they came from.
+        Points (n, 2) in the current frame, and which of them lie in it and lead back to where they came from.
     """
     if len(pixels) == 0:
         return pixels, np.zeros(0, dtype=np.bool_)
     forward, found = _follow(previous, current, pixels)
     backward, found_back = _follow(current, previous, forward)
     returned = np.linalg.norm(backward - pixels, axis=1) < MAX_RETURN_PIXELS
-    return forward, found & found_back & returned
+    last = np.array(current.shape[::-1]) - 1
+    inside = ((forward >= 0) & (forward <= last)).all(axis=1)
+    return forward, found & found_back & returned & inside
 
 
-def track_from_keyframes(grays: Sequence[Gray], keyframes: Sequence[int]) -> Iterator[TrackedPair]:
-    """Yield, for every frame after the first, the points it shares with the latest earlier keyframe."""
+def track_from_keyframes(
+    grays: Sequence[Gray], keyframes: Sequence[int], hidden: NDArray[np.bool_], per_cell: int, window: int
+) -> Iterator[TrackedPair]:
+    """Yield, for every frame after the first, the points it shares with the latest earlier keyframe.
+
+    Points live on from keyframe to keyframe while they can be followed, and new ones take the place of those lost.
+
+    Args:
+        grays: the video.
+        keyframes: indices of frames, the first and the last of the video among them.
+        hidden: (H, W) pixels that show what the camera carries along; points that get there are dropped.
+        per_cell: points that are followed in every cell of the image.
+        window: keyframes over which a point is followed at most, because errors of following add up.
+    """
+    points, pixels, ages = np.zeros(0, np.int64), NO_PIXELS, np.zeros(0, np.int64)
+    found_so_far = 0
     for key, next_key in pairwise(keyframes):
-        key_pixels = pixels = detect_corners(grays[key])
+        column, row = np.rint(pixels).astype(np.intp).T
+        kept = (ages < window) & ~hidden[row, column]
+        new = detect_corners(grays[key], per_cell, hidden, pixels[kept])
+        points = np.concatenate([points[kept], found_so_far + np.arange(len(new))])
+        pixels = np.concatenate([pixels[kept], new])
+        ages = np.concatenate([ages[kept] + 1, np.ones(len(new), np.int64)])
+        found_so_far += len(new)
+        key_pixels = pixels
         for current in range(key + 1, next_key + 1):
             pixels, found = track_corners(grays[current - 1], grays[current], pixels)
-            key_pixels, pixels = key_pixels[found], pixels[found]
-            yield TrackedPair(key, current, key_pixels, pixels)
+            points, ages, key_pixels, pixels = points[found], ages[found], key_pixels[found], pixels[found]
+            yield TrackedPair(key, current, points, key_pixels, pixels)
+
+
+def _cells(rows: NDArray[np.int64], columns: NDArray[np.int64], width: int) -> NDArray[np.int64]:
+    return (rows // CELL_PIXELS) * width + columns // CELL_PIXELS
 
 
 def _follow(previous: Gray, current: Gray, pixels: Pixels) -> tuple[Pixels, NDArray[np.bool_]]:

@@ -1,8 +1,8 @@
 """Monocular visual odometry without learned weights.
 
-Corners are tracked from keyframes a tenth of a second apart, the epipolar geometry gives rotation and direction of
-travel, and the road below a camera of known height gives the speed. Nothing is accumulated but rotation: the scale
-is measured anew at every step, so it does not drift.
+Corners are tracked over keyframes a tenth of a second apart. Epipolar geometry gives the rotation and direction of
+each step, and the road below a camera of known height its rough speed. From there all keyframes are adjusted together
+to all tracks, which makes the shape of the path exact but lets its scale drift; the road gives the scale back.
 """
 
 from collections.abc import Sequence
@@ -14,11 +14,14 @@ from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
-from olt_generator.cameras import Camera, pixel_rays
+from olt_generator.bundle_adjustment import StepPriors, Tracks, adjust_poses
+from olt_generator.cameras import Camera
+from olt_generator.carried import BELOW_HORIZON, find_carried
 from olt_generator.errors import InputError
 from olt_generator.features import Gray, TrackedPair, track_from_keyframes
-from olt_generator.poses import R_FORWARD_CAMERA, Array, camera_pose_in_rig, invert
+from olt_generator.poses import R_FORWARD_CAMERA, Array, camera_pose_in_rig, invert, make_pose
 from olt_generator.progress import Progress, silent
+from olt_generator.road_plane import PlaneScale, measure_scale
 from olt_generator.road_scale import RoadStrip, estimate_speed, road_frame
 from olt_generator.trajectory import Trajectory
 from olt_generator.two_view import TwoViewMotion, estimate_motion
@@ -31,12 +34,31 @@ MAX_RAY_ANGLE = np.radians(75.0)
 TRACK_SIGMA_PIXELS = 0.5
 # A median motion below this many pixels between keyframes is standstill.
 STANDSTILL_PIXELS = 0.15
-# A frame in which a quarter of the points move more than this shows what the vehicle carries along.
-MOVING_PIXELS = 1.5
-CARRIED_MIN_FRAMES = 8
-DETAIL_PIXELS = 15
-# Farther below the horizon than this, the scene is near enough that it must move when the camera does.
-BELOW_HORIZON = np.radians(5.0)
+# Lengths of the strips of road, in camera heights, that give the speed of single steps and the scale of the whole.
+SPEED_STRIP_HEIGHTS = 5.5
+SCALE_STRIP_HEIGHTS = 9.0
+# How far a step found on its own may be from the truth: radians of rotation, share of the distance driven along the
+# step, radians of its direction; and what is left of radians and metres at standstill.
+PRIOR_ROTATION = np.radians(0.1)
+PRIOR_SPEED_SHARE = 0.2
+PRIOR_DIRECTION = np.radians(2.0)
+STANDING_ROTATION = 1e-5
+STANDING_METRES = 0.002
+
+
+@dataclass(frozen=True)
+class OdometrySettings:
+    """How much work is spent on a clip.
+
+    Attributes:
+        corners_per_cell: points followed in every 32 x 32 pixels.
+        window: keyframes over which a point is followed at most, and so seen together.
+        rounds: Gauss-Newton rounds over all keyframes together; 0 leaves every step as it was found on its own.
+    """
+
+    corners_per_cell: int = 4
+    window: int = 10
+    rounds: int = 6
 
 
 @dataclass(frozen=True)
@@ -65,6 +87,7 @@ def estimate_odometry(
     camera: Camera,
     T_rig_camera: Array,
     on_progress: Progress = silent,
+    settings: OdometrySettings | None = None,
 ) -> Odometry:
     """Recover the metric rig trajectory from a front-camera video.
 
@@ -74,31 +97,25 @@ def estimate_odometry(
         camera: model of the camera at the size of the frames.
         T_rig_camera: (4, 4) mounting. Its height above ground sets the scale; its pitch and yaw may be rough.
         on_progress: told the share of the work that is done.
+        settings: how much work is spent; None for the defaults.
 
     Raises:
         InputError: fewer than two frames, too long a gap between frames, too few points to track, or no road in view.
     """
     _check_input(timestamps_us, T_rig_camera)
+    settings = settings or OdometrySettings()
     grays = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in frames]
     keyframes = choose_keyframes(timestamps_us)
-    pairs = []
-    for pair in track_from_keyframes(grays, keyframes):
-        pairs.append(pair)
-        on_progress(0.5 * pair.current / (len(grays) - 1))
-    hidden = find_carried(grays, pairs, camera, T_rig_camera)
+    hidden = find_carried(grays, keyframes, camera, T_rig_camera)
     steps = []
-    for pair in pairs:
-        steps.append(_estimate_step(pair, camera, T_rig_camera[2, :3], hidden))
-        on_progress(0.5 + 0.4 * pair.current / (len(grays) - 1))
-
-    key_steps = [step for step in steps if step.current in keyframes]
-    seconds = np.diff(timestamps_us[keyframes]) * 1e-6
-    speed, scale_sigma = _measure_speed(grays, key_steps, seconds, camera, T_rig_camera, hidden)
-    displacements = (speed * seconds)[:, None] * [step.motion.direction_a for step in key_steps]
-    mounting = _align_mounting(key_steps, speed, displacements, T_rig_camera)
-    T_start_camera = _chain(steps, keyframes, displacements, timestamps_us)
-    stood = {step.key: not step.moves for step in key_steps}
+    for pair in track_from_keyframes(grays, keyframes, hidden, settings.corners_per_cell, settings.window):
+        steps.append(_estimate_step(pair, camera, T_rig_camera[2, :3]))
+        on_progress(0.8 * pair.current / (len(grays) - 1))
+    clip = _Clip(grays, timestamps_us, keyframes, steps, camera, T_rig_camera, hidden)
+    T_start_key, mounting, scale_sigma = _recover_keyframes(clip, settings)
     on_progress(1.0)
+    T_start_camera = _interpolate(T_start_key, steps, keyframes, timestamps_us)
+    stood = {step.key: not step.moves for step in clip.key_steps}
     return Odometry(
         Trajectory(timestamps_us, mounting @ T_start_camera @ invert(mounting)),
         mounting,
@@ -116,30 +133,6 @@ def choose_keyframes(timestamps_us: NDArray[np.int64]) -> list[int]:
     after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
     nearest = np.where(wanted - times[after - 1] < times[after] - wanted, after - 1, after)
     return sorted({0, len(times) - 1, *nearest.tolist()})
-
-
-def find_carried(
-    grays: Sequence[Gray], pairs: Sequence[TrackedPair], camera: Camera, T_rig_camera: Array
-) -> NDArray[np.bool_]:
-    """Pixels (H, W) below the horizon whose detail stays while the scene moves.
-
-    That is the bonnet, an overlay, dirt and reflections in the windscreen, but also lines along the road: none of
-    them tells how far the vehicle has driven. Clips with few moving frames give no such pixels.
-    """
-    moving = [pair.key for pair in pairs if len(pair.flow) > 0 and np.percentile(pair.flow, 75) > MOVING_PIXELS]
-    keyframes = sorted(set(moving))
-    if len(keyframes) < CARRIED_MIN_FRAMES:
-        return np.zeros((camera.height, camera.width), dtype=np.bool_)
-    total, squares = np.zeros((2, camera.height, camera.width), dtype=np.float32)
-    for index in keyframes:
-        gray = grays[index].astype(np.float32)
-        detail = gray - cv2.blur(gray, (DETAIL_PIXELS, DETAIL_PIXELS))
-        total += detail
-        squares += detail * detail
-    # |mean| > standard deviation, both multiplied by the number of frames.
-    stays = 2.0 * total**2 > len(keyframes) * squares
-    stays = cv2.dilate(stays.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
-    return stays & (pixel_rays(camera) @ T_rig_camera[2, :3] < -np.sin(BELOW_HORIZON))
 
 
 def _check_input(timestamps_us: NDArray[np.int64], T_rig_camera: Array) -> None:
@@ -167,22 +160,26 @@ class _Step:
     current: int
     moves: bool
     motion: TwoViewMotion
+    points: NDArray[np.int64]
+    rays_key: Array
+    rays_current: Array
 
 
-def _estimate_step(pair: TrackedPair, camera: Camera, up: Array, hidden: NDArray[np.bool_]) -> _Step:
-    column, row = np.rint(pair.key_pixels).astype(np.intp).T
+def _estimate_step(pair: TrackedPair, camera: Camera, up: Array) -> _Step:
     rays_key = camera.rays(pair.key_pixels.astype(np.float64))
     rays_current = camera.rays(pair.current_pixels.astype(np.float64))
-    used = ~hidden[row, column] & (np.minimum(rays_key[:, 2], rays_current[:, 2]) > np.cos(MAX_RAY_ANGLE))
+    used = np.minimum(rays_key[:, 2], rays_current[:, 2]) > np.cos(MAX_RAY_ANGLE)
     if np.count_nonzero(used) < MIN_POINTS:
         raise _too_few(pair, np.count_nonzero(used))
     if _stands(pair.flow[used], rays_key[used], up):
-        return _Step(pair.key, pair.current, False, TwoViewMotion(np.eye(3), np.zeros(3), used))
+        still = TwoViewMotion(np.eye(3), np.zeros(3), used)
+        return _Step(pair.key, pair.current, False, still, pair.points[used], rays_key[used], rays_current[used])
     sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(camera)
     motion = estimate_motion(rays_key[used], rays_current[used], sigma)
     if motion is None or np.count_nonzero(motion.inliers) < MIN_POINTS:
         raise _too_few(pair, 0 if motion is None else np.count_nonzero(motion.inliers))
-    return _Step(pair.key, pair.current, True, motion)
+    agrees = np.flatnonzero(used)[motion.inliers]
+    return _Step(pair.key, pair.current, True, motion, pair.points[agrees], rays_key[agrees], rays_current[agrees])
 
 
 def _stands(flow: Array, rays: Array, up: Array) -> bool:
@@ -204,33 +201,86 @@ def _radians_per_pixel(camera: Camera) -> float:
     return 0.5 * float(np.arccos(left @ right))
 
 
-def _measure_speed(
-    grays: Sequence[Gray],
-    steps: Sequence[_Step],
-    seconds: Array,
-    camera: Camera,
-    T_rig_camera: Array,
-    hidden: NDArray[np.bool_],
-) -> tuple[Array, float | None]:
-    """Speed (k,) over the steps between keyframes, and the relative standard deviation of its scale."""
-    moves = np.array([step.moves for step in steps])
+@dataclass(frozen=True)
+class _Clip:
+    """What is known of a clip once every step has been looked at on its own."""
+
+    grays: Sequence[Gray]
+    timestamps_us: NDArray[np.int64]
+    keyframes: list[int]
+    steps: Sequence[_Step]
+    camera: Camera
+    T_rig_camera: Array
+    hidden: NDArray[np.bool_]
+
+    @property
+    def key_steps(self) -> list[_Step]:
+        """The steps from keyframe to keyframe."""
+        ends = set(self.keyframes)
+        return [step for step in self.steps if step.current in ends]
+
+    @property
+    def key_times(self) -> Array:
+        """Seconds of the keyframes since the first one."""
+        return (self.timestamps_us[self.keyframes] - self.timestamps_us[0]) * 1e-6
+
+
+def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, Array, float | None]:
+    """Keyframe poses (k, 4, 4) in the axes of the first one, the mounting, and the scale's relative deviation."""
+    moves = np.array([step.moves for step in clip.key_steps])
     if not moves.any():
-        return np.zeros(len(steps)), None
+        return np.tile(np.eye(4), (len(clip.keyframes), 1, 1)), clip.T_rig_camera, None
+    driven = _measure_speed(clip, moves) * np.diff(clip.key_times)
+    T_key_next = _adjust(clip, driven, settings.rounds)
+    T_key_next[~moves] = np.eye(4)
+    mounting = _align_mounting(T_key_next, driven / np.diff(clip.key_times), clip.T_rig_camera)
+    scale = _measure_scale(clip, _chain(T_key_next), driven, mounting)
+    T_key_next[:, :3, 3] *= scale.factor[:, None]
+    return _chain(T_key_next), mounting, scale.sigma
+
+
+def _measure_speed(clip: _Clip, moves: NDArray[np.bool_]) -> Array:
+    """Rough speed (k,) over the steps between keyframes, m/s."""
+    steps = clip.key_steps
     directions = np.array([step.motion.direction_a * _sense(step) for step in steps])[moves]
     travel = np.median(directions, axis=0)
     travel /= np.linalg.norm(travel)
-    up, height = T_rig_camera[2, :3], float(T_rig_camera[2, 3])
-    axes = road_frame(travel, up, travel)
-    strip = RoadStrip(camera, height, axes, hidden)
+    strip, up = _lay_strip(clip, travel, clip.T_rig_camera, SPEED_STRIP_HEIGHTS), clip.T_rig_camera[2, :3]
     scores = np.full((len(steps), strip.shifts), -1.0)
     for index in np.flatnonzero(moves).tolist():
         first, second, motion = _in_driving_order(steps[index])
         step_axes = road_frame(travel, up, motion.direction_a)
-        scores[index] = strip.match(grays[first], grays[second], step_axes, motion.R_b_a)
-    estimate = estimate_speed(scores, seconds, moves)
-    # Suspension and the profile of the road do not average out over a short clip; noise of single matches does.
-    pitch_spread = 1.4826 * np.median(np.abs(directions @ axes.up - np.median(directions @ axes.up)))
-    return estimate.speed, float(np.hypot(estimate.standard_error, pitch_spread * strip.middle / height))
+        scores[index] = strip.match(clip.grays[first], clip.grays[second], step_axes, motion.R_b_a)
+    return estimate_speed(scores, np.diff(clip.key_times), moves)
+
+
+def _measure_scale(clip: _Clip, T_start_key: Array, driven: Array, T_rig_camera: Array) -> PlaneScale:
+    strip = _lay_strip(clip, T_rig_camera[0, :3], T_rig_camera, SCALE_STRIP_HEIGHTS)
+    grays = [clip.grays[index] for index in clip.keyframes]
+    return measure_scale(grays, clip.key_times, T_start_key, driven, strip, T_rig_camera[2, :3])
+
+
+def _lay_strip(clip: _Clip, forward: Array, T_rig_camera: Array, length_heights: float) -> RoadStrip:
+    axes = road_frame(forward, T_rig_camera[2, :3], forward)
+    return RoadStrip(clip.camera, float(T_rig_camera[2, 3]), axes, clip.hidden, length_heights)
+
+
+def _adjust(clip: _Clip, driven: Array, rounds: int) -> Array:
+    """Motion (k, 4, 4) from keyframe to keyframe that agrees best with all tracks."""
+    steps = clip.key_steps
+    expected = make_pose(
+        [step.motion.R_b_a.T for step in steps], driven[:, None] * [step.motion.direction_a for step in steps]
+    )
+    moves = np.array([step.moves for step in steps])
+    priors = StepPriors(
+        expected,
+        np.where(moves, PRIOR_ROTATION, STANDING_ROTATION),
+        np.where(moves, PRIOR_SPEED_SHARE * driven, 0.0) + STANDING_METRES,
+        np.where(moves, PRIOR_DIRECTION * driven, 0.0) + STANDING_METRES,
+    )
+    sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(clip.camera)
+    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), sigma, priors, rounds)
+    return invert(T_start_key[:-1]) @ T_start_key[1:]
 
 
 def _sense(step: _Step) -> float:
@@ -246,18 +296,30 @@ def _in_driving_order(step: _Step) -> tuple[int, int, TwoViewMotion]:
     return step.current, step.key, TwoViewMotion(motion.R_b_a.T, -motion.R_b_a @ motion.direction_a, motion.inliers)
 
 
-def _align_mounting(steps: Sequence[_Step], speed: Array, displacements: Array, T_rig_camera: Array) -> Array:
+def _collect_tracks(clip: _Clip) -> Tracks:
+    """What the keyframes have seen of the points that agree with the motion of their steps."""
+    steps = clip.key_steps
+    number = {frame: index for index, frame in enumerate(clip.keyframes)}
+    start = np.repeat([number[step.key] for step in steps], [len(step.points) for step in steps])
+    rays_key = np.concatenate([step.rays_key for step in steps])
+    rays_current = np.concatenate([step.rays_current for step in steps])
+    # Steps come in the order of time, so the first time that a point is seen is its anchor.
+    seen = np.concatenate([step.points for step in steps])
+    _, first, point = np.unique(seen, return_index=True, return_inverse=True)
+    return Tracks(start[first], rays_key[first], point, start + 1, rays_current)
+
+
+def _align_mounting(T_key_next: Array, speed: Array, T_rig_camera: Array) -> Array:
     """Mounting with the pitch and yaw for which the rig origin moves along rig x.
 
     The rear axle does not slip sideways, so the rig origin, which lies at q in the camera, moves straight ahead by
     d + (R - I) q where the camera moves by d and turns by R. Only the faster half of the speeds is asked.
     """
-    fast = np.flatnonzero((speed > 0.0) & (speed >= 0.5 * speed.max()))
-    if len(fast) == 0:
+    fast = (speed > 0.0) & (speed >= 0.5 * speed.max())
+    if not fast.any():
         return T_rig_camera
     origin = invert(T_rig_camera)[:3, 3]
-    turns = np.array([steps[index].motion.R_b_a.T - np.eye(3) for index in fast.tolist()])
-    moved = displacements[fast] + turns @ origin
+    moved = T_key_next[fast, :3, 3] + (T_key_next[fast, :3, :3] - np.eye(3)) @ origin
     moved *= np.sign(moved[:, 2:]) / np.linalg.norm(moved, axis=1, keepdims=True)
     roll = Rotation.from_matrix(T_rig_camera[:3, :3] @ R_FORWARD_CAMERA.T).as_euler("ZYX")[2]
     # Rz(yaw) Ry(pitch) turns this direction, which has the roll already, to rig x.
@@ -266,18 +328,23 @@ def _align_mounting(steps: Sequence[_Step], speed: Array, displacements: Array, 
     return camera_pose_in_rig(T_rig_camera[:3, 3], float(roll), float(pitch), float(yaw))
 
 
-def _chain(
-    steps: Sequence[_Step], keyframes: Sequence[int], displacements: Array, timestamps_us: NDArray[np.int64]
-) -> Array:
-    """Camera poses (n, 4, 4) in the axes of the first camera.
+def _chain(T_key_next: Array) -> Array:
+    """Poses (n, 4, 4) in the axes of the first one, of the motions (n - 1, 4, 4) between them."""
+    poses = [np.eye(4)]
+    for motion in T_key_next:
+        poses.append(poses[-1] @ motion)
+    return np.stack(poses)
 
-    Rotations are those of every frame; positions are chained over the keyframes and interpolated between them.
-    """
+
+def _interpolate(
+    T_start_key: Array, steps: Sequence[_Step], keyframes: Sequence[int], timestamps_us: NDArray[np.int64]
+) -> Array:
+    """Camera poses (n, 4, 4) of all frames: positions between the keyframes' run smoothly, rotations are measured."""
     poses = np.tile(np.eye(4), (len(timestamps_us), 1, 1))
+    rotation_of = dict(zip(keyframes, T_start_key[:, :3, :3], strict=True))
     for step in steps:
-        poses[step.current, :3, :3] = poses[step.key, :3, :3] @ step.motion.R_b_a.T
-    moved = np.einsum("kij,kj->ki", poses[keyframes[:-1], :3, :3], displacements)
-    positions = np.concatenate([np.zeros((1, 3)), np.cumsum(moved, axis=0)])
+        measured = rotation_of[step.key] @ step.motion.R_b_a.T
+        poses[step.current, :3, :3] = rotation_of.get(step.current, measured)
     times = (timestamps_us - timestamps_us[0]) * 1e-6
-    poses[:, :3, 3] = PchipInterpolator(times[list(keyframes)], positions)(times)
+    poses[:, :3, 3] = PchipInterpolator(times[list(keyframes)], T_start_key[:, :3, 3])(times)
     return poses

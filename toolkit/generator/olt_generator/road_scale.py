@@ -21,7 +21,6 @@ from olt_generator.poses import Array
 
 # The strip, in camera heights ahead of the camera: nearer is bonnet, farther is a few pixels a metre.
 NEAREST_HEIGHTS = 3.5
-LENGTH_HEIGHTS = 5.5
 FARTHEST_HEIGHTS = 12.0
 HALF_WIDTH_METRES = 1.5
 SPACING_ALONG = 0.05
@@ -71,7 +70,9 @@ def road_frame(travel: Array, up: Array, direction: Array) -> RoadFrame:
 class RoadStrip:
     """The strip of road that one camera matches between frames."""
 
-    def __init__(self, camera: Camera, height: float, axes: RoadFrame, hidden: NDArray[np.bool_]) -> None:
+    def __init__(
+        self, camera: Camera, height: float, axes: RoadFrame, hidden: NDArray[np.bool_], length_heights: float
+    ) -> None:
         """Lay the strip where the road becomes visible.
 
         Args:
@@ -79,6 +80,7 @@ class RoadStrip:
             height: height of the camera above the road in metres.
             axes: the usual axes of the road.
             hidden: (H, W) pixels that show no road, such as the bonnet.
+            length_heights: length of the strip in camera heights.
 
         Raises:
             InputError: no road is in view.
@@ -89,7 +91,7 @@ class RoadStrip:
         if not visible.any():
             raise InputError("odometry: the camera sees no road ahead, so speed is unknown; check its pitch and height")
         nearest = ahead[int(np.argmax(visible[:, 0]))]
-        self.along = nearest + np.arange(0.0, LENGTH_HEIGHTS * height, SPACING_ALONG)
+        self.along = nearest + np.arange(0.0, length_heights * height, SPACING_ALONG)
         self.across = np.arange(-HALF_WIDTH_METRES, HALF_WIDTH_METRES + 1e-9, SPACING_ACROSS)
 
     @property
@@ -104,9 +106,24 @@ class RoadStrip:
 
     def match(self, first: Gray, second: Gray, axes: RoadFrame, R_second_first: Array) -> Array:
         """Correlation (shifts,) of the strip for displacements 0, 0.05, ... metres; -1 where too little is seen."""
-        before, seen_before = self._rectify(first, axes)
-        after, seen_after = self._rectify(second, axes.rotated(R_second_first))
-        return np.array([_correlate(before, seen_before, after, seen_after, shift) for shift in range(self.shifts)])
+        before, after = self.rectify(first, axes), self.rectify(second, axes.rotated(R_second_first))
+        rows, least = len(self.along), MIN_OVERLAP_SHARE * before.seen.size
+        return np.array(
+            [
+                correlate(before.part(shift, rows - shift), after.part(0, rows - shift), least)
+                for shift in range(self.shifts)
+            ]
+        )
+
+    def rectify(self, gray: Gray, axes: RoadFrame) -> "RoadPicture":
+        """The strip seen from above."""
+        pixels, seen = self._locate(axes, self.along, self.across)
+        table = pixels.astype(np.float32)
+        picture = cv2.remap(gray, table[..., 0], table[..., 1], cv2.INTER_LINEAR).astype(np.float64)
+        window = round(DETAIL_METRES / SPACING_ALONG)
+        share = np.maximum(uniform_filter1d(seen.astype(np.float64), window, axis=0), 1e-6)
+        mean = uniform_filter1d(np.where(seen, picture, 0.0), window, axis=0) / share
+        return RoadPicture(np.where(seen, picture - mean, 0.0), seen)
 
     def _locate(self, axes: RoadFrame, along: Array, across: Array) -> tuple[Array, NDArray[np.bool_]]:
         points = along[:, None, None] * axes.along + across[:, None] * axes.left - self.height * axes.up
@@ -114,37 +131,31 @@ class RoadStrip:
         column, row = np.moveaxis(np.where(inside[..., None], np.rint(pixels), 0.0).astype(np.intp), -1, 0)
         return pixels, inside & ~self.hidden[row, column]
 
-    def _rectify(self, gray: Gray, axes: RoadFrame) -> tuple[Array, NDArray[np.bool_]]:
-        pixels, seen = self._locate(axes, self.along, self.across)
-        table = pixels.astype(np.float32)
-        picture = cv2.remap(gray, table[..., 0], table[..., 1], cv2.INTER_LINEAR).astype(np.float64)
-        window = round(DETAIL_METRES / SPACING_ALONG)
-        share = np.maximum(uniform_filter1d(seen.astype(np.float64), window, axis=0), 1e-6)
-        mean = uniform_filter1d(np.where(seen, picture, 0.0), window, axis=0) / share
-        return np.where(seen, picture - mean, 0.0), seen
-
-
-def _correlate(
-    before: Array, seen_before: NDArray[np.bool_], after: Array, seen_after: NDArray[np.bool_], shift: int
-) -> float:
-    seen = seen_before[shift:] & seen_after[: len(after) - shift]
-    if np.count_nonzero(seen) < MIN_OVERLAP_SHARE * before.size:
-        return -1.0
-    a, b = before[shift:] * seen, after[: len(after) - shift] * seen
-    energy = float(np.sqrt(np.vdot(a, a) * np.vdot(b, b)))
-    return float(np.vdot(a, b)) / energy if energy > 0.0 else 0.0
-
 
 @dataclass(frozen=True)
-class SpeedEstimate:
-    """Speed (n,) over each step in m/s, and the relative standard error of its mean."""
+class RoadPicture:
+    """Grey levels (along, across) of a strip without their local mean, 0 where the strip is not `seen`."""
 
-    speed: Array
-    standard_error: float
+    detail: Array
+    seen: NDArray[np.bool_]
+
+    def part(self, start: int, length: int) -> "RoadPicture":
+        """Some of the rows along the strip."""
+        return RoadPicture(self.detail[start : start + length], self.seen[start : start + length])
 
 
-def estimate_speed(scores: Array, seconds: Array, moving: NDArray[np.bool_]) -> SpeedEstimate:
-    """The speed over every step that agrees best with the road and with what a vehicle can do.
+def correlate(a: RoadPicture, b: RoadPicture, least: float) -> float:
+    """Normalised correlation of two pictures of one size, -1 where they share fewer than `least` pixels."""
+    if np.count_nonzero(a.seen & b.seen) < least:
+        return -1.0
+    # Unseen pixels are 0 and count only in the energy of the other picture, where they are taken out.
+    shared_a, shared_b = a.detail * b.seen, b.detail * a.seen
+    energy = float(np.sqrt(np.vdot(shared_a, shared_a) * np.vdot(shared_b, shared_b)))
+    return float(np.vdot(shared_a, shared_b)) / energy if energy > 0.0 else 0.0
+
+
+def estimate_speed(scores: Array, seconds: Array, moving: NDArray[np.bool_]) -> Array:
+    """Speed (n,) over every step in m/s that agrees best with the road and with what a vehicle can do.
 
     The most probable path through the correlations settles which peak is meant; a peak's exact place is then
     measured and weighed against a random walk of the speed.
@@ -166,9 +177,7 @@ def estimate_speed(scores: Array, seconds: Array, moving: NDArray[np.bool_]) -> 
             "give a clip with a visible, textured road"
         )
     measured, weight = np.where(moving, measured, 0.0), np.where(moving, weight, 1.0)
-    speed = np.where(moving, np.maximum(_smooth_speeds(measured, weight, seconds), 0.0), 0.0)
-    spread = 1.4826 * np.median(np.abs(measured[used] / np.maximum(speed[used], 1e-3) - 1.0))
-    return SpeedEstimate(speed, float(spread / np.sqrt(np.count_nonzero(used))))
+    return np.where(moving, np.maximum(_smooth_speeds(measured, weight, seconds), 0.0), 0.0)
 
 
 def _most_probable_speeds(scores: Array, seconds: Array, moving: NDArray[np.bool_]) -> Array:
@@ -198,14 +207,21 @@ def _measure_peaks(scores: Array, seconds: Array, rough: Array) -> tuple[Array, 
         reach = max(2.0, 0.1 * expected)
         low = int(np.clip(expected - reach, 1, len(row) - 2))
         high = int(np.clip(expected + reach, low, len(row) - 2))
-        peak = low + int(np.argmax(row[low : high + 1]))
-        left, middle, right = row[peak - 1 : peak + 2]
-        curvature = left - 2.0 * middle + right
-        is_peak = left <= middle >= right and curvature < 0.0
-        offset = 0.5 * (left - right) / curvature if is_peak else 0.0
-        measured[step] = (peak + offset) * SPACING_ALONG / seconds[step]
-        weight[step] = max(0.0, middle - float(np.median(row[row > -1.0]))) if is_peak else 0.0
+        peak = find_peak(row, low, high)
+        if peak is not None:
+            measured[step] = peak * SPACING_ALONG / seconds[step]
+            weight[step] = max(0.0, row[round(peak)] - float(np.median(row[row > -1.0])))
     return measured, weight
+
+
+def find_peak(scores: Array, low: int, high: int) -> float | None:
+    """Place of the highest of the scores (n,) between two indices, by a parabola; None where it is no peak."""
+    peak = low + int(np.argmax(scores[low : high + 1]))
+    left, middle, right = scores[peak - 1 : peak + 2]
+    curvature = left - 2.0 * middle + right
+    if not (left <= middle >= right and curvature < 0.0):
+        return None
+    return peak + 0.5 * float((left - right) / curvature)
 
 
 def _smooth_speeds(measured: Array, weight: Array, seconds: Array, rounds: int = 5) -> Array:

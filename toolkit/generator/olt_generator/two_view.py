@@ -13,7 +13,7 @@ from olt_generator.poses import Array
 MAX_GUESS_ANGLE = np.radians(60.0)
 GUESS_CONFIDENCE = 0.999
 MAX_REFINEMENTS = 10
-CONVERGED_RADIANS = 1e-7
+CONVERGED_RADIANS = 1e-5
 
 
 @dataclass(frozen=True)
