@@ -1,9 +1,10 @@
 """Distance to what the front camera sees, from the motion of the camera and the road plane; no learned weights.
 
-The background is the road, the plane z = 0 of the rig, and beyond it everything at `FAR_DISTANCE`. Parallax between two
-frames shows what stands nearer than that, and plain surfaces are interpolated from what is known around them.
+The background is the road, the plane z = 0 of the rig, and beyond it everything at `FAR_DISTANCE`. What stands in
+front of it is found in `surfaces` by a plane sweep over several frames of the clip.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -11,23 +12,22 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.cameras import Camera, pixel_rays
+from olt_generator.background import FAR_DISTANCE, background_distance, road_distance
+from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
-from olt_generator.fill import interpolate
 from olt_generator.own_vehicle import find_own_vehicle
-from olt_generator.parallax import ParallaxMatcher, choose_partners
-from olt_generator.poses import Array, invert
+from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
+from olt_generator.surfaces import SurfaceFinder, Surfaces
 from olt_generator.trajectory import Trajectory
 
-# Metres at which everything without parallax above the road is placed. Side cameras sit about 1.3 m from the front
-# camera: half a degree at this distance, two pixels of a 120 degree view at 576 columns. So sky and the far end of
-# the street are in effect warped by the rotation alone, and still lie within the limits of `splat`.
-FAR_DISTANCE = 150.0
+__all__ = ["FAR_DISTANCE", "DistanceEstimate", "Origin", "SweepSettings", "estimate_distance", "road_distance"]
 
-# How many times nearer than the background a point must be not to be taken for it: 25 cm of height over the road for a
-# camera at 1.5 m.
-LEAST_RATIO = 1.2
+# Share of pixels whose distance is right within a tenth, by the weight of what speaks for it (`Surfaces.knowledge`):
+# measured on drives of the synthetic world, for surfaces in front of the background and for the background.
+KNOWLEDGE = (0.0, 0.02, 0.05, 0.12, 0.3, 0.6, 1.0)
+SURFACE_CONFIDENCE = (0.0, 0.12, 0.22, 0.42, 0.55, 0.78, 0.85)
+BACKGROUND_CONFIDENCE = (0.0, 0.4, 0.6, 0.85, 0.97, 0.99, 0.99)
 
 
 class Origin(IntEnum):
@@ -42,16 +42,43 @@ class Origin(IntEnum):
 
 @dataclass(frozen=True)
 class DistanceEstimate:
-    """Distance along the rays of a clip's frames.
+    """Distance along the rays of the m frames of a clip that were asked for.
 
     Attributes:
-        distance: (n, H, W) float32 metres along each pixel's ray, NaN on the own vehicle. Never inf: sky is not told
+        distance: (m, H, W) float32 metres along each pixel's ray, NaN on the own vehicle. Never inf: sky is not told
             from other far things.
-        origin: (n, H, W) uint8, an `Origin` per pixel.
+        origin: (m, H, W) uint8, an `Origin` per pixel.
+        confidence: (m, H, W) float32, 0 to 1: about the share of such pixels whose distance is right within a tenth.
+            0 where only the assumption of a background speaks for the distance, and on the own vehicle.
+        moving: (m, H, W) bool, pixels of moving objects, as far as they are noticed.
     """
 
     distance: NDArray[np.float32]
     origin: NDArray[np.uint8]
+    confidence: NDArray[np.float32]
+    moving: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """How much work goes into the plane sweep.
+
+    Attributes:
+        planes: distances that are tried besides the background.
+        neighbours: frames, 1 or 2, that judge each of them.
+        width: columns to which wider frames are reduced.
+
+    Raises:
+        InputError: a setting is out of range.
+    """
+
+    planes: int = 24
+    neighbours: int = 2
+    width: int = 320
+
+    def __post_init__(self) -> None:
+        if not (4 <= self.planes <= 200 and self.neighbours in (1, 2) and self.width >= 32):
+            raise InputError(f"{self}: give 4 to 200 planes, 1 or 2 neighbours and a width of at least 32")
 
 
 def estimate_distance(
@@ -60,12 +87,13 @@ def estimate_distance(
     trajectory: Trajectory,
     T_rig_camera: Array,
     on_progress: Progress = silent,
+    shown: Sequence[int] | NDArray[np.integer] | None = None,
+    settings: SweepSettings | None = None,
 ) -> DistanceEstimate:
     """Estimate the distance of every pixel of a clip.
 
-    Moving objects are triangulated as if they stood still: one that moves along its epipolar lines, as a car ahead
-    does, comes out too near or too far; others mostly fall back to plane or far. Close to the direction of travel,
-    and everywhere at standstill, there is no parallax.
+    Close to the direction of travel, and everywhere at standstill, there is no parallax: there the background is
+    assumed, with little or no confidence.
 
     Args:
         frames: (n, H, W, 3) uint8.
@@ -73,71 +101,103 @@ def estimate_distance(
         trajectory: n rig poses, one per frame.
         T_rig_camera: (4, 4) pose of the camera in the rig; its height above the road scales the plane.
         on_progress: told the share of frames that are done.
+        shown: numbers (m,) of the frames whose distance is wanted; the others only help with them. None: all.
+        settings: how much work goes into it.
 
     Raises:
-        InputError: frames, camera and trajectory do not belong together, or the camera is not above the road.
+        InputError: frames, camera and trajectory do not belong together, a frame that is not there is asked for, or
+            the camera is not above the road.
     """
-    _check_inputs(frames, camera, trajectory)
+    check_clip(frames, camera, trajectory)
+    wanted = choose_shown(shown, len(frames))
+    settings = settings or SweepSettings()
     T_world_camera = trajectory.T_world_rig @ T_rig_camera
-    positions = T_world_camera[:, :3, 3]
     road = road_distance(camera, T_rig_camera)
-    vehicle = find_own_vehicle(frames, camera, T_rig_camera, positions, road)
-
-    background = np.minimum(road, np.float32(FAR_DISTANCE))
-    distance = np.repeat(background[None], len(frames), axis=0)
-    background_origin = np.where(road < FAR_DISTANCE, Origin.PLANE, Origin.FAR).astype(np.uint8)
-    origin = np.repeat(background_origin[None], len(frames), axis=0)
-    matcher = ParallaxMatcher(frames, camera)
-    small_size = (matcher.camera.width, matcher.camera.height)
-    small_background = np.asarray(cv2.resize(background, small_size, interpolation=cv2.INTER_NEAREST), np.float32)
-    for index, partner in enumerate(choose_partners(positions)):
-        if partner is not None:
-            T_frame_partner = invert(T_world_camera[index]) @ T_world_camera[partner]
-            nearness = matcher.nearness(index, partner, T_frame_partner, small_background)
-            _insert_parallax(distance[index], origin[index], nearness, small_background)
-        on_progress((index + 1) / len(frames))
-    distance[:, vehicle] = np.nan
-    origin[:, vehicle] = Origin.VEHICLE
-    return DistanceEstimate(distance, origin)
+    vehicle = find_own_vehicle(frames, camera, T_rig_camera, T_world_camera[:, :3, 3], road)
+    small = _reduced(camera, settings.width)
+    images = [cv2.resize(frame, (small.width, small.height), interpolation=cv2.INTER_AREA) for frame in frames]
+    finder = SurfaceFinder(images, small, T_world_camera, T_rig_camera, settings.planes, settings.neighbours)
+    small_background = background_distance(small, T_rig_camera)
+    estimate = _empty_estimate(len(wanted), camera)
+    for place, index in enumerate(wanted):
+        _insert(estimate, place, finder.find(int(index)), small_background, road)
+        on_progress((place + 1) / len(wanted))
+    _leave_out(estimate, vehicle)
+    return estimate
 
 
-def _insert_parallax(
-    distance: NDArray[np.float32],
-    origin: NDArray[np.uint8],
-    nearness: NDArray[np.float32],
-    background: NDArray[np.float32],
-) -> None:
-    """Put what parallax (h, w) says stands in front of the background (h, w) into `distance` and `origin` (H, W)."""
-    # How many times nearer than the background. Unlike distance it is smooth where an object stands on the road, and
-    # it is 1 all over a plain road.
-    ratio = np.maximum(nearness * background, 1.0)
-    known = np.isfinite(ratio)
-    if not known.any():
-        return
-    ratio = interpolate(ratio[..., None], known)[..., 0]
-    small_origin = np.where(known, Origin.PARALLAX, Origin.INTERPOLATED).astype(np.uint8)
-    in_front, small_distance, small_origin = (
-        cv2.resize(values, distance.shape[::-1], interpolation=cv2.INTER_NEAREST)
-        for values in ((ratio > LEAST_RATIO).astype(np.uint8), background / ratio, small_origin)
+def _reduced(camera: Camera, width: int) -> Camera:
+    factor = min(1.0, width / camera.width)
+    return camera.resized(round(factor * camera.width), round(factor * camera.height))
+
+
+def _empty_estimate(count: int, camera: Camera) -> DistanceEstimate:
+    shape = (count, camera.height, camera.width)
+    return DistanceEstimate(
+        distance=np.empty(shape, np.float32),
+        origin=np.empty(shape, np.uint8),
+        confidence=np.empty(shape, np.float32),
+        moving=np.empty(shape, np.bool_),
     )
-    np.copyto(distance, small_distance, where=in_front > 0)
-    np.copyto(origin, small_origin, where=in_front > 0)
 
 
-def road_distance(camera: Camera, T_rig_camera: Array) -> NDArray[np.float32]:
-    """Distance (H, W) along each ray to the plane z = 0 of the rig, inf where the ray does not meet it.
+def _insert(
+    estimate: DistanceEstimate,
+    place: int,
+    surfaces: Surfaces,
+    small_background: NDArray[np.float32],
+    road: NDArray[np.float32],
+) -> None:
+    """Put the surfaces (h, w) of a frame into its place (H, W) before the background, which is taken at full size."""
+    in_front = surfaces.ratio > 1.0
+    confidence = np.where(
+        in_front,
+        np.interp(surfaces.knowledge, KNOWLEDGE, SURFACE_CONFIDENCE),
+        np.interp(surfaces.knowledge, KNOWLEDGE, BACKGROUND_CONFIDENCE),
+    ).astype(np.float32)
+    small_origin = np.where(surfaces.measured, Origin.PARALLAX, Origin.INTERPOLATED).astype(np.uint8)
+    in_front, distance, origin, estimate.confidence[place], moving = (
+        cv2.resize(values, road.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        for values in (
+            in_front.astype(np.uint8),
+            small_background / surfaces.ratio,
+            small_origin,
+            confidence,
+            surfaces.moving.astype(np.uint8),
+        )
+    )
+    is_surface = in_front > 0
+    estimate.distance[place] = np.where(is_surface, distance, np.minimum(road, np.float32(FAR_DISTANCE)))
+    estimate.origin[place] = np.where(is_surface, origin, np.where(road < FAR_DISTANCE, Origin.PLANE, Origin.FAR))
+    estimate.moving[place] = moving > 0
+
+
+def _leave_out(estimate: DistanceEstimate, vehicle: NDArray[np.bool_]) -> None:
+    estimate.distance[:, vehicle] = np.nan
+    estimate.origin[:, vehicle] = Origin.VEHICLE
+    estimate.confidence[:, vehicle] = 0.0
+    estimate.moving[:, vehicle] = False
+
+
+def choose_shown(shown: Sequence[int] | NDArray[np.integer] | None, count: int) -> NDArray[np.int64]:
+    """Numbers (m,) of the frames that are wanted out of `count`; all where `shown` is None.
 
     Raises:
-        InputError: the camera is not above the plane.
+        InputError: a number is not that of a frame.
     """
-    height = float(T_rig_camera[2, 3])
-    if not height > 0.0:
-        raise InputError(f"camera height {height:.2f} m: the camera must be mounted above the road; check T_rig_camera")
-    descent = -(pixel_rays(camera) @ T_rig_camera[2, :3])
-    return np.divide(height, descent, out=np.full(descent.shape, np.inf), where=descent > 0.0).astype(np.float32)
+    wanted = np.arange(count) if shown is None else np.asarray(shown, np.int64)
+    outside = (wanted < 0) | (wanted >= count)
+    if outside.any():
+        raise InputError(f"shown: there is no frame {wanted[outside][0]} in a clip of {count}; count from 0")
+    return wanted
 
 
-def _check_inputs(frames: NDArray[np.uint8], camera: Camera, trajectory: Trajectory) -> None:
+def check_clip(frames: NDArray[np.uint8], camera: Camera, trajectory: Trajectory) -> None:
+    """Check that frames (n, H, W, 3), camera and trajectory belong together.
+
+    Raises:
+        InputError: they do not.
+    """
     if frames.shape[1:] != (camera.height, camera.width, 3):
         raise InputError(
             f"frames of shape {frames.shape[1:]} for a camera of {camera.width} x {camera.height}; resize the camera"
