@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
@@ -121,6 +123,23 @@ def test_covariances_are_consistent():
         for freedoms, total in zip((6, 1), squared.sum(axis=1), strict=True):
             lowest, highest = chi2.ppf([0.0005, 0.9995], freedoms * runs)
             assert lowest < total < highest
+
+
+@settings(max_examples=15)
+@given(
+    steps=st.lists(st.sampled_from([1e-6, 1e-4, 0.03, 0.1, 0.11, 0.5, 8.0]), min_size=1, max_size=25),
+    speed=st.sampled_from([0.0, -3.0, 20.0]),
+    turn_rate=st.sampled_from([0.0, 0.7]),
+)
+def test_any_spacing_in_time_will_do(steps, speed, turn_rate):
+    times_us = np.concatenate([[0], np.cumsum(np.rint(np.array(steps) * 1e6))]).astype(np.int64)
+    twists = np.zeros((len(times_us), 6))
+    twists[:, 0], twists[:, 5] = speed * times_us * 1e-6, turn_rate * times_us * 1e-6
+    true = Trajectory(times_us, exponential(twists))
+    motion = smooth_trajectory(jittered(true, 0.02, 0.1))
+    assert worst_distance(motion.trajectory, true) < 0.25
+    assert np.all(np.linalg.eigvalsh(motion.covariance) > 0.0)
+    assert np.all(np.isfinite(motion.acceleration))
 
 
 def with_outliers(trajectory, share, seed=5, metres=5.0, radians=0.5):
