@@ -121,7 +121,7 @@ def test_what_was_seen_is_closer_to_the_truth_than_what_was_invented(built):
 def test_errors_that_cannot_be_measured_are_none(built, recording):
     assert built.distance_error is not None
     assert built.distance_error < 0.5
-    assert built.odometry is None
+    assert built.measured is None
     assert built.pose_errors is None
     unknown = replace(recording, distance=None, views={})
     blind = build_clip(unknown, replace(OPTIONS, use_reference_motion=True, cameras=(FRONT_WIDE, CROSS_LEFT)))

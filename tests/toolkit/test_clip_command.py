@@ -92,7 +92,7 @@ def test_build_writes_clip_and_pictures(tmp_path, drive, source):
     assert summary["pose_errors"] is not None
     assert summary["distance_median_relative_error"] is None
     assert summary["assumptions"][0] == "lens: 60 degrees"
-    assert set(summary["left_out"]) == {
+    assert set(summary["left_out"]) >= {
         "camera_rear_left_70fov",
         "camera_rear_right_70fov",
         "camera_rear_tele_30fov",
@@ -133,6 +133,23 @@ def test_wrong_options_are_refused_before_anything_is_written(tmp_path, drive, a
     assert isinstance(result.exception, InputError)
     assert message in str(result.exception)
     assert not (tmp_path / "clips" / "clips.parquet").exists()
+
+
+def test_the_motion_comes_from_where_it_is_said_to(tmp_path, drive):
+    reference = build(drive, "--out", tmp_path / "clips", "--poses", "reference", "--json")
+    summary = json.loads(reference.stdout)
+    assert summary["trajectory"]["length"] == 0.0
+    assert summary["scale_sigma"] is None
+    assert "odometry" not in summary["seconds"]
+    for arguments in (("--poses", "mapanything"), ("--mapanything-weights", tmp_path)):
+        result = build(drive, "--out", tmp_path / "clips", *arguments)
+        assert "belong together" in str(result.exception)
+
+
+@pytest.mark.slow
+def test_missing_weights_of_mapanything_are_named(tmp_path, drive):
+    missing = build(drive, "--out", tmp_path / "c", "--poses", "mapanything", "--mapanything-weights", tmp_path)
+    assert "facebook/map-anything" in str(missing.exception)
 
 
 def test_missing_input_and_unusable_output_are_refused(tmp_path, drive):

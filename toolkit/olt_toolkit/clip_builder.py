@@ -10,8 +10,8 @@ from olt_generator.errors import InputError
 from olt_generator.front_view import FrontView
 from olt_generator.image_metrics import psnr
 from olt_generator.moving_objects import find_moving
-from olt_generator.odometry import Odometry, estimate_odometry
 from olt_generator.pose_metrics import PoseErrors, compare_trajectories
+from olt_generator.pose_sources import PoseEstimate
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
 from olt_generator.smoother import SmoothedMotion, smooth_trajectory
@@ -47,7 +47,7 @@ class BuiltClip:
         clip: the clip.
         plan: which views were made, and how.
         left_out: what was not made, and why.
-        odometry: the trajectory as measured; None where the reference was taken.
+        measured: the trajectory as it was measured; None where the reference was taken.
         motion: the smoothed trajectory; None where the reference was taken.
         distance: distances of all front images of the recording; None where no view needed them.
         observed: (m, h, w) pixels taken from what the front camera saw, by synthesized view.
@@ -62,7 +62,7 @@ class BuiltClip:
     clip: Clip
     plan: ViewPlan
     left_out: dict[str, str]
-    odometry: Odometry | None
+    measured: PoseEstimate | None
     motion: SmoothedMotion | None
     distance: DistanceEstimate | None
     observed: dict[str, NDArray[np.bool_]]
@@ -87,7 +87,7 @@ class _Motion:
     ego: EgoMotion
     trajectory: Trajectory
     T_rig_camera: Array
-    odometry: Odometry | None = None
+    measured: PoseEstimate | None = None
     smoothed: SmoothedMotion | None = None
 
 
@@ -124,12 +124,12 @@ def build_clip(
         left_out=plan.left_out
         | _frames_left_out(len(recording.frames), len(kept))
         | _sources_left_out(len(recording.frames), views),
-        odometry=motion.odometry,
+        measured=motion.measured,
         motion=motion.smoothed,
         distance=distance,
         observed={name: view.observed for name, view in views.items() if view.observed is not None},
         pose_errors=_pose_errors(motion.smoothed, recording),
-        raw_pose_errors=_pose_errors(motion.odometry, recording),
+        raw_pose_errors=_pose_errors(motion.measured, recording),
         distance_error=_distance_error(distance, recording),
         view_errors=_view_errors(views, shown),
         seconds=stages.seconds,
@@ -143,13 +143,13 @@ def _measure_motion(recording: Recording, options: BuildOptions, stages: Stages)
             raise InputError(f"{recording.name}: its true trajectory is not known; let it be estimated")
         return _Motion(EgoMotion.from_trajectory(recording.reference), recording.reference, recording.T_rig_camera)
     with stages.stage("odometry") as on_progress:
-        odometry = estimate_odometry(
+        measured = options.poses.estimate(
             recording.frames, recording.timestamps_us, recording.camera, recording.T_rig_camera, on_progress
         )
     with stages.stage("smoothing"):
-        smoothed = smooth_trajectory(odometry.trajectory)
+        smoothed = smooth_trajectory(measured.trajectory, measured.noise)
     ego = EgoMotion.anchored(smoothed.trajectory, smoothed.velocity, smoothed.acceleration, smoothed.curvature)
-    return _Motion(ego, smoothed.trajectory, odometry.T_rig_camera, odometry, smoothed)
+    return _Motion(ego, smoothed.trajectory, measured.T_rig_camera, measured, smoothed)
 
 
 def _estimate_distance(recording: Recording, motion: _Motion, stages: Stages) -> DistanceEstimate:
@@ -243,7 +243,7 @@ def _clip_kind(options: BuildOptions, plan: ViewPlan) -> ClipKind:
     return "GT" if options.use_reference_views else "Syn"
 
 
-def _pose_errors(measured: Odometry | SmoothedMotion | None, recording: Recording) -> PoseErrors | None:
+def _pose_errors(measured: PoseEstimate | SmoothedMotion | None, recording: Recording) -> PoseErrors | None:
     if measured is None or recording.reference is None:
         return None
     return compare_trajectories(measured.trajectory, recording.reference)

@@ -18,11 +18,11 @@ def summarize_build(built: BuiltClip) -> dict[str, Any]:
     return {
         "clip": summarize_info(describe_clip(built.clip)),
         "trajectory": summarize_motion(built.clip.ego_motion),
-        "scale_sigma": built.odometry.scale_sigma if built.odometry else None,
+        "scale_sigma": built.measured.scale_sigma if built.measured else None,
         "pose_errors": _errors(built.pose_errors),
         "pose_errors_before_smoothing": _errors(built.raw_pose_errors),
         "smoothness": _smoothness(built.motion.trajectory if built.motion else None),
-        "smoothness_before_smoothing": _smoothness(built.odometry.trajectory if built.odometry else None),
+        "smoothness_before_smoothing": _smoothness(built.measured.trajectory if built.measured else None),
         "distance_median_relative_error": built.distance_error,
         "view_errors": {name: asdict(error) for name, error in built.view_errors.items()},
         "left_out": dict(built.left_out),

@@ -11,6 +11,7 @@ from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera, fit_camer
 from olt_generator.errors import InputError
 from olt_generator.front_view import FrontView
 from olt_generator.lookback import LOOKBACK_LATENTS
+from olt_generator.pose_sources import PoseSource, VisualOdometry
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
 from olt_generator.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
@@ -37,6 +38,7 @@ class BuildOptions:
             one in three.
         use_reference_views: take the recording's true images and trajectory instead of synthesizing: kind GT.
         use_reference_motion: take the recording's true trajectory although views are synthesized.
+        poses: where the motion comes from otherwise.
         image_kind: how the recording's own images came to be, for the provenance.
         name, scene_id: None for the recording's name.
         category, factors, split: see `Clip`.
@@ -50,6 +52,7 @@ class BuildOptions:
     all_frames: bool = False
     use_reference_views: bool = False
     use_reference_motion: bool = False
+    poses: PoseSource = field(default_factory=VisualOdometry)
     image_kind: ViewKind = "observed"
     name: str | None = None
     scene_id: str | None = None

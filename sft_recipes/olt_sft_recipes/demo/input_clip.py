@@ -84,7 +84,7 @@ def _draw(job: Job, recording: Recording, built: BuiltClip) -> None:
     write_picture(job.pictures / CONTACT_SHEET, contact_sheet(images, built.observed, times_us))
     if recording.views:
         write_picture(job.pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
-    if built.odometry is not None and built.motion is not None:
-        drawing = draw_trajectory(built.odometry.trajectory, built.motion.trajectory, recording.reference)
+    if built.measured is not None and built.motion is not None:
+        drawing = draw_trajectory(built.measured.trajectory, built.motion.trajectory, recording.reference)
         with write_whole(job.pictures / TRAJECTORY) as path:
             path.write_text(drawing)

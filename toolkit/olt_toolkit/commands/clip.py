@@ -1,11 +1,13 @@
 """`olt clip`: build four-camera clips from recordings, look into a store of them, and score them."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
+    from olt_generator.pose_sources import PoseSource
     from olt_toolkit.clip_builder import BuiltClip
     from olt_toolkit.clip_folder import BuildJob
     from olt_toolkit.clip_store import ClipStore
@@ -14,12 +16,25 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Build, inspect and score clips.")
 
+
+class PoseChoice(StrEnum):
+    """Where the motion of the vehicle comes from."""
+
+    ODOMETRY = "odometry"
+    REFERENCE = "reference"
+    MAPANYTHING = "mapanything"
+
+
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 FovOption = Annotated[float | None, typer.Option(help="Horizontal field of view in degrees, if not calibrated.")]
 HeightOption = Annotated[float | None, typer.Option(help="Height of the camera in metres, if unknown.")]
 WidthOption = Annotated[int, typer.Option("--width", min=32, help="Width of the views in pixels, even.")]
 ViewHeightOption = Annotated[int, typer.Option("--height", min=32, help="Height of the views in pixels, even.")]
 DurationOption = Annotated[float, typer.Option(min=0.1, help="Use at most this many seconds.")]
+PosesOption = Annotated[PoseChoice, typer.Option(help="Where the motion of the vehicle comes from.")]
+MapAnythingOption = Annotated[
+    Path | None, typer.Option(help="Folder with MapAnything's config.json and model.safetensors.")
+]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the clip store.")]
 
 
@@ -34,6 +49,8 @@ def build(
     height: ViewHeightOption = 320,
     duration: DurationOption = 20.0,
     all_frames: Annotated[bool, typer.Option("--all-frames", help="Make frames that no sample shows too.")] = False,
+    poses: PosesOption = PoseChoice.ODOMETRY,
+    mapanything_weights: MapAnythingOption = None,
     seed: Annotated[int, typer.Option(help="Seed of the clip.")] = 0,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes for a folder; all processors.")] = None,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a recording that fails.")] = False,
@@ -48,7 +65,15 @@ def build(
 
     if name is not None and Path(name).name != name:
         raise InputError(f"--name {name!r}: pictures are named after the clip; give a name without slashes")
-    options = BuildOptions(width=width, height=height, all_frames=all_frames, name=name, seed=seed)
+    options = BuildOptions(
+        width=width,
+        height=height,
+        all_frames=all_frames,
+        use_reference_motion=poses is PoseChoice.REFERENCE,
+        poses=_pose_source(poses, mapanything_weights),
+        name=name,
+        seed=seed,
+    )
     job = BuildJob(recording, make_folder(out), _opening(duration, fov, camera_height), options, keep_going)
     if is_recording(recording) or not recording.is_dir():
         _build_one(job, as_json)
@@ -70,6 +95,8 @@ def views(
     height: ViewHeightOption = 320,
     duration: DurationOption = 20.0,
     all_frames: Annotated[bool, typer.Option("--all-frames", help="Make frames that no sample shows too.")] = False,
+    poses: PosesOption = PoseChoice.ODOMETRY,
+    mapanything_weights: MapAnythingOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Only the wanted views and those they are made from; the rest is named as left out."""
@@ -81,7 +108,12 @@ def views(
 
     wanted = parse_cameras(cameras)
     options = BuildOptions(
-        width=width, height=height, cameras=wanted, all_frames=all_frames, use_reference_motion=clip is not None
+        width=width,
+        height=height,
+        cameras=wanted,
+        all_frames=all_frames,
+        use_reference_motion=clip is not None or poses is PoseChoice.REFERENCE,
+        poses=_pose_source(poses, mapanything_weights),
     )
     opening = _opening(duration, fov, camera_height)
     recording = open_recording(source, opening) if clip is None else _stored_recording(source, clip)
@@ -165,6 +197,17 @@ def _opening(duration: float, fov: float | None, camera_height: float | None) ->
 
     field_of_view = None if fov is None else radians(fov)
     return OpenOptions(duration=duration, horizontal_fov=field_of_view, camera_height=camera_height)
+
+
+def _pose_source(poses: PoseChoice, mapanything_weights: Path | None) -> "PoseSource":
+    """What measures the motion; the reference, where it is wanted, is taken instead of it."""
+    from olt_generator.errors import InputError
+    from olt_generator.map_anything import MapAnything
+    from olt_generator.pose_sources import VisualOdometry
+
+    if (poses is PoseChoice.MAPANYTHING) != (mapanything_weights is not None):
+        raise InputError("--poses mapanything and --mapanything-weights belong together; give both or neither")
+    return VisualOdometry() if mapanything_weights is None else MapAnything(mapanything_weights)
 
 
 def _build_one(job: "BuildJob", as_json: bool) -> None:

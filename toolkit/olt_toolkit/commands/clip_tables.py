@@ -18,6 +18,8 @@ _POSE_ROWS = (
     ("scale of the Sim(3) alignment", ("sim3", "scale")),
 )
 
+_SHARES = ("observed", "at other times", "invented")
+
 
 def print_build(summary: dict[str, Any]) -> None:
     """Print what building one clip gave."""
@@ -30,7 +32,7 @@ def print_build(summary: dict[str, Any]) -> None:
     print_table(
         "Errors against the reference, and jerk", ["quantity", "before smoothing", "after"], _error_rows(summary)
     )
-    print_table("Views", ["view", "kind", "observed", "invented", "PSNR dB", "PSNR dB, observed"], _view_rows(summary))
+    print_table("Views", ["view", "kind", *_SHARES, "PSNR dB", "PSNR dB, observed"], _view_rows(summary))
     print_table("Run time", ["stage", "seconds"], list((summary["seconds"] | summary["store_seconds"]).items()))
     _print_notes(summary)
     print_line(_sample_line(clip))
@@ -56,13 +58,12 @@ def print_plan(plan: dict[str, Any], folder: Path) -> None:
         (
             name,
             view["method"],
-            f"{100 * view['observed_share']:.1f} %",
-            f"{100 * view['invented_share']:.1f} %",
+            *_share_cells(view),
             Path(view["file"]).name,
         )
         for name, view in plan["views"].items()
     ]
-    print_table(f"Views of {plan['recording']}", ["view", "method", "observed", "invented", "file"], rows)
+    print_table(f"Views of {plan['recording']}", ["view", "method", *_SHARES, "file"], rows)
     print_line(f"made in this order: {', '.join(plan['order'])}")
     _print_notes(plan)
     print_line(f"files: {folder}")
@@ -99,12 +100,11 @@ def print_clip(summary: dict[str, Any]) -> None:
             view["kind"],
             f"{view['engine']} {view['version']}",
             "none" if view["seed"] is None else view["seed"],
-            f"{100 * view['observed_share']:.1f} %",
-            f"{100 * view['invented_share']:.1f} %",
+            *_share_cells(view),
         )
         for name, view in clip["views"].items()
     ]
-    print_table("Where the pixels came from", ["camera", "kind", "made by", "seed", "observed", "invented"], rows)
+    print_table("Where the pixels came from", ["camera", "kind", "made by", "seed", *_SHARES], rows)
     if "pictures" in summary:
         print_line(f"pictures: {summary['pictures']['contact_sheet']}, {summary['pictures']['animation']}")
 
@@ -160,9 +160,14 @@ def _view_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
     rows = []
     for name, view in summary["clip"]["views"].items():
         errors = summary["view_errors"].get(name, {}) if view["kind"] == "warped" else {"psnr": "", "psnr_observed": ""}
-        shares = (f"{100 * view['observed_share']:.1f} %", f"{100 * view['invented_share']:.1f} %")
-        rows.append((name, view["kind"], *shares, errors.get("psnr"), errors.get("psnr_observed")))
+        rows.append((name, view["kind"], *_share_cells(view), errors.get("psnr"), errors.get("psnr_observed")))
     return rows
+
+
+def _share_cells(view: dict[str, Any]) -> tuple[str, ...]:
+    """Which shares of a view's pixels were observed, at other times than their image's, and invented."""
+    shares = (view["observed_share"], view["other_times_share"], view["invented_share"])
+    return tuple(f"{100 * share:.1f} %" for share in shares)
 
 
 def _outcome_cells(summary: dict[str, Any] | None) -> tuple[object, ...]:
