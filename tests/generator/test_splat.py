@@ -152,3 +152,33 @@ def test_sizes_that_do_not_match_are_refused():
         splat(np.zeros((24, 41, 3), np.uint8), np.ones((24, 41), np.float32), WIDE, WIDE, STILL)
     with pytest.raises(InputError, match="distance"):
         splat(noise_image(WIDE), np.ones((24, 41), np.float32), WIDE, WIDE, STILL)
+
+
+NARROW_TO_EXTREME = [
+    PinholeCamera.from_field_of_view(40, 24, float(np.radians(174.9))),
+    FthetaCamera.equidistant(40, 24, 19.5, 11.5, 40.0 / np.radians(175.0)),
+]
+
+
+@pytest.mark.parametrize("camera", NARROW_TO_EXTREME)
+@pytest.mark.parametrize("baseline", [0.0, 100.0])
+@pytest.mark.parametrize("along", [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+def test_extreme_lenses_baselines_and_distances(camera, baseline, along):
+    distance = make_generator("extreme").uniform(0.6, 199.0, (24, 40)).astype(np.float32)
+    distance[::3, ::5] = np.resize(np.array([0.0, -1.0, np.nan, np.inf, -np.inf, 1e6, 1e-38], np.float32), (8, 8))
+    T_target_source = make_pose(np.eye(3), baseline * np.array(along))
+    arguments = (noise_image(camera), distance, camera, camera, T_target_source)
+    warp = splat(*arguments)
+    assert same(warp, splat_reference(*arguments))
+    assert warp.visible.any()
+    assert np.all(warp.distance[warp.visible] > 0.5)
+    assert warp.distance[warp.visible].max() < 200.0 + baseline
+
+
+@pytest.mark.parametrize("translation", [5e6, 1e30, np.inf, np.nan])
+def test_targets_out_of_reach_see_nothing_behind_them(translation):
+    """The camera has moved on by that much: everything lies behind it, or nowhere."""
+    T_target_source = make_pose(np.eye(3), [0.0, 0.0, -translation])
+    with np.errstate(over="ignore"):
+        warp = splat(noise_image(PINHOLE), np.full((24, 40), 9.0, np.float32), PINHOLE, PINHOLE, T_target_source)
+    assert not warp.visible.any()

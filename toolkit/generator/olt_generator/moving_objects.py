@@ -36,8 +36,10 @@ def find_moving(front: FrontView) -> NDArray[np.bool_]:
         for other in _others(front.trajectory.times, index):
             T_other_index = invert(front.camera_poses[other]) @ front.camera_poses[index]
             looked_through |= _looked_through(each, nearest[other], front.camera, T_other_index)
-        # Single blocks are errors of distance; the rest of an object lies around what was found of it.
-        found = cv2.dilate(cv2.morphologyEx(looked_through, cv2.MORPH_OPEN, kernel), kernel, iterations=2)
+        # Single blocks are errors of distance. The middle of an object that moved by less than its size was not looked
+        # through, so gaps between its parts are closed, and its outline lies around what was found.
+        parts = cv2.morphologyEx(looked_through, cv2.MORPH_OPEN, kernel)
+        found = cv2.dilate(cv2.morphologyEx(parts, cv2.MORPH_CLOSE, kernel, iterations=3), kernel, iterations=2)
         moving[index] = cv2.resize(found, front.frames.shape[2:0:-1], interpolation=cv2.INTER_NEAREST)
     return moving
 

@@ -1,0 +1,18 @@
+"""Which frame a rear view looks back to."""
+
+from olt_generator.lookback import LOOKBACK_LATENTS, lookback_frame
+from olt_generator.view_plan import VIEW_ID
+
+
+def test_offsets_are_those_of_the_rear_views():
+    assert {VIEW_ID[name]: offset for name, offset in LOOKBACK_LATENTS.items()} == {3: 4, 4: 4, 5: 6}
+
+
+def test_frames_of_the_last_latent_look_back_to_frame_23():
+    assert [lookback_frame(frame, 4) for frame in (37, 38, 39, 40)] == [23] * 4
+    assert lookback_frame(40, 6) == 15
+
+
+def test_the_start_looks_back_to_the_first_frame():
+    assert [lookback_frame(frame, 4) for frame in (0, 1, 8, 16)] == [0, 0, 0, 0]
+    assert lookback_frame(17, 4) == 3
