@@ -41,10 +41,10 @@ def gather_plainly(sources: list[Source], camera, target, radius: int) -> tuple[
             for down in range(-radius, radius + 1):
                 for right in range(-radius, radius + 1):
                     place = (middle[0] + down, middle[1] + right)
-                    if 0 <= place[0] < target.height and 0 <= place[1] < target.width:
-                        if place not in best or rank < best[place]:
-                            best[place] = rank
-                            image[place], source[place] = each.image[row, column], number
+                    in_image = 0 <= place[0] < target.height and 0 <= place[1] < target.width
+                    if in_image and (place not in best or rank < best[place]):
+                        best[place] = rank
+                        image[place], source[place] = each.image[row, column], number
     return image, source
 
 

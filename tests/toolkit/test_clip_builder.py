@@ -224,3 +224,15 @@ def test_what_cannot_be_built_is_refused(recording, change, options, message):
 def test_odd_sizes_are_refused():
     with pytest.raises(InputError, match="must be even"):
         BuildOptions(width=127, height=72)
+
+
+def test_rear_views_are_made_by_looking_back(recording):
+    rear = "camera_rear_left_70fov"
+    options = replace(OPTIONS, use_reference_motion=True, cameras=(FRONT_WIDE, rear))
+    built = build_clip(recording, options)
+    assert built.plan.needed == (FRONT_WIDE, CROSS_LEFT, rear)
+    assert set(built.plan.left_out) == {CROSS_RIGHT, FRONT_TELE, "camera_rear_right_70fov", "camera_rear_tele_30fov"}
+    view = built.clip.provenance[rear]
+    assert view.observed_share == view.other_times_share > 0.02
+    assert not built.observed[rear][0].any()  # at first there is nothing to look back to
+    assert any("other front frames" in what for what in built.left_out)

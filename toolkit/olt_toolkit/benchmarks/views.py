@@ -69,7 +69,7 @@ def _settings() -> list[Setting]:
 
 BENCHMARK = Benchmark(
     name="views",
-    title=f"two cross views of {CROSS.width} x {CROSS.height} from front frames of {FRONT.width} x {FRONT.height} pixels",
+    title=f"two cross views of {CROSS.width} x {CROSS.height} pixels from frames of {FRONT.width} x {FRONT.height}",
     error_name="rms colour error",
     error_unit="of 255",
     reference="the true views of a made-up street, ray-cast; distances are true, so that the warp alone is measured",
