@@ -19,22 +19,24 @@ from olt_toolkit.commands.clip import app
 from olt_toolkit.recording import Recording
 from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS
 
+FRAMES = 10
+
 
 @pytest.fixture
 def source(monkeypatch):
     """A reader whose recording is the same still picture again and again; keeps the options that it was given."""
     image = make_generator("picture").integers(0, 256, (54, 96, 3)).astype(np.uint8)
-    timestamps_us = 100_000 * np.arange(30, dtype=np.int64)
+    timestamps_us = 100_000 * np.arange(FRAMES, dtype=np.int64)
     recording = Recording(
         name="drive",
         source="test",
-        frames=np.repeat(image[None], 30, axis=0),
+        frames=np.repeat(image[None], FRAMES, axis=0),
         timestamps_us=timestamps_us,
         camera=PinholeCamera.from_field_of_view(96, 54, np.radians(60.0)),
         T_rig_camera=camera_pose_in_rig([1.5, 0.0, 1.4], 0.0, 0.0, 0.0),
         vehicle=DEFAULT_VEHICLE,
         assumptions=("lens: 60 degrees",),
-        reference=Trajectory(timestamps_us, np.repeat(planar_pose(0.0, 0.0, 0.0)[None], 30, axis=0)),
+        reference=Trajectory(timestamps_us, np.repeat(planar_pose(0.0, 0.0, 0.0)[None], FRAMES, axis=0)),
     )
 
     class Reader:
@@ -133,6 +135,26 @@ def test_wrong_options_are_refused_before_anything_is_written(tmp_path, drive, a
     assert isinstance(result.exception, InputError)
     assert message in str(result.exception)
     assert not (tmp_path / "clips" / "clips.parquet").exists()
+
+
+@pytest.mark.slow
+def test_label_noise_is_measured_where_there_are_labels(tmp_path, drive, source, monkeypatch):
+    def open_longer(path, options):
+        short = type(source).open(source, path, options)
+        timestamps_us = 100_000 * np.arange(85, dtype=np.int64)
+        standing = Trajectory(timestamps_us, np.repeat(short.reference.T_world_rig[:1], 85, axis=0))
+        frames = np.repeat(short.frames[:1], 85, axis=0)
+        return replace(short, frames=frames, timestamps_us=timestamps_us, reference=standing)
+
+    assert json.loads(build(drive, "--out", tmp_path / "short", "--json").stdout)["label_noise"] is None
+    monkeypatch.setattr(source, "open", open_longer)
+    result = build(drive, "--out", tmp_path / "clips", "--json")
+    noise = json.loads(result.stdout)["label_noise"]
+    assert noise["samples"] > 0
+    assert 0.0 <= noise["actual"]["acceleration"] < 0.2
+    text = build(drive, "--out", tmp_path / "clips", "--seed", 1).stdout
+    assert "Noise of the policy's labels" in text
+    assert "acceleration (m/s2)" in text
 
 
 def test_the_motion_comes_from_where_it_is_said_to(tmp_path, drive):
@@ -261,7 +283,7 @@ def test_only_the_wanted_views_are_written(tmp_path, drive):
     assert set(plan["left_out"]) > {CROSS_RIGHT, "camera_rear_tele_30fov"}
     videos = sorted(path.name for path in out.glob("*.mp4"))
     assert videos == [f"{CROSS_LEFT}.mp4", f"{FRONT_WIDE}.mp4"]
-    assert read_video(out / videos[0]).frames.shape == (30, 54, 96, 3)
+    assert read_video(out / videos[0]).frames.shape == (FRAMES, 54, 96, 3)
     assert (out / "views.png").is_file()
     assert (out / "views.webp").is_file()
 

@@ -21,6 +21,7 @@ from olt_toolkit.clip import CameraStream, Clip, ClipKind, EgoMotion, make_clip_
 from olt_toolkit.clip_views import BuildOptions, View, ViewMaker
 from olt_toolkit.ftheta_fit import fit_ftheta
 from olt_toolkit.images import fit_images
+from olt_toolkit.label_noise import LabelNoiseBudget, measure_label_noise
 from olt_toolkit.policy_window import shown_frames
 from olt_toolkit.recording import Recording
 from olt_toolkit.stages import OnStage, Stages, unnoticed
@@ -53,6 +54,7 @@ class BuiltClip:
         observed: (m, h, w) pixels taken from what the front camera saw, by synthesized view.
         pose_errors: errors of the smoothed trajectory.
         raw_pose_errors: errors of the trajectory before smoothing.
+        label_noise: what errors of the trajectory do to the policy's labels.
         distance_error: median relative error of the distances.
         view_errors: errors of synthesized views, by camera.
         seconds: run time by stage.
@@ -68,6 +70,7 @@ class BuiltClip:
     observed: dict[str, NDArray[np.bool_]]
     pose_errors: PoseErrors | None
     raw_pose_errors: PoseErrors | None
+    label_noise: LabelNoiseBudget | None
     distance_error: float | None
     view_errors: dict[str, ViewError]
     seconds: dict[str, float]
@@ -130,6 +133,7 @@ def build_clip(
         observed={name: view.observed for name, view in views.items() if view.observed is not None},
         pose_errors=_pose_errors(motion.smoothed, recording),
         raw_pose_errors=_pose_errors(motion.measured, recording),
+        label_noise=_label_noise(motion, recording),
         distance_error=_distance_error(distance, recording),
         view_errors=_view_errors(views, shown),
         seconds=stages.seconds,
@@ -247,6 +251,13 @@ def _pose_errors(measured: PoseEstimate | SmoothedMotion | None, recording: Reco
     if measured is None or recording.reference is None:
         return None
     return compare_trajectories(measured.trajectory, recording.reference)
+
+
+def _label_noise(motion: _Motion, recording: Recording) -> LabelNoiseBudget | None:
+    """None where the reference was taken, or where the recording is too short for labels."""
+    if motion.measured is None or motion.smoothed is None:
+        return None
+    return measure_label_noise(motion.measured.trajectory, motion.smoothed, recording.reference)
 
 
 def _distance_error(distance: DistanceEstimate | None, recording: Recording) -> float | None:

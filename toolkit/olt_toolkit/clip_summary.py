@@ -23,6 +23,7 @@ def summarize_build(built: BuiltClip) -> dict[str, Any]:
         "pose_errors_before_smoothing": _errors(built.raw_pose_errors),
         "smoothness": _smoothness(built.motion.trajectory if built.motion else None),
         "smoothness_before_smoothing": _smoothness(built.measured.trajectory if built.measured else None),
+        "label_noise": None if built.label_noise is None else asdict(built.label_noise),
         "distance_median_relative_error": built.distance_error,
         "view_errors": {name: asdict(error) for name, error in built.view_errors.items()},
         "left_out": dict(built.left_out),

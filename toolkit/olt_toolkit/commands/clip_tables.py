@@ -32,6 +32,7 @@ def print_build(summary: dict[str, Any]) -> None:
     print_table(
         "Errors against the reference, and jerk", ["quantity", "before smoothing", "after"], _error_rows(summary)
     )
+    _print_label_noise(summary["label_noise"])
     print_table("Views", ["view", "kind", *_SHARES, "PSNR dB", "PSNR dB, observed"], _view_rows(summary))
     print_table("Run time", ["stage", "seconds"], list((summary["seconds"] | summary["store_seconds"]).items()))
     _print_notes(summary)
@@ -46,7 +47,8 @@ def print_outcomes(outcomes: Sequence[Outcome], store: Path) -> None:
         for outcome in outcomes
         if outcome.state != "failed"
     ]
-    print_table(f"Clips in {store}", ["recording", "state", "clip", "length m", "seconds", "samples"], rows)
+    columns = ["recording", "state", "clip", "length m", "label noise m/s2", "seconds", "samples"]
+    print_table(f"Clips in {store}", columns, rows)
     for outcome in outcomes:
         if outcome.state == "failed":
             print_line(f"failed: {outcome.path.name}: {outcome.message}")
@@ -171,11 +173,12 @@ def _share_cells(view: dict[str, Any]) -> tuple[str, ...]:
 
 
 def _outcome_cells(summary: dict[str, Any] | None) -> tuple[object, ...]:
-    """Length, run time and samples of a clip that was built now; nothing of one that was there."""
+    """Length, expected label noise, run time and samples of a clip that was built now."""
     if summary is None:
-        return "", "", ""
+        return "", "", "", ""
     seconds = sum((summary["seconds"] | summary["store_seconds"]).values())
-    return summary["trajectory"]["length"], seconds, len(summary["clip"]["sample_t0_us"])
+    noise = _find(summary["label_noise"], ("expected", "acceleration"))
+    return summary["trajectory"]["length"], noise, seconds, len(summary["clip"]["sample_t0_us"])
 
 
 def _consistency_cells(found: dict[str, Any]) -> tuple[object, ...]:
@@ -186,6 +189,18 @@ def _consistency_cells(found: dict[str, Any]) -> tuple[object, ...]:
         found["matches"],
         found["valid"],
     )
+
+
+def _print_label_noise(budget: dict[str, Any] | None) -> None:
+    if budget is None:
+        print_line("label noise: not measured; it needs a motion that is not the reference, over at least 7.9 s")
+        return
+    rows = [
+        (f"{label} ({unit})", *(_find(budget, (part, label)) for part in ("raw", "actual", "expected", "taken_out")))
+        for label, unit in (("acceleration", "m/s2"), ("curvature", "1/m"))
+    ]
+    columns = ["label", "before smoothing", "after", "after, by the smoother's account", "taken out by smoothing"]
+    print_table(f"Noise of the policy's labels, RMS over {budget['samples']} samples", columns, rows)
 
 
 def _print_notes(summary: dict[str, Any]) -> None:
