@@ -1,12 +1,24 @@
 """Camera models: projection and rays undo each other, and derived cameras see what the original sees."""
 
+import warnings
+from dataclasses import replace
+
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from olt_generator.cameras import FthetaCamera, PinholeCamera, fit_camera, pixel_rays, remap_table
+from olt_generator.cameras import (
+    BrownConradyCamera,
+    FthetaCamera,
+    KannalaBrandtCamera,
+    PinholeCamera,
+    fit_camera,
+    pixel_rays,
+    remap_table,
+)
 from olt_generator.errors import InputError
 
 PINHOLE = PinholeCamera(832, 480, 610.0, 625.5, 430.2, 233.1)
@@ -15,11 +27,33 @@ EQUIDISTANT = FthetaCamera.equidistant(1920, 1080, 954.2, 757.2, 1 / 1.057586e-3
 # Image corners lie 116 degrees from the axis.
 BEHIND = FthetaCamera(800, 600, 399.5, 299.5, (0.0, 247.0), (0.0, 1 / 247.0), max_angle=np.pi)
 SQUEEZED = EQUIDISTANT.resized(832, 480)
-CAMERAS = [PINHOLE, WIDEST_PINHOLE, EQUIDISTANT, BEHIND, SQUEEZED]
+# A measured 120-degree lens: its calibration is the polynomial from radius to angle.
+BACKWARD = FthetaCamera.from_radius_to_angle(
+    3848, 2168, 1920.0, 1096.9, (0.0, 5.374527536332607e-4, 1.6630015e-9, 2.4465828668551737e-12, 2.18299664e-17)
+).resized(962, 542)
+BARREL = BrownConradyCamera(512, 388, 421.5, 421.75, 257.0, 191.5, -0.28, -0.033, 4e-4, -3e-4, 0.099)
+RATIONAL = BrownConradyCamera(640, 360, 320.0, 320.0, 321.0, 177.0, 0.9, 0.1, 1e-4, 2e-4, 1e-3, 1.25, 0.3, 0.01)
+FISHEYE = KannalaBrandtCamera(640, 480, 195.0, 196.0, 320.1, 239.1, -0.02, 0.004, -0.002, 2e-4)
+CAMERAS = [
+    PINHOLE,
+    WIDEST_PINHOLE,
+    EQUIDISTANT,
+    BEHIND,
+    SQUEEZED,
+    BACKWARD,
+    BACKWARD.resized(416, 240),
+    BARREL,
+    RATIONAL,
+    FISHEYE,
+]
+# The corners of its image lie where the lens has folded back.
+FOLDED = BrownConradyCamera(
+    1920, 1080, 1970.0131, 1970.0091, 970.0002, 483.2988, -0.5894, 0.66, 0.0011, -0.001, -1.0088
+)
 
 
 def quintic_camera() -> FthetaCamera:
-    """A lens like the real ones, whose backward polynomial is fitted to the forward one."""
+    """A lens like the real ones, whose two polynomials undo each other to a thousandth of a pixel."""
     forward = (0.0, 940.0, 3.0, -28.0, 6.0)
     angles = np.linspace(0.0, 1.2, 2000)
     radii = np.polynomial.polynomial.polyval(angles, forward)
@@ -43,12 +77,118 @@ def test_rays_and_projection_undo_each_other(camera, across, down, distance):
     assert seen or min(across, down) < 1e-9 or max(across, down) > 1.0 - 1e-9
 
 
-def test_a_fitted_backward_polynomial_undoes_the_forward_one():
-    camera = quintic_camera()
+@pytest.mark.parametrize("primary", ["forward", "backward"])
+def test_the_primary_polynomial_is_the_lens_and_the_other_its_start(primary):
+    fitted = quintic_camera()
+    poor = replace(fitted, **{"bw_poly" if primary == "forward" else "fw_poly": (0.0, 1e-3)}, primary=primary)
+    camera = replace(fitted, primary=primary)
     pixels = np.stack(np.meshgrid(np.arange(0.0, 1920.0, 37.0), np.arange(0.0, 1080.0, 31.0)), axis=-1)
-    projected, seen = camera.project(camera.rays(pixels))
-    assert np.abs(projected - pixels)[seen].max() < 1e-3
-    assert seen.mean() > 0.95
+    rays = camera.rays(pixels)
+    assert np.abs(camera.project(rays)[0] - pixels)[np.isfinite(rays[..., 0])].max() < 1e-9
+    # A start that is far off changes nothing but rounding.
+    assert np.allclose(poor.rays(pixels), rays, rtol=0.0, atol=1e-12, equal_nan=True)
+    assert np.abs(poor.project(rays)[0] - camera.project(rays)[0])[np.isfinite(rays[..., 0])].max() < 1e-9
+
+
+def test_a_backward_primary_is_kept_to_the_bit():
+    radius, polynomial = 470.0, BACKWARD.bw_poly
+    ray = BACKWARD.rays(np.array([BACKWARD.cx + radius, BACKWARD.cy]))
+    assert np.arctan2(ray[0], ray[2]) == pytest.approx(np.polynomial.polynomial.polyval(radius, polynomial), abs=1e-15)
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+@settings(max_examples=60)
+@given(angle=st.floats(0.0, 3.2), around=st.floats(0.0, 6.3), distance=st.floats(1e-6, 1e9))
+def test_what_is_seen_is_seen_in_its_direction(camera, angle, around, distance):
+    ray = np.array([np.sin(angle) * np.cos(around), np.sin(angle) * np.sin(around), np.cos(angle)])
+    pixel, seen = camera.project(distance * ray)
+    if seen:
+        assert camera.project(distance * camera.rays(pixel))[0] == pytest.approx(pixel, abs=1e-6)
+        assert camera.rays(pixel) == pytest.approx(ray, abs=1e-6)
+
+
+def test_a_lens_of_two_polynomials_is_the_one_of_opencv():
+    """The same points through `cv2.projectPoints` and `cv2.fisheye.projectPoints`."""
+    random = np.random.default_rng(3)
+    points = random.uniform([-0.5, -0.35, 1.0], [0.5, 0.35, 1.0], (200, 3)) * random.uniform(1.0, 50.0, (200, 1))
+    for camera in (BARREL, RATIONAL, FOLDED):
+        matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
+        distortion = [getattr(camera, name) for name in ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")]
+        expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), matrix, np.array(distortion))
+        pixels, seen = camera.project(points)
+        assert np.abs(pixels - expected[:, 0])[seen].max() < 1e-9
+        assert seen.any()
+    matrix = np.array([[FISHEYE.fx, 0.0, FISHEYE.cx], [0.0, FISHEYE.fy, FISHEYE.cy], [0.0, 0.0, 1.0]])
+    distortion = np.array([FISHEYE.k1, FISHEYE.k2, FISHEYE.k3, FISHEYE.k4])
+    expected, _ = cv2.fisheye.projectPoints(points[:, None], np.zeros(3), np.zeros(3), matrix, distortion)
+    pixels, seen = FISHEYE.project(points)
+    assert np.abs(pixels - expected[:, 0])[seen].max() < 1e-9
+
+
+def test_points_that_would_fold_into_the_image_are_not_seen():
+    angles = np.linspace(0.0, 1.5, 400)
+    points = np.stack([np.sin(angles), np.zeros(400), np.cos(angles)], axis=-1)
+    pixels, seen = FOLDED.project(points)
+    inside = (pixels[:, 0] >= -0.5) & (pixels[:, 0] < 1919.5)
+    assert np.all(np.diff(pixels[seen, 0]) > 0.0), "what is seen lies in the order of its angles"
+    assert (inside & ~seen).any(), "others would land in the image"
+    corner = FOLDED.rays(np.array([[0.0, 1079.0], [960.0, 540.0]]))
+    assert np.isnan(corner[0]).all() and np.isfinite(corner[1]).all()
+    assert 0.97 < np.isfinite(pixel_rays(FOLDED.resized(192, 108))[..., 0]).mean() < 1.0
+
+
+def test_lenses_that_do_not_rise_are_refused():
+    turning = (0.0, 400.0, 0.0, -100.0)  # turns at 66 degrees
+    with pytest.raises(InputError, match=r"rises only to 66\.2 degrees .* not to 80\.0"):
+        FthetaCamera(800, 600, 399.5, 299.5, turning, (0.0, 1 / 400.0), max_angle=np.radians(80.0))
+    assert not FthetaCamera(800, 600, 399.5, 299.5, turning, (0.0, 1 / 400.0)).project(np.array([3.0, 0.0, 1.0]))[1]
+    with pytest.raises(InputError, match="falls from the axis"):
+        FthetaCamera(800, 600, 399.5, 299.5, (0.0, -400.0), (0.0, 1 / 400.0))
+    with pytest.raises(InputError, match="constant term"):
+        FthetaCamera(800, 600, 399.5, 299.5, (1.0, 400.0), (0.0, 1 / 400.0))
+    with pytest.raises(InputError, match="does not rise to the corner"):
+        FthetaCamera.from_radius_to_angle(800, 600, 399.5, 299.5, (0.0, 2e-3, 0.0, -5e-9))
+    with pytest.raises(InputError, match="grows only to"):
+        KannalaBrandtCamera(800, 600, 300.0, 300.0, 399.5, 299.5, -0.3, max_angle=2.0)
+
+
+@pytest.mark.parametrize("camera", [*CAMERAS, FOLDED])
+def test_what_has_no_direction_is_not_seen(camera):
+    nan, inf = np.nan, np.inf
+    points = [[0, 0, 0], [nan, 0, 1], [0, nan, 1], [0, 0, nan], [nan, nan, nan], [inf, 0, 1], [0, -inf, 1], [inf] * 3]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        _, seen = camera.project(np.array(points))
+        assert not seen.any()
+        assert np.isnan(camera.rays(np.full(2, nan))).any()
+    far = np.array([[0.0, 0.0, 1e6], [1.0, 1.0, 1e12], [1e-9, 0.0, 1e-6]])
+    assert camera.project(far)[1].all()
+
+
+@pytest.mark.parametrize("camera", [*CAMERAS, FOLDED])
+def test_empty_and_deep_arrays_keep_their_shape(camera):
+    assert camera.project(np.zeros((0, 3)))[0].shape == (0, 2)
+    assert camera.rays(np.zeros((4, 0, 2))).shape == (4, 0, 3)
+    pixels, seen = camera.project(np.ones((2, 3, 4, 3)))
+    assert pixels.shape == (2, 3, 4, 2) and seen.shape == (2, 3, 4)
+    assert hash(camera) == hash(replace(camera))
+
+
+@pytest.mark.parametrize("degrees", [1.0, 60.0, 120.0, 150.0, 174.9])
+def test_round_trip_at_every_field_of_view(degrees):
+    """Out to the corner of the image, for a perspective camera and for fisheyes of the same field of view."""
+    radians = float(np.radians(degrees))
+    per_radian = 1280 / radians
+    cameras = (
+        PinholeCamera.from_field_of_view(1280, 720, radians),
+        FthetaCamera.equidistant(1280, 720, 639.5, 359.5, per_radian),
+        KannalaBrandtCamera(1280, 720, per_radian, per_radian, 639.5, 359.5, -0.01, 1e-3),
+    )
+    pixels = np.stack(np.meshgrid(np.linspace(-0.5, 1279.0, 41), np.linspace(-0.5, 719.0, 23)), axis=-1)
+    for camera in cameras:
+        projected, seen = camera.project(1e3 * camera.rays(pixels))
+        assert np.abs(projected - pixels).max() < 1e-6
+        assert seen[1:, 1:].all()
 
 
 def test_the_axis_projects_to_the_principal_point():

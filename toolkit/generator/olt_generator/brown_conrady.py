@@ -12,7 +12,9 @@ from olt_generator.pinhole import NEAREST_DEPTH, WIDEST_FIELD_OF_VIEW
 from olt_generator.poses import Array
 
 _MAX_STEPS = 50
-_CONVERGED = 1e-15
+_CONVERGED = 1e-14
+# Share of the largest distorted radius up to which the search may start where the radial terms alone put it.
+_SURELY_REACHED = 0.999
 # A pixel whose ray misses it by more than this share of a focal length has no ray.
 _MISSED = 1e-11
 
@@ -72,10 +74,8 @@ class BrownConradyCamera(CameraModel):
     def rays(self, pixels: Array) -> Array:
         """See `Camera.rays`."""
         wanted_x, wanted_y = (pixels[..., 0] - self.cx) / self.fx, (pixels[..., 1] - self.cy) / self.fy
-        x, y = self._undistort_radially(wanted_x, wanted_y)
         with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-            if self.p1 or self.p2:
-                x, y = self._undistort(wanted_x, wanted_y, x, y)
+            x, y = self._undistort(wanted_x, wanted_y)
             distorted_x, distorted_y = self._distort(x, y)
             missed = np.hypot(distorted_x - wanted_x, distorted_y - wanted_y)
             reached = (missed <= _MISSED * (1.0 + np.hypot(wanted_x, wanted_y))) & self._unfolded(x, y)
@@ -134,25 +134,29 @@ class BrownConradyCamera(CameraModel):
         return (x * x + y * y <= self._max_radius**2) & (xx * yy > xy * xy)
 
     def _undistort_radially(self, wanted_x: Array, wanted_y: Array) -> tuple[Array, Array]:
+        """The point without tangential terms; what the lens hardly or never reaches is pulled in."""
+
         def curve(r: Array) -> tuple[Array, Array]:
             gain, slope = self._gain_and_slope(r * r)
             return r * gain, gain + 2.0 * r * r * slope
 
         wanted = np.hypot(wanted_x, wanted_y)
-        shrink = invert_rising(curve, wanted, wanted, self._max_radius) / np.where(wanted > 0.0, wanted, 1.0)
+        within = np.minimum(wanted, _SURELY_REACHED * curve(np.array(self._max_radius))[0])
+        shrink = invert_rising(curve, within, within, self._max_radius) / np.where(wanted > 0.0, wanted, 1.0)
         return wanted_x * shrink, wanted_y * shrink
 
-    def _undistort(self, wanted_x: Array, wanted_y: Array, x: Array, y: Array) -> tuple[Array, Array]:
-        """Newton's method in two dimensions from the solution without tangential terms."""
+    def _undistort(self, wanted_x: Array, wanted_y: Array) -> tuple[Array, Array]:
+        """Newton's method in two dimensions on the points that still move."""
+        x, y = (part.ravel() for part in self._undistort_radially(wanted_x, wanted_y))
+        moving = np.arange(x.size)
         for _ in range(_MAX_STEPS):
-            distorted_x, distorted_y = self._distort(x, y)
-            error_x, error_y = distorted_x - wanted_x, distorted_y - wanted_y
-            xx, xy, yy = self._jacobian(x, y)
+            here_x, here_y = x[moving], y[moving]
+            distorted_x, distorted_y = self._distort(here_x, here_y)
+            error_x, error_y = distorted_x - wanted_x.ravel()[moving], distorted_y - wanted_y.ravel()[moving]
+            xx, xy, yy = self._jacobian(here_x, here_y)
             determinant = xx * yy - xy * xy
             step_x = (yy * error_x - xy * error_y) / determinant
             step_y = (xx * error_y - xy * error_x) / determinant
-            x, y = x - step_x, y - step_y
-            moving = np.isfinite(step_x) & (np.hypot(step_x, step_y) > _CONVERGED * (1.0 + np.hypot(x, y)))
-            if not moving.any():
-                break
-        return x, y
+            x[moving], y[moving] = here_x - step_x, here_y - step_y
+            moving = moving[np.hypot(step_x, step_y) > _CONVERGED * (1.0 + np.hypot(here_x, here_y))]
+        return x.reshape(wanted_x.shape), y.reshape(wanted_y.shape)

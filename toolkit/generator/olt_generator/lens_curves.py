@@ -15,7 +15,7 @@ Polynomial = tuple[float, ...]
 Curve = Callable[[Array], tuple[Array, Array]]
 
 _MAX_STEPS = 60
-# Steps below this share of the range are rounding.
+# Steps and errors below this share of their range are rounding.
 _CONVERGED = 4.0 * np.finfo(np.float64).eps
 
 
@@ -65,6 +65,7 @@ def invert_rising(curve: Curve, values: Array, start: Array, upper: float) -> Ar
     """
     low, high = np.zeros_like(values), np.full_like(values, upper)
     x = np.clip(np.nan_to_num(start), 0.0, upper)
+    small_step, small_error = _CONVERGED * upper, _CONVERGED * float(curve(np.array(upper))[0])
     for _ in range(_MAX_STEPS):
         value, slope = curve(x)
         excess = value - values
@@ -72,9 +73,9 @@ def invert_rising(curve: Curve, values: Array, start: Array, upper: float) -> Ar
         with np.errstate(divide="ignore", invalid="ignore"):
             newton = x - excess / slope
         moved = np.where((newton >= low) & (newton <= high), newton, 0.5 * (low + high))
-        converged = np.abs(moved - x).max(initial=0.0) <= _CONVERGED * upper
+        settled = (np.abs(moved - x) <= small_step) | ~(np.abs(excess) > small_error)
         x = moved
-        if converged:
+        if settled.all():
             break
     return np.where(np.isnan(values), np.nan, x)
 
