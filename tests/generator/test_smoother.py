@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from olt_generator import smoother
 from olt_generator.car_motion import CarMotion
+from olt_generator.errors import InputError
 from olt_generator.pose_metrics import compare_trajectories, measure_smoothness
 from olt_generator.poses import invert, make_pose, planar_pose
 from olt_generator.smoother import SmootherSettings, smooth_trajectories, smooth_trajectory
@@ -240,6 +241,16 @@ def test_many_trajectories_give_the_bytes_of_each():
         for name, value in vars(alone).items():
             if name != "trajectory":
                 assert np.asarray(value).tobytes() == np.asarray(getattr(together, name)).tobytes()
+
+
+def test_no_trajectories_give_none():
+    assert smooth_trajectories([]) == []
+
+
+@pytest.mark.parametrize("wrong", [{"position_sigma": 0.0}, {"jerk_density": -1.0}, {"rotation_sigma": float("nan")}])
+def test_noise_must_be_positive(wrong):
+    with pytest.raises(InputError, match=f"{next(iter(wrong))} is .*; give a positive number"):
+        SmootherSettings(**wrong)
 
 
 def test_windows_do_not_show(monkeypatch):

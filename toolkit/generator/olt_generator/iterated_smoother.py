@@ -107,27 +107,30 @@ def smooth_poses(measured: MeasuredPoses, start: Array, car: CarMotion) -> Smoot
 
 
 def find_standstills(measured: MeasuredPoses, motion: BodyMotion, covariances: Array) -> Flags:
-    """Poses (n, b) at which the vehicle stands as far as the noise lets one see."""
-    speed, yaw_rate = motion.velocity[..., 0], motion.turn_rate[..., 2]
-    variances = np.diagonal(covariances, axis1=-2, axis2=-1)
-    slow = np.abs(speed) < np.minimum(STANDSTILL_GATE * np.sqrt(variances[..., FORWARD_SPEED]), STANDSTILL_SPEED)
-    slow &= np.abs(yaw_rate) < np.minimum(STANDSTILL_GATE * np.sqrt(variances[..., YAW_RATE]), STANDSTILL_YAW_RATE)
-    place_sigmas = np.sqrt(np.max(variances[..., :3], axis=-1))
+    """Poses (n, b) at which the vehicle stands, as far as the noise lets one see."""
+    sigmas = np.sqrt(np.diagonal(covariances, axis1=-2, axis2=-1))
+    slow = np.abs(motion.velocity[..., 0]) < np.minimum(STANDSTILL_GATE * sigmas[..., FORWARD_SPEED], STANDSTILL_SPEED)
+    turn_gate = np.minimum(STANDSTILL_GATE * sigmas[..., YAW_RATE], STANDSTILL_YAW_RATE)
+    slow &= np.abs(motion.turn_rate[..., 2]) < turn_gate
     standing = np.zeros_like(slow)
     for sequence in np.flatnonzero(slow.any(axis=0)).tolist():
         length = int(measured.lengths[sequence])
         times = np.concatenate([[0.0], np.cumsum(measured.seconds[: length - 1, sequence])])
-        places = motion.poses[:length, sequence, :3, 3]
         for first, last in _runs(slow[:length, sequence]):
             span = slice(first, last + 1)
-            spread = np.linalg.norm(places[span] - places[span].mean(axis=0), axis=1)
-            stays = np.all(spread < STANDSTILL_GATE * place_sigmas[span, sequence])
+            places = motion.poses[span, sequence, :3, 3]
+            spread = np.linalg.norm(places - places.mean(axis=0), axis=1)
+            stays = np.all(spread < STANDSTILL_GATE * sigmas[span, sequence, :3].max(axis=1))
             if stays and times[last] - times[first] >= STANDSTILL_SECONDS:
-                inner = (times >= times[first] + STANDSTILL_MARGIN_SECONDS * (first > 0)) & (
-                    times <= times[last] - STANDSTILL_MARGIN_SECONDS * (last < length - 1)
-                )
-                standing[:length, sequence] |= inner
+                standing[:length, sequence] |= _inner(times, first, last)
     return standing
+
+
+def _inner(times: Array, first: int, last: int) -> Flags:
+    """Times (n,) of a run without its margins, which it has where it does not reach the end of the sequence."""
+    margin_before = STANDSTILL_MARGIN_SECONDS if first > 0 else 0.0
+    margin_behind = STANDSTILL_MARGIN_SECONDS if last < len(times) - 1 else 0.0
+    return (times >= times[first] + margin_before) & (times <= times[last] - margin_behind)
 
 
 def _iterate(measured: MeasuredPoses, motion: BodyMotion, standing: Flags, car: CarMotion, convex: int) -> BodyMotion:

@@ -6,14 +6,15 @@ trajectory itself (`noise_levels`). Long trajectories are cut into windows that 
 memory, which is a few seconds, and are smoothed side by side as other trajectories are.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.car_motion import POSE, STATES, CarMotion
+from olt_generator.errors import InputError
 from olt_generator.iterated_smoother import STANDSTILL_SPEED, MeasuredPoses, SmoothedPoses, smooth_poses
 from olt_generator.noise_levels import POSITION_GRID, ROTATION_GRID, LevelGrid, estimate_levels
 from olt_generator.poses import Array
@@ -57,10 +58,16 @@ class SmootherSettings:
     slip_sigma: float = 0.1
     slip_seconds: float = 1.0
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            lowest_is_fine = name.startswith("least")
+            if value is not None and not (0.0 < value < np.inf or (lowest_is_fine and value == 0.0)):
+                raise InputError(f"smoother: {name} is {value}; give a positive number")
 
-# Visual odometry errs in speed, over tenths of a second: its positions are smooth, and yet accelerate like no car.
-# Noise levels cannot be told from such a trajectory; these make the smoother average speed over about a second.
-ODOMETRY_SETTINGS = SmootherSettings(position_sigma=0.2, rotation_sigma=3e-4, jerk_density=0.35)
+
+# Visual odometry hardly jitters: it errs in speed, over tenths of a second, which looks like acceleration. Noise levels
+# cannot be told from such a trajectory; these make the smoother average speed over about a second.
+ODOMETRY_SETTINGS = SmootherSettings(position_sigma=0.2, rotation_sigma=1e-4, jerk_density=0.3)
 
 
 @dataclass(frozen=True)
@@ -95,13 +102,12 @@ class SmoothedMotion:
 
 @dataclass(frozen=True)
 class _Window:
-    """Poses start to stop - 1 of a trajectory, of whose result those from first to last - 1 are kept."""
+    """Poses start to stop - 1 of a trajectory; the outer ones of a window with margins belong to its neighbours."""
 
     trajectory: int
     start: int
     stop: int
-    first: int
-    last: int
+    margins: tuple[int, int] = (0, 0)
 
     def __len__(self) -> int:
         return self.stop - self.start
@@ -109,12 +115,12 @@ class _Window:
 
 @dataclass(frozen=True)
 class _Levels:
-    """Noise levels (trajectories,) of all trajectories; see `SmootherSettings`."""
+    """Noise levels of a trajectory; see `SmootherSettings`."""
 
-    position: Array
-    rotation: Array
-    jerk: Array
-    angular_acceleration: Array
+    position: float
+    rotation: float
+    jerk: float
+    angular_acceleration: float
 
 
 def smooth_trajectory(trajectory: Trajectory, settings: SmootherSettings | None = None) -> SmoothedMotion:
@@ -134,27 +140,28 @@ def smooth_trajectories(
     settings = settings or SmootherSettings()
     starts = [replace_strays(trajectory) for trajectory in trajectories]
     levels = _find_levels(trajectories, starts, settings)
-    windows = [window for index, trajectory in enumerate(trajectories) for window in _cut(index, len(trajectory))]
+    windows = [_cut(index, len(trajectory)) for index, trajectory in enumerate(trajectories)]
     parts: dict[_Window, _Part] = {}
-    for batch in _batches(windows):
+    for batch in _batches(chain.from_iterable(windows)):
         parts.update(_smooth_batch(batch, trajectories, starts, levels, settings))
     return [
-        _join([parts[window] for window in windows if window.trajectory == index], trajectory, levels, index)
-        for index, trajectory in enumerate(trajectories)
+        _join([parts[window] for window in own], trajectory, level)
+        for own, trajectory, level in zip(windows, trajectories, levels, strict=True)
     ]
 
 
 def _cut(trajectory: int, length: int) -> list[_Window]:
-    """Windows of about equal size, each kept up to the middle of its overlaps."""
+    """Windows of about equal size that, without their margins, follow upon each other."""
     count = max(1, round(length / WINDOW))
     edges = np.linspace(0, length, count + 1).round().astype(int).tolist()
-    return [
-        _Window(trajectory, max(0, first - OVERLAP), min(length, last + OVERLAP), first, last)
-        for first, last in pairwise(edges)
-    ]
+    windows = []
+    for first, last in pairwise(edges):
+        start, stop = max(0, first - OVERLAP), min(length, last + OVERLAP)
+        windows.append(_Window(trajectory, start, stop, (first - start, stop - last)))
+    return windows
 
 
-def _batches(windows: Sequence[_Window]) -> Iterator[list[_Window]]:
+def _batches(windows: Iterable[_Window]) -> Iterator[list[_Window]]:
     """Windows by falling length, so many at a time as may be smoothed side by side."""
     waiting = sorted(windows, key=len, reverse=True)
     while waiting:
@@ -163,37 +170,42 @@ def _batches(windows: Sequence[_Window]) -> Iterator[list[_Window]]:
         waiting = waiting[count:]
 
 
-def _find_levels(trajectories: Sequence[Trajectory], starts: Sequence[Array], settings: SmootherSettings) -> _Levels:
-    stretches = [
-        _Window(index, start, min(len(trajectory), start + LEVEL_POSES), start, start)
-        for index, trajectory in enumerate(trajectories)
-        for start in _stretch_starts(len(trajectory))
-    ]
-    found = np.zeros((len(stretches), 4))
-    for batch in _batches(stretches):
-        rows = [stretches.index(stretch) for stretch in batch]
-        lengths = np.array([len(stretch) for stretch in batch])
-        seconds = _time_steps(batch, trajectories)
-        poses = _pad([starts[part.trajectory][part.start : part.stop] for part in batch])
-        positions = poses[..., :3, 3] - poses[:1, :, :3, 3]
-        grid = _known(POSITION_GRID, settings.position_sigma, settings.jerk_density)
-        found[rows, 0], found[rows, 1] = estimate_levels(lengths, seconds, positions, grid)
-        grid = _known(ROTATION_GRID, settings.rotation_sigma, settings.angular_acceleration_density)
-        found[rows, 2], found[rows, 3] = estimate_levels(lengths, seconds, _summed_rotations(poses), grid)
-    owner = np.array([stretch.trajectory for stretch in stretches])
-    position, jerk, rotation, turning = np.array(
-        [np.median(found[owner == index], axis=0) for index in range(len(trajectories))]
-    ).T
-    if settings.position_sigma is None:
-        position = np.maximum(position, settings.least_position_sigma)
-    if settings.rotation_sigma is None:
-        rotation = np.maximum(rotation, settings.least_rotation_sigma)
-    return _Levels(position, rotation, jerk, turning)
+def _find_levels(
+    trajectories: Sequence[Trajectory], starts: Sequence[Array], settings: SmootherSettings
+) -> list[_Levels]:
+    """Noise levels of each trajectory: medians over its stretches of what is not given."""
+    stretches = [_stretches(index, len(trajectory)) for index, trajectory in enumerate(trajectories)]
+    found: dict[_Window, Array] = {}
+    for batch in _batches(chain.from_iterable(stretches)):
+        found.update(zip(batch, _estimate_levels(batch, trajectories, starts, settings), strict=True))
+    levels = []
+    for own in stretches:
+        position, rotation, jerk, turning = np.median([found[stretch] for stretch in own], axis=0).tolist()
+        if settings.position_sigma is None:
+            position = max(position, settings.least_position_sigma)
+        if settings.rotation_sigma is None:
+            rotation = max(rotation, settings.least_rotation_sigma)
+        levels.append(_Levels(position, rotation, jerk, turning))
+    return levels
 
 
-def _stretch_starts(length: int) -> list[int]:
+def _stretches(trajectory: int, length: int) -> list[_Window]:
     count = min(LEVEL_STRETCHES, -(-length // LEVEL_POSES))
-    return np.linspace(0, max(0, length - LEVEL_POSES), count).round().astype(int).tolist()
+    starts = np.linspace(0, max(0, length - LEVEL_POSES), count).round().astype(int).tolist()
+    return [_Window(trajectory, start, min(length, start + LEVEL_POSES)) for start in starts]
+
+
+def _estimate_levels(
+    batch: Sequence[_Window], trajectories: Sequence[Trajectory], starts: Sequence[Array], settings: SmootherSettings
+) -> Array:
+    """Levels (b, 4) of stretches, in the order of `_Levels`."""
+    lengths, seconds = np.array([len(stretch) for stretch in batch]), _time_steps(batch, trajectories)
+    poses = _gather(batch, starts)
+    grid = _known(POSITION_GRID, settings.position_sigma, settings.jerk_density)
+    position, jerk = estimate_levels(lengths, seconds, poses[..., :3, 3] - poses[0, :, :3, 3], grid)
+    grid = _known(ROTATION_GRID, settings.rotation_sigma, settings.angular_acceleration_density)
+    rotation, turning = estimate_levels(lengths, seconds, _summed_rotations(poses), grid)
+    return np.stack([position, rotation, jerk, turning], axis=-1)
 
 
 def _known(grid: LevelGrid, jitter: float | None, density: float | None) -> LevelGrid:
@@ -225,30 +237,37 @@ def _smooth_batch(
     batch: Sequence[_Window],
     trajectories: Sequence[Trajectory],
     starts: Sequence[Array],
-    levels: _Levels,
+    levels: Sequence[_Levels],
     settings: SmootherSettings,
 ) -> dict[_Window, _Part]:
-    owner = [window.trajectory for window in batch]
-    measured = _pad([trajectories[part.trajectory].T_world_rig[part.start : part.stop] for part in batch])
-    start = _pad([starts[part.trajectory][part.start : part.stop] for part in batch])
+    measured = _gather(batch, [trajectory.T_world_rig for trajectory in trajectories])
+    start = _gather(batch, starts)
     origins = start[0, :, :3, 3].copy()
     measured[..., :3, 3] -= origins
     start[..., :3, 3] -= origins
-    sigmas = np.repeat(np.stack([levels.position[owner], levels.rotation[owner]], axis=-1), 3, axis=-1)
+    own = [levels[window.trajectory] for window in batch]
     poses = MeasuredPoses(
-        np.array([len(window) for window in batch]), _time_steps(batch, trajectories), measured, sigmas
+        lengths=np.array([len(window) for window in batch]),
+        seconds=_time_steps(batch, trajectories),
+        poses=measured,
+        sigmas=np.array([3 * [level.position] + 3 * [level.rotation] for level in own]),
     )
     slip = (settings.slip_sigma, settings.slip_sigma)
-    initial = np.array([*_INITIAL_POSE, _INITIAL_SPEED, *slip, *3 * [_INITIAL_TURN_RATE], _INITIAL_ACCELERATION])
     car = CarMotion(
-        levels.jerk[owner], levels.angular_acceleration[owner], settings.slip_sigma, settings.slip_seconds, initial
+        jerk_density=np.array([level.jerk for level in own]),
+        angular_acceleration_density=np.array([level.angular_acceleration for level in own]),
+        slip_sigma=settings.slip_sigma,
+        slip_seconds=settings.slip_seconds,
+        initial_sigmas=np.array(
+            [*_INITIAL_POSE, _INITIAL_SPEED, *slip, *3 * [_INITIAL_TURN_RATE], _INITIAL_ACCELERATION]
+        ),
     )
     smoothed = smooth_poses(poses, start, car)
     return {window: _keep(window, smoothed, origins[column], column) for column, window in enumerate(batch)}
 
 
 def _keep(window: _Window, smoothed: SmoothedPoses, origin: Array, column: int) -> _Part:
-    kept = slice(window.first - window.start, window.last - window.start)
+    kept = slice(window.margins[0], len(window) - window.margins[1])
     poses = smoothed.motion.poses[kept, column].copy()
     poses[:, :3, 3] += origin
     return _Part(
@@ -260,7 +279,7 @@ def _keep(window: _Window, smoothed: SmoothedPoses, origin: Array, column: int) 
     )
 
 
-def _join(parts: Sequence[_Part], trajectory: Trajectory, levels: _Levels, index: int) -> SmoothedMotion:
+def _join(parts: Sequence[_Part], trajectory: Trajectory, levels: _Levels) -> SmoothedMotion:
     poses, rates = np.concatenate([part.poses for part in parts]), np.concatenate([part.rates for part in parts])
     covariances = np.concatenate([part.covariances for part in parts])
     velocity, turn_rate = rates[:, :3], rates[:, 3:6]
@@ -276,8 +295,8 @@ def _join(parts: Sequence[_Part], trajectory: Trajectory, levels: _Levels, index
         rate_covariance=covariances[:, POSE.stop : STATES, POSE.stop : STATES],
         outliers=np.concatenate([part.outliers for part in parts]),
         standing=np.concatenate([part.standing for part in parts]),
-        position_sigma=float(levels.position[index]),
-        rotation_sigma=float(levels.rotation[index]),
+        position_sigma=levels.position,
+        rotation_sigma=levels.rotation,
     )
 
 
@@ -290,14 +309,15 @@ def _time_steps(batch: Sequence[_Window], trajectories: Sequence[Trajectory]) ->
     return seconds
 
 
-def _pad(sequences: Sequence[Array]) -> Array:
-    """Sequences (n_i, ...) side by side, (n, b, ...); each goes on with its last value behind its end."""
-    longest = max(len(values) for values in sequences)
-    padded = np.empty((longest, len(sequences), *sequences[0].shape[1:]))
-    for column, values in enumerate(sequences):
-        padded[: len(values), column] = values
-        padded[len(values) :, column] = values[-1]
-    return padded
+def _gather(batch: Sequence[_Window], arrays: Sequence[Array]) -> Array:
+    """Windows of arrays side by side, (n, b, ...); each goes on with its last value behind its end."""
+    longest = max(len(window) for window in batch)
+    gathered = np.empty((longest, len(batch), *arrays[0].shape[1:]))
+    for column, window in enumerate(batch):
+        values = arrays[window.trajectory][window.start : window.stop]
+        gathered[: len(values), column] = values
+        gathered[len(values) :, column] = values[-1]
+    return gathered
 
 
 def _curvature(turn_rate: Array, forward_speed: Array) -> Array:
