@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.aggregate import Source, gather
+from olt_generator.brightness import brightened, relative_brightness
 from olt_generator.cameras import Camera
 from olt_generator.depth import FAR_DISTANCE
 from olt_generator.fill import fill_holes
@@ -51,7 +52,7 @@ class SynthesisSettings:
 
     other_frames: int = 4
     lookback: int | None = None
-    least_confidence: float = 0.3
+    least_confidence: float = 0.4
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,7 @@ class _Synthesis:
         same = self._warp_same_frame(index)
         origin = np.where(same.visible, PixelOrigin.SAME_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
         if others:
-            other = self._gather(index, others, same)
+            other = self._gather(index, others)
             origin[other.visible & ~same.visible] = PixelOrigin.OTHER_FRAME
             same = _laid_over(same, other)
         return self._fill(index, same), origin
@@ -157,7 +158,7 @@ class _Synthesis:
         )
         return _averaged_down(warp.image, warp.visible, warp.distance > 0.9 * FAR_DISTANCE, SUPERSAMPLING)
 
-    def _gather(self, index: int, others: tuple[int, ...], same: _Layer) -> _Layer:
+    def _gather(self, index: int, others: tuple[int, ...]) -> _Layer:
         sources = [self._source(index, other) for other in others]
         gathered = gather(sources, self._front.camera, self._other_frames_target)
         visible = gathered.source < len(sources)
@@ -173,7 +174,8 @@ class _Synthesis:
         if front.confidence is not None:
             distance[front.confidence[other] < self._settings.least_confidence] = np.nan
         T_target_world = self._T_target_rig @ invert(front.trajectory.T_world_rig[index])
-        return Source(front.frames[other], distance, T_target_world @ front.camera_poses[other])
+        image = brightened(front.frames[other], relative_brightness(front, index, other))
+        return Source(image, distance, T_target_world @ front.camera_poses[other])
 
     def _fill(self, index: int, layer: _Layer) -> NDArray[np.uint8]:
         distance = self._front.distance[index]
