@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from olt_generator.background import FAR_DISTANCE, background_distance, road_distance
 from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
+from olt_generator.metric_alignment import Alignment
 from olt_generator.own_vehicle import find_own_vehicle
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
@@ -38,6 +39,7 @@ class Origin(IntEnum):
     PARALLAX = 2
     INTERPOLATED = 3
     VEHICLE = 4
+    LEARNED = 5
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,14 @@ class DistanceEstimate:
         confidence: (m, H, W) float32, 0 to 1: about the share of such pixels whose distance is right within a tenth.
             0 where only the assumption of a background speaks for the distance, and on the own vehicle.
         moving: (m, H, W) bool, pixels of moving objects, as far as they are noticed.
+        alignment: how a network's depth was made metric; None for distances by geometry alone.
     """
 
     distance: NDArray[np.float32]
     origin: NDArray[np.uint8]
     confidence: NDArray[np.float32]
     moving: NDArray[np.bool_]
+    alignment: Alignment | None = None
 
 
 @dataclass(frozen=True)
