@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_generator.cameras import FthetaCamera, PinholeCamera, pixel_rays
+from olt_generator.cameras import BrownConradyCamera, FthetaCamera, KannalaBrandtCamera, PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
 from olt_toolkit.ftheta_fit import fit_ftheta
 from olt_toolkit.rig import pav_rig
@@ -49,6 +49,31 @@ def test_rig_cameras_go_in_unchanged_at_any_output_size():
             assert fit.camera.fw_poly == mounted.camera.fw_poly, name
             assert fit.error < 0.5
             assert fit.round_trip < 1e-6
+
+
+@pytest.mark.parametrize(
+    "camera",
+    [
+        KannalaBrandtCamera(576, 320, 280.0, 280.0, 288.0, 161.0, -0.02, 0.004, -0.002, 2e-4),
+        BrownConradyCamera(576, 320, 474.0, 474.0, 289.0, 158.0, -0.28, -0.033, 1e-4, -1e-4, 0.099),
+    ],
+)
+def test_other_lenses_are_fitted_with_an_error_that_is_true(camera):
+    fit = fit_ftheta(camera)
+    pixels, _ = fit.camera.project(pixel_rays(camera))
+    grid = np.stack(np.meshgrid(np.arange(576), np.arange(320)), axis=-1)
+    assert largest_distance(pixels, grid) <= 1.05 * fit.error + 1e-9
+    assert fit.error < 0.6
+
+
+def test_a_lens_with_much_tangential_distortion_is_refused():
+    with pytest.raises(InputError, match="degree 4 miss it by"):
+        fit_ftheta(BrownConradyCamera(576, 320, 474.0, 474.0, 289.0, 158.0, -0.28, -0.033, 1e-2, -1e-2, 0.099))
+
+
+def test_a_lens_that_does_not_reach_its_corners_is_refused():
+    with pytest.raises(InputError, match="does not reach the corners"):
+        fit_ftheta(BrownConradyCamera(576, 320, 474.0, 474.0, 289.0, 158.0, -1.5))
 
 
 def test_stretched_pixels_are_refused():
