@@ -4,7 +4,16 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_generator.kalman import LinearSystem, filter_forward, smooth_covariances, smooth_states, smoothing_gains
+from olt_generator.car_motion import BodyMotion, CarMotion, linearise
+from olt_generator.kalman import (
+    LinearSystem,
+    filter_forward,
+    integrator_noise,
+    integrator_transitions,
+    smooth_covariances,
+    smooth_states,
+    smoothing_gains,
+)
 
 
 def random_system(seed, lengths, states=3, measured=2, columns=2):
@@ -67,3 +76,19 @@ def test_equals_the_batch_solution(seed, lengths):
 def test_the_last_filtered_state_is_the_smoothed_one():
     system = random_system(0, [12])
     np.testing.assert_array_equal(filter_forward(system).filtered[-1], smooth(system)[0][-1])
+
+
+def test_integrated_noise_adds_up_over_steps():
+    short, long = np.array(0.1), np.array(0.2)
+    F, Q = integrator_transitions(short, 3), integrator_noise(short, 3)
+    np.testing.assert_allclose(integrator_transitions(long, 3), F @ F)
+    np.testing.assert_allclose(integrator_noise(long, 3), F @ Q @ F.T + Q)
+
+
+def test_the_noise_of_a_car_adds_up_over_steps():
+    car = CarMotion(np.array([0.7]), np.array([0.1]), 0.3, 0.8, np.ones(13))
+    still = np.zeros((3, 1, 3))
+    motion = BodyMotion(np.tile(np.eye(4), (3, 1, 1, 1)), still, still, still[..., 0])
+    F, _ = linearise(motion, np.full((2, 1), 0.1), car)
+    Q, doubled = car.process_noise(np.full((1, 1), 0.1))[0, 0], car.process_noise(np.full((1, 1), 0.2))[0, 0]
+    np.testing.assert_allclose(doubled, F[0, 0] @ Q @ F[0, 0].T + Q, atol=1e-12)

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_generator.kalman import integrator_noise
 from olt_generator.poses import Array, invert
 from olt_generator.twists import adjoint, exponential, logarithm, right_jacobian
 
@@ -24,6 +25,7 @@ STATES = 13
 POSITION, ROTATION, VELOCITY, TURN_RATE, ACCELERATION = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), 12
 POSE = slice(0, 6)
 FORWARD_SPEED, YAW_RATE = 6, 11
+_FORWARD = [POSITION.start, VELOCITY.start, ACCELERATION]
 
 
 @dataclass(frozen=True)
@@ -59,27 +61,14 @@ class CarMotion:
     def process_noise(self, seconds: Array) -> Array:
         """Covariances (n, b, 13, 13) of what the noise adds over steps (n, b) in body axes."""
         noise = np.zeros((*seconds.shape, STATES, STATES))
-        h = seconds
-        jerk = self.jerk_density**2
-        forward = [POSITION.start, VELOCITY.start, ACCELERATION]
-        for i, row in enumerate(forward):
-            for j, column in enumerate(forward):
-                # Integrals of white noise taken 3, 2 and 1 times.
-                factor = 1.0 / ((5 - i - j) * [2.0, 1.0, 1.0][i] * [2.0, 1.0, 1.0][j])
-                noise[..., row, column] = jerk * factor * h ** (5 - i - j)
+        jerk, turning = self.jerk_density[:, None, None] ** 2, self.angular_acceleration_density[:, None, None] ** 2
+        _set_block(noise, _FORWARD, jerk * integrator_noise(seconds, 3))
         for axis in range(3):
-            angle, rate = ROTATION.start + axis, TURN_RATE.start + axis
-            density = self.angular_acceleration_density**2
-            noise[..., angle, angle] = density * h**3 / 3.0
-            noise[..., angle, rate] = noise[..., rate, angle] = density * h**2 / 2.0
-            noise[..., rate, rate] = density * h
-        way, both, velocity = _ornstein_uhlenbeck(h / self.slip_seconds)
-        variance = self.slip_sigma**2
+            angle_and_rate = [ROTATION.start + axis, TURN_RATE.start + axis]
+            _set_block(noise, angle_and_rate, turning * integrator_noise(seconds, 2))
+        slip = self.slip_sigma**2 * _ornstein_uhlenbeck_noise(seconds, self.slip_seconds)
         for axis in (1, 2):
-            place, speed = POSITION.start + axis, VELOCITY.start + axis
-            noise[..., place, place] = variance * self.slip_seconds**2 * way
-            noise[..., place, speed] = noise[..., speed, place] = variance * self.slip_seconds * both
-            noise[..., speed, speed] = variance * velocity
+            _set_block(noise, [POSITION.start + axis, VELOCITY.start + axis], slip)
         return noise
 
 
@@ -167,9 +156,16 @@ def _velocity_integrals(seconds: Array, decay: Array, slip_seconds: float) -> Ar
     return np.stack([seconds, slipped, slipped], axis=-1)
 
 
-def _ornstein_uhlenbeck(h: Array) -> tuple[Array, Array, Array]:
-    """Covariances of way and way, way and velocity, velocity and velocity after time h; unit variance and time."""
+def _set_block(matrices: Array, states: list[int], block: Array) -> None:
+    """Set the rows and columns of these states."""
+    matrices[..., np.array(states)[:, None], states] = block
+
+
+def _ornstein_uhlenbeck_noise(seconds: Array, slip_seconds: float) -> Array:
+    """Covariances (n, b, 2, 2) of way and velocity after time steps (n, b), of a velocity of unit variance."""
+    h = seconds / slip_seconds
     gone = -np.expm1(-h)
     # The closed form loses all digits where h is small: 2 (h - gone) - gone^2 = 2/3 h^3 - 1/2 h^4 + ...
     way = np.where(h < 1e-2, h**3 * (2.0 / 3.0 - 0.5 * h + 7.0 / 30.0 * h**2), 2.0 * (h - gone) - gone**2)
-    return way, gone**2, gone * (2.0 - gone)
+    way, both, velocity = slip_seconds**2 * way, slip_seconds * gone**2, gone * (2.0 - gone)
+    return np.stack([way, both, both, velocity], axis=-1).reshape(*seconds.shape, 2, 2)

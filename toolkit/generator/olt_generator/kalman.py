@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import factorial
 
 from olt_generator.poses import Array
 
@@ -101,3 +102,17 @@ def smooth_covariances(system: LinearSystem, forward: FilterPass, gains: Array) 
         learnt = covariances[k + 1, now] - forward.predicted_covariance[k + 1, now]
         covariances[k, now] += gains[k, now] @ learnt @ np.swapaxes(gains[k, now], -1, -2)
     return covariances
+
+
+def integrator_transitions(seconds: Array, states: int) -> Array:
+    """Transitions (..., s, s) of a coordinate and its derivatives over time steps (...): Taylor's series."""
+    power = np.arange(states) - np.arange(states)[:, None]
+    taylor = seconds[..., None, None] ** np.maximum(power, 0) / factorial(np.maximum(power, 0))
+    return np.where(power >= 0, taylor, 0.0)
+
+
+def integrator_noise(seconds: Array, states: int) -> Array:
+    """Covariances (..., s, s) that white noise of unit density in the last derivative's rate adds over steps (...)."""
+    power = np.arange(states - 1, -1, -1)
+    total = power[:, None] + power[None, :] + 1
+    return seconds[..., None, None] ** total / (total * np.outer(factorial(power), factorial(power)))

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import factorial
 
+from olt_generator.kalman import integrator_noise, integrator_transitions
 from olt_generator.poses import Array
 
 # A stray measurement: one in ten, anywhere within 10 m or 1 rad on each axis.
@@ -97,7 +97,7 @@ def _surprise(lengths: NDArray[np.int64], seconds: Array, measurements: Array, g
     state = np.zeros((*shape, states, 3))
     state[..., 0, :] = measurements[0, :, None]
     surprise = np.zeros(shape)
-    transitions, unit_noise = _transitions(seconds, states), _unit_noise(seconds, states)
+    transitions, unit_noise = integrator_transitions(seconds, states), integrator_noise(seconds, states)
     for k in range(1, len(measurements)):
         running = np.count_nonzero(lengths > k)
         F = transitions[k - 1, :running, None]
@@ -113,17 +113,3 @@ def _surprise(lengths: NDArray[np.int64], seconds: Array, measurements: Array, g
         state = state + gain[..., None] * innovation[..., None, :]
         covariance = covariance - gain[..., None] * covariance[..., None, :, 0]
     return surprise
-
-
-def _transitions(seconds: Array, states: int) -> Array:
-    """Taylor matrices (n, b, states, states) over time steps (n, b)."""
-    power = np.arange(states) - np.arange(states)[:, None]
-    taylor = seconds[..., None, None] ** np.maximum(power, 0) / factorial(np.maximum(power, 0))
-    return np.where(power >= 0, taylor, 0.0)
-
-
-def _unit_noise(seconds: Array, states: int) -> Array:
-    """Covariances (n, b, states, states) that white noise of unit density in the highest derivative adds over steps."""
-    power = np.arange(states - 1, -1, -1)
-    total = power[:, None] + power[None, :] + 1
-    return seconds[..., None, None] ** total / (total * np.outer(factorial(power), factorial(power)))
