@@ -163,15 +163,23 @@ def test_the_motion_comes_from_where_it_is_said_to(tmp_path, drive):
     assert summary["trajectory"]["length"] == 0.0
     assert summary["scale_sigma"] is None
     assert "odometry" not in summary["seconds"]
+    assert summary["sources"] == {"poses": "reference", "depth": "geometric"}
     for arguments in (("--poses", "mapanything"), ("--mapanything-weights", tmp_path)):
         result = build(drive, "--out", tmp_path / "clips", *arguments)
         assert "belong together" in str(result.exception)
+    for arguments in (("--depth", "depthanything"), ("--depth-weights", tmp_path)):
+        result = build(drive, "--out", tmp_path / "clips", *arguments)
+        assert "--depth-weights belongs to" in str(result.exception)
 
 
 @pytest.mark.slow
-def test_missing_weights_of_mapanything_are_named(tmp_path, drive):
+def test_missing_weights_are_named(tmp_path, drive):
     missing = build(drive, "--out", tmp_path / "c", "--poses", "mapanything", "--mapanything-weights", tmp_path)
     assert "facebook/map-anything" in str(missing.exception)
+    for depth in ("depthanything", "depthcrafter"):
+        missing = build(drive, "--out", tmp_path / "c", "--depth", depth, "--depth-weights", tmp_path)
+        assert isinstance(missing.exception, InputError)
+        assert str(tmp_path) in str(missing.exception)
 
 
 def test_missing_input_and_unusable_output_are_refused(tmp_path, drive):

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.depth import DistanceEstimate, estimate_distance
+from olt_generator.depth import DistanceEstimate
 from olt_generator.errors import InputError
 from olt_generator.front_view import FrontView
 from olt_generator.image_metrics import psnr
@@ -116,7 +116,7 @@ def build_clip(
     stages = Stages(_SHARES, on_progress, on_stage)
     motion = _measure_motion(recording, options, stages)
     synthesizes = _clip_kind(options, plan) == "Syn"
-    distance = _estimate_distance(recording, motion, stages) if synthesizes else None
+    distance = _estimate_distance(recording, options, motion, stages) if synthesizes else None
     kept = _kept_frames(recording, options)
     shown = _only_frames(recording, kept)
     front = None if distance is None else _front_view(recording, motion, distance)
@@ -156,16 +156,25 @@ def _measure_motion(recording: Recording, options: BuildOptions, stages: Stages)
     return _Motion(ego, smoothed.trajectory, measured.T_rig_camera, measured, smoothed)
 
 
-def _estimate_distance(recording: Recording, motion: _Motion, stages: Stages) -> DistanceEstimate:
+def _estimate_distance(
+    recording: Recording, options: BuildOptions, motion: _Motion, stages: Stages
+) -> DistanceEstimate:
     with stages.stage("distance") as on_progress:
-        return estimate_distance(
+        return options.depth.estimate(
             recording.frames, recording.camera, motion.trajectory, motion.T_rig_camera, on_progress
         )
 
 
 def _front_view(recording: Recording, motion: _Motion, distance: DistanceEstimate) -> FrontView:
-    front = FrontView(recording.frames, distance.distance, motion.trajectory, recording.camera, motion.T_rig_camera)
-    return replace(front, moving=find_moving(front))
+    front = FrontView(
+        recording.frames,
+        distance.distance,
+        motion.trajectory,
+        recording.camera,
+        motion.T_rig_camera,
+        distance.confidence,
+    )
+    return replace(front, moving=distance.moving | find_moving(front))
 
 
 def _kept_frames(recording: Recording, options: BuildOptions) -> NDArray[np.int64]:

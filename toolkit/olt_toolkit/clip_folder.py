@@ -18,6 +18,7 @@ from olt_toolkit.clip_summary import summarize_build
 from olt_toolkit.clip_views import BuildOptions
 from olt_toolkit.pictures import animation_path, write_clip_pictures
 from olt_toolkit.recording import OpenOptions, Recording, is_recording, open_recording
+from olt_toolkit.source_choice import SourceChoice
 from olt_toolkit.stages import OnStage, unnoticed
 from olt_toolkit.workers import map_parallel, use_one_thread
 
@@ -34,7 +35,8 @@ class BuildJob:
         path: the recording.
         store: folder of the clip store.
         opening: how to open the recording.
-        options: how to build the clip.
+        options: how to build the clip, but for its sources.
+        sources: where its motion and distances come from.
         keep_going: whether a recording that cannot be used is an outcome instead of an error.
     """
 
@@ -42,6 +44,7 @@ class BuildJob:
     store: Path
     opening: OpenOptions
     options: BuildOptions
+    sources: SourceChoice
     keep_going: bool = False
 
 
@@ -110,7 +113,7 @@ def stage_clip(
     Raises:
         InputError: see `build_clip`.
     """
-    built = build_clip(recording, job.options, on_progress, on_stage)
+    built = build_clip(recording, job.sources.apply(job.options), on_progress, on_stage)
     streams = built.clip.streams
     times_us = next(iter(streams.values())).timestamps_us
     images = {name: stream.frames for name, stream in streams.items()}
@@ -119,7 +122,8 @@ def stage_clip(
     staged = time.perf_counter()
     pictures = write_clip_pictures(job.store / PREVIEWS, built.clip.name, images, built.observed, times_us)
     seconds = {"stage": staged - start, "pictures": time.perf_counter() - staged}
-    return summarize_build(built) | {"pictures": pictures, "store_seconds": seconds}
+    sources = {"poses": str(job.sources.poses), "depth": str(job.sources.depth)}
+    return summarize_build(built) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
 
 
 def _build_or_report(job: BuildJob) -> Outcome:

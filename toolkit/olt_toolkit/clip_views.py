@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 import olt_generator
 from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera, fit_camera
+from olt_generator.depth_source import DepthSource, GeometricDepth
 from olt_generator.errors import InputError
 from olt_generator.front_view import FrontView
 from olt_generator.lookback import LOOKBACK_LATENTS
@@ -39,6 +40,7 @@ class BuildOptions:
         use_reference_views: take the recording's true images and trajectory instead of synthesizing: kind GT.
         use_reference_motion: take the recording's true trajectory although views are synthesized.
         poses: where the motion comes from otherwise.
+        depth: where the distances come from.
         image_kind: how the recording's own images came to be, for the provenance.
         name, scene_id: None for the recording's name.
         category, factors, split: see `Clip`.
@@ -53,6 +55,7 @@ class BuildOptions:
     use_reference_views: bool = False
     use_reference_motion: bool = False
     poses: PoseSource = field(default_factory=VisualOdometry)
+    depth: DepthSource = field(default_factory=GeometricDepth)
     image_kind: ViewKind = "observed"
     name: str | None = None
     scene_id: str | None = None

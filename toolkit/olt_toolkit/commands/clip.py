@@ -1,41 +1,38 @@
 """`olt clip`: build four-camera clips from recordings, look into a store of them, and score them."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from olt_toolkit.commands.clip_options import (
+    AllFramesOption,
+    CameraHeightOption,
+    DepthOption,
+    DepthWeightsOption,
+    DeviceOption,
+    DurationOption,
+    FovOption,
+    HeightOption,
+    JsonOption,
+    MapAnythingOption,
+    PosesOption,
+    StoreArgument,
+    WidthOption,
+    make_open_options,
+)
+from olt_toolkit.commands.trajectory import trajectory
+from olt_toolkit.source_choice import DepthChoice, PoseChoice, SourceChoice
+
 if TYPE_CHECKING:
-    from olt_generator.pose_sources import PoseSource
     from olt_toolkit.clip_builder import BuiltClip
     from olt_toolkit.clip_folder import BuildJob
     from olt_toolkit.clip_store import ClipStore
     from olt_toolkit.clip_views import BuildOptions
-    from olt_toolkit.recording import OpenOptions, Recording
+    from olt_toolkit.recording import Recording
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Build, inspect and score clips.")
-
-
-class PoseChoice(StrEnum):
-    """Where the motion of the vehicle comes from."""
-
-    ODOMETRY = "odometry"
-    REFERENCE = "reference"
-    MAPANYTHING = "mapanything"
-
-
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
-FovOption = Annotated[float | None, typer.Option(help="Horizontal field of view in degrees, if not calibrated.")]
-HeightOption = Annotated[float | None, typer.Option(help="Height of the camera in metres, if unknown.")]
-WidthOption = Annotated[int, typer.Option("--width", min=32, help="Width of the views in pixels, even.")]
-ViewHeightOption = Annotated[int, typer.Option("--height", min=32, help="Height of the views in pixels, even.")]
-DurationOption = Annotated[float, typer.Option(min=0.1, help="Use at most this many seconds.")]
-PosesOption = Annotated[PoseChoice, typer.Option(help="Where the motion of the vehicle comes from.")]
-MapAnythingOption = Annotated[
-    Path | None, typer.Option(help="Folder with MapAnything's config.json and model.safetensors.")
-]
-StoreArgument = Annotated[Path, typer.Argument(help="Folder of the clip store.")]
+app.command(help="Recover the motion of a recording, and hold it against the reference.")(trajectory)
 
 
 @app.command(help="Build the clip of a recording, or of each recording in a folder, and add it to a store.")
@@ -44,13 +41,16 @@ def build(
     out: Annotated[Path, typer.Option(help="Folder of the clip store; it is made if it is missing.")],
     name: Annotated[str | None, typer.Option(help="Name of the clip; that of the recording by default.")] = None,
     fov: FovOption = None,
-    camera_height: HeightOption = None,
+    camera_height: CameraHeightOption = None,
     width: WidthOption = 576,
-    height: ViewHeightOption = 320,
+    height: HeightOption = 320,
     duration: DurationOption = 20.0,
-    all_frames: Annotated[bool, typer.Option("--all-frames", help="Make frames that no sample shows too.")] = False,
+    all_frames: AllFramesOption = False,
     poses: PosesOption = PoseChoice.ODOMETRY,
     mapanything_weights: MapAnythingOption = None,
+    depth: DepthOption = DepthChoice.GEOMETRIC,
+    depth_weights: DepthWeightsOption = None,
+    device: DeviceOption = "cpu",
     seed: Annotated[int, typer.Option(help="Seed of the clip.")] = 0,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes for a folder; all processors.")] = None,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a recording that fails.")] = False,
@@ -65,16 +65,10 @@ def build(
 
     if name is not None and Path(name).name != name:
         raise InputError(f"--name {name!r}: pictures are named after the clip; give a name without slashes")
-    options = BuildOptions(
-        width=width,
-        height=height,
-        all_frames=all_frames,
-        use_reference_motion=poses is PoseChoice.REFERENCE,
-        poses=_pose_source(poses, mapanything_weights),
-        name=name,
-        seed=seed,
-    )
-    job = BuildJob(recording, make_folder(out), _opening(duration, fov, camera_height), options, keep_going)
+    sources = SourceChoice(poses, mapanything_weights, depth, depth_weights, device)
+    options = BuildOptions(width=width, height=height, all_frames=all_frames, name=name, seed=seed)
+    opening = make_open_options(duration, fov, camera_height)
+    job = BuildJob(recording, make_folder(out), opening, options, sources, keep_going)
     if is_recording(recording) or not recording.is_dir():
         _build_one(job, as_json)
     elif name is not None:
@@ -90,13 +84,16 @@ def views(
     out: Annotated[Path, typer.Option(help="Folder for the videos, the pictures and plan.json.")],
     clip: Annotated[str | None, typer.Argument(help="Name or id of a clip, where INPUT is a store.")] = None,
     fov: FovOption = None,
-    camera_height: HeightOption = None,
+    camera_height: CameraHeightOption = None,
     width: WidthOption = 576,
-    height: ViewHeightOption = 320,
+    height: HeightOption = 320,
     duration: DurationOption = 20.0,
-    all_frames: Annotated[bool, typer.Option("--all-frames", help="Make frames that no sample shows too.")] = False,
+    all_frames: AllFramesOption = False,
     poses: PosesOption = PoseChoice.ODOMETRY,
     mapanything_weights: MapAnythingOption = None,
+    depth: DepthOption = DepthChoice.GEOMETRIC,
+    depth_weights: DepthWeightsOption = None,
+    device: DeviceOption = "cpu",
     as_json: JsonOption = False,
 ) -> None:
     """Only the wanted views and those they are made from; the rest is named as left out."""
@@ -107,17 +104,13 @@ def views(
     from olt_toolkit.view_files import parse_cameras, write_view_files
 
     wanted = parse_cameras(cameras)
+    sources = SourceChoice(poses, mapanything_weights, depth, depth_weights, device)
     options = BuildOptions(
-        width=width,
-        height=height,
-        cameras=wanted,
-        all_frames=all_frames,
-        use_reference_motion=clip is not None or poses is PoseChoice.REFERENCE,
-        poses=_pose_source(poses, mapanything_weights),
+        width=width, height=height, cameras=wanted, all_frames=all_frames, use_reference_motion=clip is not None
     )
-    opening = _opening(duration, fov, camera_height)
+    opening = make_open_options(duration, fov, camera_height)
     recording = open_recording(source, opening) if clip is None else _stored_recording(source, clip)
-    plan = write_view_files(out, _build_with_progress(recording, options))
+    plan = write_view_files(out, _build_with_progress(recording, sources.apply(options)))
     if as_json:
         print_json(plan)
     else:
@@ -164,7 +157,7 @@ def score(
     lpips_weights: Annotated[
         Path | None, typer.Option(help="Folder with alexnet-owt-7be5be79.pth and alex.pth; without it, no LPIPS.")
     ] = None,
-    device: Annotated[str, typer.Option(help="Where torch runs the networks.")] = "cpu",
+    device: DeviceOption = "cpu",
     as_json: JsonOption = False,
 ) -> None:
     """The matcher is named in the result, because numbers of two matchers do not compare."""
@@ -188,26 +181,6 @@ def score(
     errors = None if reference_id is None else score_against(opened, clip_id, truth, reference_id, lpips)
     summary = {"store": str(store), "clip_id": clip_id, "geokpm": consistency, "reference": errors}
     print_json(summary) if as_json else print_scores(summary)
-
-
-def _opening(duration: float, fov: float | None, camera_height: float | None) -> "OpenOptions":
-    from math import radians
-
-    from olt_toolkit.recording import OpenOptions
-
-    field_of_view = None if fov is None else radians(fov)
-    return OpenOptions(duration=duration, horizontal_fov=field_of_view, camera_height=camera_height)
-
-
-def _pose_source(poses: PoseChoice, mapanything_weights: Path | None) -> "PoseSource":
-    """What measures the motion; the reference, where it is wanted, is taken instead of it."""
-    from olt_generator.errors import InputError
-    from olt_generator.map_anything import MapAnything
-    from olt_generator.pose_sources import VisualOdometry
-
-    if (poses is PoseChoice.MAPANYTHING) != (mapanything_weights is not None):
-        raise InputError("--poses mapanything and --mapanything-weights belong together; give both or neither")
-    return VisualOdometry() if mapanything_weights is None else MapAnything(mapanything_weights)
 
 
 def _build_one(job: "BuildJob", as_json: bool) -> None:

@@ -29,6 +29,7 @@ def print_build(summary: dict[str, Any]) -> None:
         f"trajectory: {trajectory['length']:.1f} m in {trajectory['duration']:.1f} s, speed "
         f"{trajectory['lowest_speed']:.1f} to {trajectory['highest_speed']:.1f} m/s"
     )
+    print_line(f"poses: {summary['sources']['poses']}, depth: {summary['sources']['depth']}")
     print_table(
         "Errors against the reference, and jerk", ["quantity", "before smoothing", "after"], _error_rows(summary)
     )
