@@ -21,7 +21,6 @@ from olt_toolkit.commands.clip_options import (
     WidthOption,
     make_open_options,
 )
-from olt_toolkit.commands.trajectory import trajectory
 from olt_toolkit.source_choice import DepthChoice, PoseChoice, SourceChoice
 
 if TYPE_CHECKING:
@@ -32,7 +31,6 @@ if TYPE_CHECKING:
     from olt_toolkit.recording import Recording
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Build, inspect and score clips.")
-app.command(help="Recover the motion of a recording, and hold it against the reference.")(trajectory)
 
 
 @app.command(help="Build the clip of a recording, or of each recording in a folder, and add it to a store.")
