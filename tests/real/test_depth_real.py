@@ -1,0 +1,103 @@
+"""Distances on real recordings. The bounds are generous: what is reached is printed (`pytest -s`)."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from olt_datasets.sources.kitti_raw import SOURCE as KITTI
+from olt_generator.cameras import PinholeCamera, pixel_rays
+from olt_generator.depth import FAR_DISTANCE, Origin, estimate_distance
+from olt_generator.poses import invert, pose_from_quaternion, transform
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.recording import OpenOptions
+
+pytestmark = pytest.mark.slow
+
+SIX_CAMERAS = "six_camera_surround_three_steps"
+
+
+def pose_of(record: dict) -> np.ndarray:
+    rotation, translation = record["rotation"], record["translation"]
+    return pose_from_quaternion([rotation[f"q{axis}"] for axis in "xyzw"], [translation[axis] for axis in "xyz"])
+
+
+def read_front_camera(folder):
+    """Three frames a second apart, their camera, camera poses in the rig and rig poses, and the LiDAR of the first."""
+    calibration = json.loads((folder / "calibration.json").read_text())
+    index = calibration["names"].index("CAMERA_01")
+    intrinsics = calibration["intrinsics"][index]
+    full = PinholeCamera(1936, 1216, *(intrinsics[name] for name in ("fx", "fy", "cx", "cy")))
+    T_rig_camera = pose_of(calibration["extrinsics"][index])
+    records = json.loads((folder / "scene.json").read_text())["data"]
+    images = sorted(
+        (each["datum"]["image"] for each in records if each["id"]["name"] == "CAMERA_01"),
+        key=lambda image: image["filename"],
+    )
+    T_world_rig = np.stack([pose_of(image["pose"]) @ invert(T_rig_camera) for image in images])
+    camera = full.resized(832, 522)
+    frames = [cv2.imread(str(folder / image["filename"]))[..., ::-1] for image in images]
+    small = np.stack([cv2.resize(frame, (832, 522), interpolation=cv2.INTER_AREA) for frame in frames])
+    lidar = next(each["datum"]["point_cloud"] for each in records if each["id"]["name"] == "LIDAR")
+    points = np.load(folder / lidar["filename"])["data"][:, :3]
+    trajectory = Trajectory(1_000_000 * np.arange(3), T_world_rig)
+    return small, camera, trajectory, T_rig_camera, transform(pose_of(lidar["pose"]), points)
+
+
+def visible_points(points_camera, camera):
+    """Pixels (k, 2) and distances (k,) of LiDAR points that no clearly nearer point hides."""
+    pixels, seen = camera.project(points_camera)
+    distance = np.linalg.norm(points_camera, axis=1)
+    column, row = np.rint(pixels[seen]).astype(int).T
+    nearest = np.full((camera.height, camera.width), np.inf, np.float32)
+    np.minimum.at(nearest, (row, column), distance[seen].astype(np.float32))
+    surface = cv2.erode(nearest, np.ones((11, 11), np.uint8))
+    kept = distance[seen] < 1.1 * surface[row, column]
+    return row[kept], column[kept], distance[seen][kept]
+
+
+def test_distances_agree_with_lidar(shared_real):
+    frames, camera, trajectory, T_rig_camera, points_world = read_front_camera(shared_real / SIX_CAMERAS)
+    estimate = estimate_distance(frames, camera, trajectory, T_rig_camera, shown=[0])
+    T_world_camera = trajectory.T_world_rig[0] @ T_rig_camera
+    row, column, truth = visible_points(transform(invert(T_world_camera), points_world), camera)
+    found, confidence = estimate.distance[0, row, column], estimate.confidence[0, row, column]
+    origin = estimate.origin[0, row, column]
+    error = np.abs(found - np.minimum(truth, FAR_DISTANCE)) / truth
+    print(f"\n{len(truth)} points, median error {np.median(error):.3f}, within a tenth {np.mean(error < 0.1):.3f}")
+    for rule in Origin:
+        here = origin == rule
+        if here.any():
+            print(f"{rule.name}: {here.mean():.2f} of points, median error {np.median(error[here]):.3f}")
+    for low, high in ((0.0, 0.3), (0.3, 0.6), (0.6, 0.9), (0.9, 1.0)):
+        here = (confidence >= low) & (confidence <= high)
+        print(
+            f"confidence {low} to {high}: {here.mean():.2f} of points, within a tenth {np.mean(error[here] < 0.1):.2f}"
+        )
+    assert len(truth) > 1000
+    road = origin == Origin.PLANE
+    assert np.median(error) < 0.12
+    assert np.median(error[road]) < 0.1
+    assert np.median(error[origin == Origin.PARALLAX]) < 0.12
+    assert np.median(error[confidence > 0.9]) < np.median(error[confidence < 0.3])
+
+
+def test_kitti_distances_agree_between_frames(shared_real):
+    recording = KITTI.open(shared_real / "kitti_raw_2011_09_26_drive_0013", OpenOptions(duration=4.0))
+    shown = [12, 15]
+    estimate = estimate_distance(
+        recording.frames, recording.camera, recording.reference, recording.T_rig_camera, shown=shown
+    )
+    first, second = (recording.reference.T_world_rig[index] @ recording.T_rig_camera for index in shown)
+    points = pixel_rays(recording.camera) * estimate.distance[0][..., None]
+    trusted = (estimate.confidence[0] > 0.5) & (estimate.distance[0] < 60.0) & ~estimate.moving[0]
+    moved = transform(invert(second) @ first, points[trusted])
+    pixels, seen = recording.camera.project(moved)
+    column, row = np.rint(pixels[seen]).astype(int).T
+    expected = np.linalg.norm(moved[seen], axis=1)
+    error = np.abs(estimate.distance[1][row, column] - expected) / expected
+    agree = np.mean(error < 0.1)
+    print(f"\ntrusted {trusted.mean():.2f} of the picture, of which {agree:.3f} agree within a tenth")
+    assert trusted.mean() > 0.2
+    assert agree > 0.6

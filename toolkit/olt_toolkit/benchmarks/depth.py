@@ -1,0 +1,117 @@
+"""Distances of a drive down the made-up street: time of the plane sweep against pixels that come out wrong."""
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.background import FAR_DISTANCE, background_distance
+from olt_generator.cameras import Camera, PinholeCamera, pixel_rays
+from olt_generator.depth import SweepSettings, estimate_distance
+from olt_generator.poses import Array, camera_pose_in_rig, invert, planar_pose
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.benchmarks.street import render_street
+
+WIDTH, HEIGHT = 832, 480
+FRAMES, METRES_PER_FRAME = 12, 1.2
+SHOWN = (3, 6, 9)
+T_RIG_CAMERA = camera_pose_in_rig([1.7, 0.0, 1.5], 0.0, 0.03, 0.0)
+CAMERA = PinholeCamera.from_field_of_view(WIDTH, HEIGHT, float(np.radians(90.0)))
+
+# A distance is right within this share of the truth.
+RIGHT = 0.1
+
+SETTINGS = {
+    "24 planes, 2 neighbours, 320 columns": SweepSettings(),
+    "12 planes": SweepSettings(planes=12),
+    "16 planes": SweepSettings(planes=16),
+    "48 planes": SweepSettings(planes=48),
+    "1 neighbour": SweepSettings(neighbours=1),
+    "160 columns": SweepSettings(width=160),
+    "416 columns": SweepSettings(width=416),
+    "832 columns": SweepSettings(width=832),
+}
+
+
+@lru_cache(maxsize=1)
+def _drive() -> tuple[NDArray[np.uint8], NDArray[np.float32], Trajectory]:
+    """Frames (n, H, W, 3), true distances (m, H, W) of those shown, and the trajectory."""
+    index = np.arange(FRAMES)
+    trajectory = Trajectory(100_000 * index, planar_pose(METRES_PER_FRAME * index, 0.0, 0.0))
+    rendered = [render_street(CAMERA, pose @ T_RIG_CAMERA) for pose in trajectory.T_world_rig]
+    truth = np.stack([np.minimum(rendered[index][1], np.float32(FAR_DISTANCE)) for index in SHOWN])
+    return np.stack([image for image, _ in rendered]), truth, trajectory
+
+
+def flow_of_one_pair() -> NDArray[np.float32]:
+    """Distances (m, H, W) by dense optical flow to the frame before, triangulated where it fits the motion."""
+    frames, _, trajectory = _drive()
+    T_world_camera = trajectory.T_world_rig @ T_RIG_CAMERA
+    small = CAMERA.resized(WIDTH // 2, HEIGHT // 2)
+    grey = [cv2.cvtColor(cv2.resize(frame, (small.width, small.height)), cv2.COLOR_RGB2GRAY) for frame in frames]
+    return np.stack(
+        [
+            _triangulate_flow(
+                np.asarray(grey[index], np.uint8),
+                np.asarray(grey[index - 1], np.uint8),
+                small,
+                invert(T_world_camera[index]) @ T_world_camera[index - 1],
+            )
+            for index in SHOWN
+        ]
+    )
+
+
+def _triangulate_flow(
+    grey: NDArray[np.uint8], other: NDArray[np.uint8], camera: Camera, T_frame_other: Array
+) -> NDArray[np.float32]:
+    """Distances (H, W) at full size; the background where the rays do not meet in front of it."""
+    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(grey, other, None)  # pyright: ignore
+    rows, columns = np.indices(grey.shape)
+    rays = pixel_rays(camera)
+    other_rays = camera.rays(np.stack([columns, rows], axis=-1) + flow) @ T_frame_other[:3, :3].T
+    between = np.cross(rays, other_rays)
+    squared_sine = np.maximum((between**2).sum(axis=-1), 1e-12)
+    # From s r = b + u p: the cross product with p gives s times the squared sine of the angle between the rays.
+    distance = (np.cross(T_frame_other[:3, 3], other_rays) * between).sum(axis=-1) / squared_sine
+    background = background_distance(CAMERA, T_RIG_CAMERA)
+    enlarged = cv2.resize(distance.astype(np.float32), (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
+    return np.where((enlarged > 0.0) & (enlarged < background), enlarged, background).astype(np.float32)
+
+
+def _sweep(settings: SweepSettings) -> NDArray[np.float32]:
+    frames, _, trajectory = _drive()
+    return estimate_distance(frames, CAMERA, trajectory, T_RIG_CAMERA, shown=SHOWN, settings=settings).distance
+
+
+def _prepare(method: Callable[[], NDArray[np.float32]]) -> Callable[[], NDArray[np.float32]]:
+    _drive()
+    return method
+
+
+def _wrong(distance: NDArray[np.float32]) -> float:
+    """Percent of pixels (m, H, W) that are off by more than a tenth."""
+    _, truth, _ = _drive()
+    return float(100.0 * np.mean(~(np.abs(distance - truth) < RIGHT * truth)))
+
+
+def _settings() -> list[Setting]:
+    sweeps = [
+        Setting(name, partial(_prepare, partial(_sweep, settings)), default=settings == SweepSettings())
+        for name, settings in SETTINGS.items()
+    ]
+    return [*sweeps, Setting("flow of one pair", partial(_prepare, flow_of_one_pair))]
+
+
+BENCHMARK = Benchmark(
+    name="depth",
+    title=f"distances of {len(SHOWN)} of {FRAMES} frames of {WIDTH} x {HEIGHT} pixels, {METRES_PER_FRAME} m apart",
+    error_name="wrong by more than a tenth",
+    error_unit="% of pixels",
+    reference="the distances to which the made-up street is ray-cast, at most 150 m",
+    settings=_settings,
+    measure_error=_wrong,
+)
