@@ -296,6 +296,19 @@ def test_only_the_wanted_views_are_written(tmp_path, drive):
     assert (out / "views.webp").is_file()
 
 
+def test_views_cut_out_of_the_front_view_need_no_motion(tmp_path, drive, monkeypatch):
+    def measure(*_arguments):
+        raise AssertionError("measured although no view needs it")
+
+    monkeypatch.setattr("olt_generator.pose_sources.estimate_odometry", measure)
+    arguments = ("--cameras", "front_tele", "--width", 96, "--height", 54, "--json")
+    result = run("views", drive, "--out", tmp_path / "views", *arguments)
+    assert result.exit_code == 0, result.output
+    plan = json.loads(result.stdout)
+    assert list(plan["views"]) == ["camera_front_tele_30fov"]
+    assert "motion of the vehicle" in plan["left_out"]
+
+
 def test_further_views_are_made_of_a_stored_clip(tmp_path, drive):
     assert build(drive, "--out", tmp_path / "clips").exit_code == 0
     arguments = ("--cameras", "front_wide", "--width", 96, "--height", 54, "--json")

@@ -14,7 +14,7 @@ from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.benchmarks.street import render_street
 from olt_toolkit.clip import CameraStream, EgoMotion, make_clip_id
-from olt_toolkit.clip_score import find_clip, score_against, score_consistency
+from olt_toolkit.clip_score import score_against, score_consistency
 from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.commands.clip import app
 from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, pav_rig
@@ -105,15 +105,15 @@ class Difference:
 
 
 def test_clips_are_found_by_name_and_by_id(store, make_clip):
-    assert find_clip(store, "copied") == find_clip(store, COPIED) == COPIED
+    assert store.find("copied") == store.find(COPIED) == COPIED
     with pytest.raises(InputError, match="no clip 'nothing'"):
-        find_clip(store, "nothing")
+        store.find("nothing")
     other = ClipStore(store.root.parent / "twice")
     for seed in (1, 2):
         other.stage(make_clip("twin", clip_id=make_clip_id("twin", seed)))
     other.commit([make_clip_id("twin", seed) for seed in (1, 2)])
     with pytest.raises(InputError, match="2 clips are called 'twin'"):
-        find_clip(other, "twin")
+        other.find("twin")
 
 
 def run(*arguments):
@@ -129,7 +129,7 @@ def test_score_command_prints_both(store):
     assert summary["geokpm"]["moments"] == 2
     assert summary["reference"]["clip_id"] == TRUE
     text = run(*arguments).stdout
-    for part in ("GeoKPM with SIFT", "832 x 480", "PSNR dB", "LPIPS: not measured"):
+    for part in ("GeoKPM with RootSIFT", "832 x 480", "PSNR dB", "LPIPS: not measured"):
         assert part in text
 
 

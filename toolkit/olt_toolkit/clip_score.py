@@ -123,19 +123,6 @@ def score_against(
     }
 
 
-def find_clip(store: ClipStore, text: str) -> str:
-    """The id of the clip that is called so, by id or by name.
-
-    Raises:
-        InputError: no clip is called so, or several are.
-    """
-    found = [info.clip_id for info in store.clips() if text in (info.clip_id, info.name)]
-    if len(found) == 1:
-        return found[0]
-    problem = f"no clip {text!r}" if not found else f"{len(found)} clips are called {text!r}: {', '.join(found)}"
-    raise InputError(f"{store.root}: {problem}; `olt clip inspect` lists the clips and their ids")
-
-
 def _posed_views(store: ClipStore, clip_id: str, names: list[str], moments: int) -> dict[str, PosedView]:
     motion = store.read_ego_motion(clip_id)
     timestamps = {name: store.read_timestamps(clip_id, name) for name in names}

@@ -128,6 +128,18 @@ class ClipStore:
             raise InputError(f"{self.root}: no clip {clip_id}; `olt clip inspect` lists the {len(self._clips)} there")
         return self._clips[clip_id]
 
+    def find(self, text: str) -> str:
+        """The id of the clip that is called so, by id or by name.
+
+        Raises:
+            InputError: no clip is called so, or several are.
+        """
+        found = [clip_id for clip_id, info in self._clips.items() if text in (clip_id, info.name)]
+        if len(found) == 1:
+            return found[0]
+        problem = f"no clip {text!r}" if not found else f"{len(found)} clips are called {text!r}: {', '.join(found)}"
+        raise InputError(f"{self.root}: {problem}; `olt clip inspect` lists the clips and their ids")
+
     def read_ego_motion(self, clip_id: str) -> EgoMotion:
         """The motion of the rig in the clip's anchor frame."""
         return read_egomotion(*self._member(clip_id, EGOMOTION, EGOMOTION))

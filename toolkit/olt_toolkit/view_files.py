@@ -1,16 +1,22 @@
 """Single views of a recording or of a stored clip, written as video files for people and other tools."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
+from olt_generator.pose_sources import KnownPoses
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import write_video
+from olt_generator.view_plan import ViewPlan, plan_views
 from olt_toolkit.clip_builder import BuiltClip
 from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.clip_summary import summarize_build
+from olt_toolkit.clip_views import BuildOptions
 from olt_toolkit.pictures import write_clip_pictures
 from olt_toolkit.recording import Recording
 from olt_toolkit.rig import CAMERA_INDEX, FRONT_WIDE, short_name
@@ -59,6 +65,14 @@ def reopen_clip(store: ClipStore, clip_id: str) -> Recording:
     )
 
 
+def leave_out_motion(recording: Recording, options: BuildOptions) -> BuildOptions:
+    """The options without measuring the motion, where the wanted views are all cut out of the front view."""
+    if _needs_motion(plan_views(options.cameras)):
+        return options
+    standing = Trajectory(recording.timestamps_us[[0, -1]], np.stack([np.eye(4), np.eye(4)]))
+    return replace(options, use_reference_motion=False, poses=KnownPoses(standing))
+
+
 def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
     """Write one mp4 per view, a contact sheet, an animated preview, and the plan of what was made and left out.
 
@@ -89,6 +103,8 @@ def _describe_plan(built: BuiltClip, folder: Path) -> dict[str, Any]:
         name: view | {"method": built.plan.methods[name], "file": str(folder / f"{name}.mp4")}
         for name, view in summary["clip"]["views"].items()
     }
+    if not _needs_motion(built.plan):
+        summary["left_out"]["motion of the vehicle"] = "no wanted view needs it"
     return {
         "recording": summary["clip"]["name"],
         "views": views,
@@ -97,3 +113,7 @@ def _describe_plan(built: BuiltClip, folder: Path) -> dict[str, Any]:
         "assumptions": summary["assumptions"],
         "seconds": summary["seconds"],
     }
+
+
+def _needs_motion(plan: ViewPlan) -> bool:
+    return "synthesized" in plan.methods.values()

@@ -99,7 +99,7 @@ def views(
     from olt_toolkit.commands.clip_tables import print_plan
     from olt_toolkit.console import print_json
     from olt_toolkit.recording import open_recording
-    from olt_toolkit.view_files import parse_cameras, write_view_files
+    from olt_toolkit.view_files import leave_out_motion, parse_cameras, write_view_files
 
     wanted = parse_cameras(cameras)
     sources = SourceChoice(poses, mapanything_weights, depth, depth_weights, device)
@@ -108,7 +108,8 @@ def views(
     )
     opening = make_open_options(duration, fov, camera_height)
     recording = open_recording(source, opening) if clip is None else _stored_recording(source, clip)
-    plan = write_view_files(out, _build_with_progress(recording, sources.apply(options)))
+    options = leave_out_motion(recording, sources.apply(options))
+    plan = write_view_files(out, _build_with_progress(recording, options))
     if as_json:
         print_json(plan)
     else:
@@ -124,7 +125,6 @@ def inspect(
 ) -> None:
     """Show the clip table, or one clip with its motion and calibration as they are stored."""
     from olt_generator.errors import InputError
-    from olt_toolkit.clip_score import find_clip
     from olt_toolkit.clip_store import ClipStore
     from olt_toolkit.clip_summary import summarize_info, summarize_stored
     from olt_toolkit.commands.clip_tables import print_clip, print_clips
@@ -137,7 +137,7 @@ def inspect(
         summary: dict[str, Any] = {"store": str(store), "clips": [summarize_info(info) for info in opened.clips()]}
         print_json(summary) if as_json else print_clips(summary)
         return
-    clip_id = find_clip(opened, clip)
+    clip_id = opened.find(clip)
     summary = summarize_stored(opened, clip_id)
     if pictures is not None:
         summary["pictures"] = _draw_stored(opened, clip_id, pictures)
@@ -160,7 +160,7 @@ def score(
 ) -> None:
     """The matcher is named in the result, because numbers of two matchers do not compare."""
     from olt_generator.errors import InputError
-    from olt_toolkit.clip_score import find_clip, open_lpips, open_matcher, score_against, score_consistency
+    from olt_toolkit.clip_score import open_lpips, open_matcher, score_against, score_consistency
     from olt_toolkit.clip_store import ClipStore
     from olt_toolkit.commands.clip_tables import print_scores
     from olt_toolkit.console import make_progress, print_json
@@ -168,8 +168,8 @@ def score(
     if reference is None and (reference_store is not None or lpips_weights is not None):
         raise InputError("--reference is missing: the true views are needed to compare with")
     opened, truth = ClipStore(store), ClipStore(reference_store or store)
-    clip_id = find_clip(opened, clip)
-    reference_id = None if reference is None else find_clip(truth, reference)
+    clip_id = opened.find(clip)
+    reference_id = None if reference is None else truth.find(reference)
     matcher, lpips = open_matcher(loftr_weights, device), open_lpips(lpips_weights, device)
     with make_progress() as progress:
         task = progress.add_task("GeoKPM", total=100)
@@ -254,12 +254,11 @@ def _build_with_progress(recording: "Recording", options: "BuildOptions") -> "Bu
 
 
 def _stored_recording(root: Path, clip: str) -> "Recording":
-    from olt_toolkit.clip_score import find_clip
     from olt_toolkit.clip_store import ClipStore
     from olt_toolkit.view_files import reopen_clip
 
     store = ClipStore(root)
-    return reopen_clip(store, find_clip(store, clip))
+    return reopen_clip(store, store.find(clip))
 
 
 def _draw_stored(store: "ClipStore", clip_id: str, folder: Path) -> dict[str, str]:
