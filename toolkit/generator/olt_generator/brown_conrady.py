@@ -4,10 +4,9 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.polynomial import Polynomial
 
 from olt_generator.camera_model import CameraModel, Mask, inside_image
-from olt_generator.lens_curves import invert_rising, smallest_positive_root
+from olt_generator.lens_curves import Polynomial, derivative, evaluate, invert_rising, smallest_positive_root
 from olt_generator.pinhole import NEAREST_DEPTH, WIDEST_FIELD_OF_VIEW
 from olt_generator.poses import Array
 
@@ -89,31 +88,35 @@ class BrownConradyCamera(CameraModel):
         fx, fy = self.fx * scale[0], self.fy * scale[1]
         return replace(self, width=width, height=height, fx=fx, fy=fy, cx=centre[0], cy=centre[1])
 
-    @cached_property
-    def _gain(self) -> tuple[Polynomial, Polynomial]:
+    @property
+    def _gain_polynomials(self) -> tuple[Polynomial, Polynomial]:
         """Numerator and denominator of g."""
-        return Polynomial([1.0, self.k1, self.k2, self.k3]), Polynomial([1.0, self.k4, self.k5, self.k6])
+        return (1.0, self.k1, self.k2, self.k3), (1.0, self.k4, self.k5, self.k6)
 
     @cached_property
     def _max_radius(self) -> float:
         """Undistorted radius at depth 1 up to which the distorted radius r g(r^2) grows."""
-        numerator, denominator = self._gain
-        s = Polynomial([0.0, 1.0])
+        numerator, denominator = (np.polynomial.Polynomial(part) for part in self._gain_polynomials)
+        s = np.polynomial.Polynomial([0.0, 1.0])
         # The derivative of r g(r^2) by r has the sign of this.
         slope = numerator * denominator + 2.0 * s * (numerator.deriv() * denominator - numerator * denominator.deriv())
-        turn, pole = (smallest_positive_root(tuple(p.coef.tolist())) for p in (slope, denominator))
+        turn, pole = (smallest_positive_root(tuple(part.coef.tolist())) for part in (slope, denominator))
         return min(float(np.sqrt(min(turn, pole))), float(np.tan(0.5 * WIDEST_FIELD_OF_VIEW)))
+
+    def _gain(self, s: Array) -> Array:
+        numerator, denominator = self._gain_polynomials
+        return evaluate(numerator, s) / evaluate(denominator, s)
 
     def _gain_and_slope(self, s: Array) -> tuple[Array, Array]:
         """g(s) and its derivative."""
-        numerator, denominator = self._gain
-        below = denominator(s)
-        gain = numerator(s) / below
-        return gain, (numerator.deriv()(s) - gain * denominator.deriv()(s)) / below
+        numerator, denominator = self._gain_polynomials
+        below = evaluate(denominator, s)
+        gain = evaluate(numerator, s) / below
+        return gain, (evaluate(derivative(numerator), s) - gain * evaluate(derivative(denominator), s)) / below
 
     def _distort(self, x: Array, y: Array) -> tuple[Array, Array]:
         s, xy = x * x + y * y, x * y
-        gain = self._gain[0](s) / self._gain[1](s)
+        gain = self._gain(s)
         return (
             x * gain + 2.0 * self.p1 * xy + self.p2 * (s + 2.0 * x * x),
             y * gain + self.p1 * (s + 2.0 * y * y) + 2.0 * self.p2 * xy,

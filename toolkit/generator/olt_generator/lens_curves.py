@@ -1,9 +1,9 @@
-"""Radial curves of lenses: polynomials through the origin, how far they rise, and how they are inverted.
+"""Radial curves of lenses: how far they rise, and how they are inverted.
 
-A polynomial is a tuple of coefficients in ascending powers whose first, the constant term, is 0.
+A polynomial is a tuple of coefficients in ascending powers.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -19,13 +19,11 @@ _MAX_STEPS = 60
 _CONVERGED = 4.0 * np.finfo(np.float64).eps
 
 
-def evaluate(polynomial: Sequence[float], x: Array) -> Array:
+def evaluate(polynomial: Polynomial, x: Array) -> Array:
     """Values (...) of a polynomial at (...), by Horner's rule."""
-    coefficients = np.trim_zeros(np.asarray(polynomial, np.float64), "b")
-    if len(coefficients) == 0:
-        return np.zeros_like(x)
-    value = np.full_like(x, coefficients[-1])
-    for coefficient in coefficients[-2::-1]:
+    degree = max((power for power, coefficient in enumerate(polynomial) if coefficient), default=0)
+    value = np.full_like(x, polynomial[degree])
+    for coefficient in reversed(polynomial[:degree]):
         value *= x
         if coefficient:
             value += coefficient
