@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import FthetaCamera
+from olt_generator.depth import road_distance
 from olt_generator.front_view import FrontView
 from olt_generator.poses import camera_pose_in_rig, planar_pose
-from olt_generator.source_frames import SourceChooser
+from olt_generator.source_frames import SourceChooser, may_be_seen
+from olt_generator.splat import land
 from olt_generator.trajectory import Trajectory
 
 FRONT = FthetaCamera.equidistant(48, 27, 23.5, 18.0, 23.6)
@@ -68,3 +70,22 @@ def test_spacing_is_by_distance_not_by_time():
     fast_places = [float(frame) for frame in SourceChooser(STRAIGHT, FRONT, T_RIG_LEFT, 4).choose(40)]
     slow_places = [0.5 * frame for frame in SourceChooser(slow, FRONT, T_RIG_LEFT, 4).choose(80)]
     np.testing.assert_allclose(slow_places, fast_places, atol=1.0)
+
+
+def test_what_may_be_seen_holds_all_that_lands():
+    """A frame 10 m behind, with a plain road and sky: nothing of use is dropped, and most of the rest is."""
+    camera = FRONT.resized(192, 108)
+    T_target_camera = np.linalg.inv(planar_pose(10.0, 0.0, 0.0) @ T_RIG_LEFT) @ T_RIG_FRONT
+    distance = np.minimum(road_distance(camera, T_RIG_FRONT), 60.0)
+    kept = may_be_seen(distance, camera, FRONT, T_target_camera)
+    landed = np.zeros(distance.size, bool)
+    for landing in land(distance, camera, FRONT, T_target_camera):
+        landed[landing.source] = True
+    assert landed.any()
+    assert kept.ravel()[landed].all()
+    assert kept.mean() < landed.mean() + 0.25
+    unknown = np.full_like(distance, np.nan)
+    assert may_be_seen(unknown, camera, FRONT, T_target_camera).all()
+    turned = may_be_seen(np.full_like(distance, np.inf), camera, FRONT, T_target_camera)
+    assert turned.any()
+    assert not turned.all()

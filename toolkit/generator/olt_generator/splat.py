@@ -179,19 +179,17 @@ def land(
     all_distances, all_rays = distance.astype(np.float32, copy=False).ravel(), _ray_rows(source)
     for first in range(0, distance.size, BLOCK_PIXELS):
         block = all_distances[first : first + BLOCK_PIXELS]
-        # What is not a number lies outside of every image.
-        block = np.where((block > nearest) & (block < farthest), block, np.float32(np.nan))
-        points: NDArray[Any] = rotation @ all_rays[:, first : first + BLOCK_PIXELS]
-        points *= block
+        valid = np.flatnonzero((block > nearest) & (block < farthest))
+        points: NDArray[Any] = rotation @ all_rays[:, first : first + BLOCK_PIXELS].take(valid, axis=1)
+        points *= block.take(valid)
         points += translation
-        with np.errstate(invalid="ignore", over="ignore"):
-            pixels, inside = widened.project(points.T)
+        pixels, inside = widened.project(points.T)
         landed = np.flatnonzero(inside)
         target_distance = np.sqrt((points.take(landed, axis=1) ** 2).sum(axis=0))
         far_enough = target_distance > nearest
         landed = landed[far_enough]
         column, row = (np.floor(pixels[:, axis].take(landed) + 0.5).astype(np.int64) - radius for axis in (0, 1))
-        yield Landing(first + landed, row, column, target_distance[far_enough])
+        yield Landing(first + valid.take(landed), row, column, target_distance[far_enough])
 
 
 @lru_cache(maxsize=32)

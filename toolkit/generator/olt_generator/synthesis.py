@@ -22,7 +22,7 @@ from olt_generator.lookback import lookback_frame
 from olt_generator.panorama import Panorama
 from olt_generator.poses import Array, invert
 from olt_generator.progress import Progress, silent
-from olt_generator.source_frames import SourceChooser
+from olt_generator.source_frames import SourceChooser, may_be_seen
 from olt_generator.splat import splat
 
 # Splats of the same moment land in an image this many times as large, which is then averaged down: sub-pixel positions
@@ -165,17 +165,19 @@ class _Synthesis:
         return _averaged_down(gathered.image, visible, gathered.far, OTHER_FRAMES_SUPERSAMPLING)
 
     def _source(self, index: int, other: int) -> Source:
+        """What may be taken from another frame."""
         front = self._front
-        distance = front.distance[other]
-        distance = np.where(distance < FAR_DISTANCE, distance, np.float32(np.inf))
-        distance[np.isnan(front.distance[other])] = np.nan
-        if front.moving is not None:
-            distance[front.moving[other]] = np.nan
-        if front.confidence is not None:
-            distance[front.confidence[other] < self._settings.least_confidence] = np.nan
         T_target_world = self._T_target_rig @ invert(front.trajectory.T_world_rig[index])
+        T_target_camera = T_target_world @ front.camera_poses[other]
+        distance = np.where(front.distance[other] < FAR_DISTANCE, front.distance[other], np.float32(np.inf))
+        distance[np.isnan(front.distance[other])] = np.nan
+        usable = may_be_seen(distance, front.camera, self._other_frames_target, T_target_camera)
+        if front.moving is not None:
+            usable &= ~front.moving[other]
+        if front.confidence is not None:
+            usable &= front.confidence[other] >= self._settings.least_confidence
         image = brightened(front.frames[other], relative_brightness(front, index, other))
-        return Source(image, distance, T_target_world @ front.camera_poses[other])
+        return Source(image, np.where(usable, distance, np.float32(np.nan)), T_target_camera)
 
     def _fill(self, index: int, layer: _Layer) -> NDArray[np.uint8]:
         distance = self._front.distance[index]
