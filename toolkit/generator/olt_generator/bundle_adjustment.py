@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix, csr_matrix, diags
+from scipy.sparse import coo_array, csc_array, csr_array
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
@@ -113,19 +113,19 @@ def _gauss_newton_step(
     residual, by_nearness = residual * scaled, by_nearness * scaled
     J = _pose_jacobian(by_frame * scaled[..., None], by_anchor * scaled[..., None], tracks, len(poses))
     points = len(tracks.anchor)
-    N = csr_matrix(
+    N = csr_array(
         (by_nearness.ravel(), (np.arange(residual.size), np.repeat(tracks.point, 2))), (residual.size, points)
     )
     prior_residual, P = _prior_equations(poses, priors)
 
-    information = np.asarray(N.multiply(N).sum(axis=0)).ravel() + NEARNESS_SIGMA**-2
-    mixed = (J.T @ N).tocsr()
-    reduced = J.T @ J + P.T @ P - mixed @ diags(1.0 / information) @ mixed.T
+    information = np.bincount(tracks.point, (by_nearness**2).sum(axis=1), points) + NEARNESS_SIGMA**-2
+    mixed = csr_array(J.T @ N)
+    reduced = J.T @ J + P.T @ P - (mixed / information) @ mixed.T
     nearness_gradient = N.T @ residual.ravel()
     gradient = J.T @ residual.ravel() + P.T @ prior_residual - mixed @ (nearness_gradient / information)
     # The first pose is the frame in which the others are told.
     step = np.zeros(6 * len(poses))
-    step[6:] = -splu(reduced.tocsc()[6:, 6:]).solve(gradient[6:])
+    step[6:] = -splu(csc_array(reduced)[6:, 6:]).solve(gradient[6:])
     return step.reshape(-1, 6), -(nearness_gradient + mixed.T @ step) / information
 
 
@@ -152,17 +152,17 @@ def _linearise(poses: Array, nearness: Array, tracks: Tracks, ray_sigma: float) 
     return residual, by_frame, by_anchor, np.einsum("mij,mj->mi", across, baseline)
 
 
-def _pose_jacobian(by_frame: Array, by_anchor: Array, tracks: Tracks, frames: int) -> csr_matrix:
+def _pose_jacobian(by_frame: Array, by_anchor: Array, tracks: Tracks, frames: int) -> csr_array:
     rows = np.broadcast_to(np.arange(2 * len(by_frame)).reshape(-1, 2, 1), by_frame.shape)
     first = np.stack([tracks.frame, tracks.anchor[tracks.point]])[:, :, None, None] * 6
     columns = np.broadcast_to(first + np.arange(6), (2, *by_frame.shape))
     values = np.stack([by_frame, by_anchor])
     rows = np.broadcast_to(rows, values.shape)
     shape = (2 * len(by_frame), 6 * frames)
-    return coo_matrix((values.ravel(), (rows.ravel(), columns.ravel())), shape).tocsr()
+    return coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape).tocsr()
 
 
-def _prior_equations(poses: Array, priors: StepPriors) -> tuple[Array, csr_matrix]:
+def _prior_equations(poses: Array, priors: StepPriors) -> tuple[Array, csr_array]:
     """Residuals (6 (n - 1),) of the steps in sigmas, and their derivatives by the poses."""
     steps = len(priors.T_key_next)
     R_key = poses[:-1, :3, :3]
@@ -182,7 +182,7 @@ def _prior_equations(poses: Array, priors: StepPriors) -> tuple[Array, csr_matri
     rows = np.broadcast_to(np.arange(6 * steps).reshape(steps, 6, 1), blocks.shape)
     columns = np.broadcast_to((6 * np.arange(steps))[:, None, None] + np.arange(12), blocks.shape)
     shape = (6 * steps, 6 * len(poses))
-    return residual.ravel(), coo_matrix((blocks.ravel(), (rows.ravel(), columns.ravel())), shape).tocsr()
+    return residual.ravel(), coo_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape).tocsr()
 
 
 def _displacement_weights(displacement: Array, priors: StepPriors) -> Array:
@@ -200,10 +200,10 @@ def _moved(poses: Array, step: Array) -> Array:
 
 def _tangents(rays: Array) -> Array:
     """Two unit vectors (m, 2, 3) at right angles to each ray (m, 3) and to each other."""
-    helper = np.where(np.abs(rays[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(rays, helper)
+    away = np.where(np.abs(rays[:, :1]) < 0.7, np.eye(3)[:1], np.eye(3)[1:2])
+    first = np.cross(rays, away).astype(np.float64)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, np.cross(rays, first)], axis=1)
+    return np.stack([first, _apply(_cross_matrix(rays), first)], axis=1)
 
 
 def _cross_matrix(vectors: Array) -> Array:
@@ -214,4 +214,4 @@ def _cross_matrix(vectors: Array) -> Array:
 
 
 def _apply(matrices: Array, vectors: Array) -> Array:
-    return np.einsum("mij,mj->mi", matrices, vectors)
+    return (matrices @ vectors[..., None])[..., 0]

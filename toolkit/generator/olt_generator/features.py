@@ -65,9 +65,9 @@ def detect_corners(
     allowed[BORDER_PIXELS:-BORDER_PIXELS, BORDER_PIXELS:-BORDER_PIXELS] = 1
     if hidden is not None:
         allowed[hidden] = 0
-    for column, row in np.rint(present).astype(int).tolist():
+    for row, column in np.transpose(_nearest_pixels(present)).tolist():
         cv2.circle(allowed, (column, row), SPACING_PIXELS, 0, cv2.FILLED)
-    taken = np.sort(_cells(*np.rint(present[:, ::-1]).astype(np.int64).T, gray.shape[1]))
+    taken = np.sort(_cells(*_nearest_pixels(present), gray.shape[1]))
     rows, columns = np.nonzero(is_peak & (allowed > 0))
     cells = _cells(rows, columns, gray.shape[1])
     order = np.lexsort((-strength[rows, columns], cells))
@@ -110,8 +110,7 @@ def track_from_keyframes(
     points, pixels, ages = np.zeros(0, np.int64), NO_PIXELS, np.zeros(0, np.int64)
     found_so_far = 0
     for key, next_key in pairwise(keyframes):
-        column, row = np.rint(pixels).astype(np.intp).T
-        kept = (ages < window) & ~hidden[row, column]
+        kept = (ages < window) & ~hidden[_nearest_pixels(pixels)]
         new = detect_corners(grays[key], per_cell, hidden, pixels[kept])
         points = np.concatenate([points[kept], found_so_far + np.arange(len(new))])
         pixels = np.concatenate([pixels[kept], new])
@@ -122,6 +121,12 @@ def track_from_keyframes(
             pixels, found = track_corners(grays[current - 1], grays[current], pixels)
             points, ages, key_pixels, pixels = points[found], ages[found], key_pixels[found], pixels[found]
             yield TrackedPair(key, current, points, key_pixels, pixels)
+
+
+def _nearest_pixels(pixels: Pixels) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Rows and columns (n,)."""
+    column, row = np.rint(pixels).astype(np.int64).T
+    return row, column
 
 
 def _cells(rows: NDArray[np.int64], columns: NDArray[np.int64], width: int) -> NDArray[np.int64]:

@@ -19,7 +19,7 @@ from olt_generator.cameras import Camera
 from olt_generator.carried import BELOW_HORIZON, find_carried
 from olt_generator.errors import InputError
 from olt_generator.features import Gray, TrackedPair, track_from_keyframes
-from olt_generator.poses import R_FORWARD_CAMERA, Array, camera_pose_in_rig, invert, make_pose
+from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
 from olt_generator.progress import Progress, silent
 from olt_generator.road_plane import PlaneScale, measure_scale
 from olt_generator.road_scale import RoadStrip, estimate_speed, road_frame
@@ -32,6 +32,8 @@ MIN_POINTS = 20
 MIN_CAMERA_HEIGHT = 0.3
 MAX_RAY_ANGLE = np.radians(75.0)
 TRACK_SIGMA_PIXELS = 0.5
+# Keyframes after its first in which a point must be seen.
+LEAST_OBSERVATIONS = 2
 # A median motion below this many pixels between keyframes is standstill.
 STANDSTILL_PIXELS = 0.15
 # Lengths of the strips of road, in camera heights, that give the speed of single steps and the scale of the whole.
@@ -305,8 +307,13 @@ def _collect_tracks(clip: _Clip) -> Tracks:
     rays_current = np.concatenate([step.rays_current for step in steps])
     # Steps come in the order of time, so the first time that a point is seen is its anchor.
     seen = np.concatenate([step.points for step in steps])
-    _, first, point = np.unique(seen, return_index=True, return_inverse=True)
-    return Tracks(start[first], rays_key[first], point, start + 1, rays_current)
+    _, first, point, count = np.unique(seen, return_index=True, return_inverse=True, return_counts=True)
+    # A point seen twice agrees with any motion along its epipolar line, and so adds little but work.
+    lasting = count >= LEAST_OBSERVATIONS
+    kept = lasting[point]
+    number_of = np.cumsum(lasting) - 1
+    first = first[lasting]
+    return Tracks(start[first], rays_key[first], number_of[point[kept]], start[kept] + 1, rays_current[kept])
 
 
 def _align_mounting(T_key_next: Array, speed: Array, T_rig_camera: Array) -> Array:
@@ -322,10 +329,7 @@ def _align_mounting(T_key_next: Array, speed: Array, T_rig_camera: Array) -> Arr
     moved = T_key_next[fast, :3, 3] + (T_key_next[fast, :3, :3] - np.eye(3)) @ origin
     moved *= np.sign(moved[:, 2:]) / np.linalg.norm(moved, axis=1, keepdims=True)
     roll = Rotation.from_matrix(T_rig_camera[:3, :3] @ R_FORWARD_CAMERA.T).as_euler("ZYX")[2]
-    # Rz(yaw) Ry(pitch) turns this direction, which has the roll already, to rig x.
-    x, y, z = Rotation.from_rotvec([roll, 0.0, 0.0]).as_matrix() @ R_FORWARD_CAMERA @ np.median(moved, axis=0)
-    pitch, yaw = np.arctan2(z, x), -np.arctan2(y, np.hypot(x, z))
-    return camera_pose_in_rig(T_rig_camera[:3, 3], float(roll), float(pitch), float(yaw))
+    return aim_camera(T_rig_camera[:3, 3], float(roll), np.median(moved, axis=0))
 
 
 def _chain(T_key_next: Array) -> Array:

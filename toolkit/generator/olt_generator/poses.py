@@ -68,3 +68,11 @@ def camera_pose_in_rig(position: ArrayLike, roll: float, pitch: float, yaw: floa
     """
     mounting = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     return make_pose(mounting @ R_FORWARD_CAMERA, position)
+
+
+def aim_camera(position: ArrayLike, roll: float, travel_camera: Array) -> Array:
+    """Pose T_rig_camera (4, 4) with the pitch and yaw for which the direction `travel_camera` (3,) is rig x."""
+    # Rz(yaw) Ry(pitch) turns this direction, which has the roll already, to rig x.
+    x, y, z = Rotation.from_rotvec([roll, 0.0, 0.0]).as_matrix() @ R_FORWARD_CAMERA @ travel_camera
+    pitch, yaw = np.arctan2(z, x), -np.arctan2(y, np.hypot(x, z))
+    return camera_pose_in_rig(position, roll, float(pitch), float(yaw))

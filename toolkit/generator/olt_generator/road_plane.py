@@ -15,8 +15,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix, diags
-from scipy.sparse.linalg import splu
+from scipy.sparse import csc_matrix
+from scipy.sparse.linalg import SuperLU, splu
 
 from olt_generator.features import Gray
 from olt_generator.poses import Array, invert
@@ -159,15 +159,20 @@ def separate_tilt(matches: RoadMatches, times: Array) -> PlaneScale:
         (len(rows), 2 * steps),
     )
     prior = _prior_information(0.5 * (times[1:] + times[:-1]))
-    information = matches.sigma**-2
     robust = np.ones(len(rows))
     for _ in range(ROBUST_ROUNDS):
-        solver = splu((A.T @ diags(information * robust) @ A + prior).tocsc())
-        state = solver.solve(A.T @ (information * robust * matches.log_scale))
+        state = _solve(A, robust * matches.sigma**-2, prior, matches.log_scale)[0]
         missed = 0.5 * (matches.log_scale - A @ state) / matches.sigma
         robust = 1.0 / (1.0 + missed**2) ** 2
+    state, solver = _solve(A, robust * matches.sigma**-2, prior, matches.log_scale)
     mean = np.tile([1.0 / steps, 0.0], steps)
     return PlaneScale(np.exp(state[::2]), float(np.sqrt(mean @ solver.solve(mean))), state[1::2])
+
+
+def _solve(A: csc_matrix, information: Array, prior: csc_matrix, target: Array) -> tuple[Array, SuperLU]:
+    """Weighted least squares with a prior about 0, and the factors of its normal equations."""
+    solver = splu((A.T @ A.multiply(information[:, None]) + prior).tocsc())
+    return solver.solve(A.T @ (information * target)), solver
 
 
 def _prior_information(times: Array) -> csc_matrix:
@@ -175,9 +180,11 @@ def _prior_information(times: Array) -> csc_matrix:
     gaps, n = np.diff(times), len(times)
     kept = np.exp(-gaps / TILT_SECONDS)
     change, fresh = SCALE_CHANGE * np.sqrt(gaps), TILT_SIGMA * np.sqrt(1.0 - kept**2)
-    ones = np.ones(n - 1)
     # Row k of each: (state k + 1 - kept * state k) / spread; the rows 0 and 1 are the state at the first time.
+    rows, even = np.arange(2 * n), np.arange(2 * n - 2)
     later = np.concatenate([[INITIAL_SCALE_SIGMA, TILT_SIGMA], np.stack([change, fresh], axis=-1).ravel()])
-    before = np.stack([-ones / change, -kept / fresh], axis=-1).ravel()
-    A = diags([1.0 / later, before], [0, -2], shape=(2 * n, 2 * n))
+    before = np.stack([-1.0 / change, -kept / fresh], axis=-1).ravel()
+    A = csc_matrix(
+        (np.concatenate([1.0 / later, before]), (np.concatenate([rows, even + 2]), np.concatenate([rows, even])))
+    )
     return csc_matrix(A.T @ A)

@@ -1,0 +1,138 @@
+"""Sequences of the KITTI odometry benchmark: left gray camera, calibration and camera poses.
+
+Layout: `image_0/*.png` (or jpg), `calib.txt`, `poses.txt` and, where it is there, `times.txt`. In the benchmark's own
+tree the poses lie elsewhere: link them into the sequence as `poses.txt`, or leave them out.
+
+`calib.txt` holds projection matrices, one a line, the first that of the left gray camera, with or without its name
+`P0:` before it. `poses.txt` holds the first three rows of T_start_camera, one frame a line; `times.txt` seconds.
+"""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_datasets.sources.kitti_raw import IMAGE_SUFFIXES, PASSAT
+from olt_generator.cameras import PinholeCamera
+from olt_generator.errors import InputError
+from olt_generator.poses import Array, aim_camera, camera_pose_in_rig, invert
+from olt_generator.trajectory import Trajectory
+from olt_generator.video import shrink
+from olt_toolkit.recording import OpenOptions, Recording
+
+# KITTI's sensor sketch: camera 0 stands 1.65 m above the road; calib_imu_to_velo and calib_velo_to_cam of the raw data
+# place it 1.08 m ahead and 0.32 m to the left of the IMU, which sits close to the rear axle.
+CAMERA_POSITION = (1.08, 0.32, 1.65)
+FRAME_RATE = 9.65
+MIN_TRAVEL_STEP = 0.2
+
+
+class KittiOdometrySource:
+    """Opens a sequence folder of the KITTI odometry benchmark."""
+
+    name = "kitti_odometry"
+
+    def recognises(self, path: Path) -> bool:
+        """See `Source.recognises`; judged by the folder and file names."""
+        return (path / "image_0").is_dir() and (path / "calib.txt").is_file()
+
+    def open(self, path: Path, options: OpenOptions) -> Recording:
+        """See `Source.open`; field of view and height are those of KITTI's car, whatever the options say."""
+        files = sorted(file for file in (path / "image_0").iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+        if not files:
+            raise InputError(f"{path / 'image_0'}: holds no images; copy the sequence again")
+        timestamps_us, assumed = _read_times(path, len(files))
+        timestamps_us = timestamps_us[timestamps_us < options.duration * 1e6]
+        frames, size = _read_images(files[: len(timestamps_us)], options.width)
+        projection = _read_rows(path / "calib.txt", 12)[0].reshape(3, 4)
+        (fx, _, cx, _), (_, fy, cy, _) = projection[0], projection[1]
+        camera = PinholeCamera(size[0], size[1], fx, fy, cx, cy).resized(frames.shape[2], frames.shape[1])
+        T_start_camera = _read_poses(path, len(files))
+        T_rig_camera = _mount(T_start_camera)
+        reference = None
+        if T_start_camera is not None:
+            T_start_rig = T_start_camera[: len(timestamps_us)] @ invert(T_rig_camera)
+            reference = Trajectory(timestamps_us, T_start_rig).in_first_frame()
+        return Recording(
+            name=path.name,
+            source=self.name,
+            frames=frames,
+            timestamps_us=timestamps_us,
+            camera=camera,
+            T_rig_camera=T_rig_camera,
+            vehicle=PASSAT,
+            assumptions=(
+                "The camera is mounted as in KITTI's sensor sketch, 1.65 m above the road, and the rig's x axis is "
+                + ("the usual direction of travel of the true poses." if reference else "the camera's axis."),
+                "The vehicle has the published size of KITTI's VW Passat.",
+                *assumed,
+            ),
+            reference=reference,
+        )
+
+
+def _read_images(files: list[Path], width: int) -> tuple[NDArray[np.uint8], tuple[int, int]]:
+    """Images (n, H, W, 3) RGB, shrunk to `width`, and their width and height as they are stored."""
+    images, sizes = [], set()
+    for file in files:
+        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        if image is None:
+            raise InputError(f"{file}: cannot be decoded as an image; copy it again")
+        sizes.add((image.shape[1], image.shape[0]))
+        if len(sizes) > 1:
+            raise InputError(f"{file}: is {image.shape[1]} x {image.shape[0]} pixels, unlike the images before it")
+        images.append(shrink(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), width))
+    return np.stack(images), sizes.pop()
+
+
+def _read_times(path: Path, count: int) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Microseconds (n,) since the first frame, and what was assumed about them."""
+    if not (path / "times.txt").is_file():
+        assumed = f"The sequence has no times.txt; KITTI's mean rate of {FRAME_RATE} images per second is taken."
+        return np.rint(np.arange(count) * 1e6 / FRAME_RATE).astype(np.int64), (assumed,)
+    times = _read_rows(path / "times.txt", 1)[:, 0]
+    if len(times) != count:
+        raise InputError(f"{path / 'times.txt'}: {len(times)} times for {count} images; copy the sequence again")
+    return np.rint((times - times[0]) * 1e6).astype(np.int64), ()
+
+
+def _read_poses(path: Path, count: int) -> Array | None:
+    """T_start_camera (n, 4, 4), None where the sequence has no poses."""
+    if not (path / "poses.txt").is_file():
+        return None
+    rows = _read_rows(path / "poses.txt", 12).reshape(-1, 3, 4)
+    if len(rows) != count:
+        raise InputError(f"{path / 'poses.txt'}: {len(rows)} poses for {count} images; copy the sequence again")
+    return np.concatenate([rows, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (len(rows), 1, 1))], axis=1)
+
+
+def _mount(T_start_camera: Array | None) -> Array:
+    """Mounting whose pitch and yaw are those for which the vehicle travels along rig x."""
+    if T_start_camera is not None and len(T_start_camera) > 1:
+        steps = (invert(T_start_camera[:-1]) @ T_start_camera[1:])[:, :3, 3]
+        length = np.linalg.norm(steps, axis=1)
+        moving = length > MIN_TRAVEL_STEP
+        if moving.any():
+            return aim_camera(CAMERA_POSITION, 0.0, np.median(steps[moving] / length[moving, None], axis=0))
+    return camera_pose_in_rig(CAMERA_POSITION, 0.0, 0.0, 0.0)
+
+
+def _read_rows(path: Path, count: int) -> Array:
+    """Rows (n, count) of a text file; a name with a colon at the start of a line is left out."""
+    rows = []
+    for number, line in enumerate(path.read_text().splitlines(), start=1):
+        words = [word for word in line.split() if not word.endswith(":")]
+        try:
+            values = [float(word) for word in words]
+        except ValueError as error:
+            raise InputError(f"{path}, line {number}: holds something that is no number; copy it again") from error
+        if len(values) != count:
+            raise InputError(f"{path}, line {number}: {len(values)} numbers instead of {count}; copy it again")
+        rows.append(values)
+    if not rows:
+        raise InputError(f"{path}: is empty; copy it again")
+    return np.array(rows)
+
+
+SOURCE = KittiOdometrySource()

@@ -1,0 +1,83 @@
+"""Reader of KITTI odometry sequences."""
+
+import cv2
+import numpy as np
+import pytest
+
+from olt_datasets.sources.kitti_odometry import SOURCE
+from olt_generator.errors import InputError
+from olt_toolkit.recording import OpenOptions, open_recording
+
+FRAMES, WIDTH, HEIGHT = 6, 120, 40
+DRIFT = 0.05
+
+
+def write_sequence(folder, times=True, names=False):
+    """A drive straight ahead at 10 m/s; the camera looks a little to the left of where it goes."""
+    folder.mkdir()
+    (folder / "image_0").mkdir()
+    for index in range(FRAMES):
+        cv2.imwrite(str(folder / "image_0" / f"{index:06d}.png"), np.full((HEIGHT, WIDTH), 10 * index, np.uint8))
+    first = "P0: " if names else ""
+    (folder / "calib.txt").write_text(f"{first}70 0 60 0 0 70 20 0 0 0 1 0\n")
+    rows = [f"1 0 0 {DRIFT * index} 0 1 0 0 0 0 1 {index}" for index in range(FRAMES)]
+    (folder / "poses.txt").write_text("\n".join(rows) + "\n")
+    if times:
+        (folder / "times.txt").write_text("\n".join(f"{100.0 + 0.1 * index:.6f}" for index in range(FRAMES)) + "\n")
+    return folder
+
+
+@pytest.mark.parametrize("names", [False, True])
+def test_a_sequence_is_read_whole(tmp_path, names):
+    recording = open_recording(write_sequence(tmp_path / "06", names=names))
+    assert recording.source == "kitti_odometry"
+    assert recording.frames.shape == (FRAMES, HEIGHT, WIDTH, 3)
+    assert recording.timestamps_us.tolist() == [100_000 * index for index in range(FRAMES)]
+    assert (recording.camera.fx, recording.camera.cy) == (70.0, 20.0)
+    assert recording.T_rig_camera[2, 3] == 1.65
+    assert recording.reference is not None
+
+
+def test_the_vehicle_travels_along_rig_x(tmp_path):
+    recording = SOURCE.open(write_sequence(tmp_path / "06"), OpenOptions())
+    end = recording.reference.positions[-1]
+    assert end == pytest.approx([np.hypot(5.0, 5 * DRIFT), 0.0, 0.0], abs=1e-9)
+    assert recording.T_rig_camera[1, 2] == pytest.approx(np.sin(np.arctan(DRIFT)), abs=1e-9)
+
+
+def test_without_times_the_rate_is_said_to_be_assumed(tmp_path):
+    recording = SOURCE.open(write_sequence(tmp_path / "06", times=False), OpenOptions())
+    assert recording.timestamps_us[1] == pytest.approx(1e6 / 9.65, abs=1.0)
+    assert any("9.65" in assumption for assumption in recording.assumptions)
+
+
+def test_without_poses_there_is_no_reference(tmp_path):
+    folder = write_sequence(tmp_path / "06")
+    (folder / "poses.txt").unlink()
+    recording = SOURCE.open(folder, OpenOptions(duration=0.25))
+    assert recording.reference is None
+    assert len(recording.frames) == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("poses.txt", "1 0 0 0 0 1 0 0 0 0 1\n", "poses.txt, line 1: 11 numbers instead of 12"),
+        ("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "1 poses for 6 images"),
+        ("times.txt", "0.0\nnow\n", "times.txt, line 2"),
+        ("times.txt", "0.0\n", "1 times for 6 images"),
+        ("calib.txt", "", "calib.txt: is empty"),
+    ],
+)
+def test_a_wrong_file_is_named(tmp_path, name, text, message):
+    folder = write_sequence(tmp_path / "06")
+    (folder / name).write_text(text)
+    with pytest.raises(InputError, match=message):
+        SOURCE.open(folder, OpenOptions())
+
+
+def test_a_damaged_image_is_named(tmp_path):
+    folder = write_sequence(tmp_path / "06")
+    (folder / "image_0" / "000003.png").write_bytes(b"no image")
+    with pytest.raises(InputError, match=r"000003\.png: cannot be decoded"):
+        SOURCE.open(folder, OpenOptions())

@@ -1,0 +1,101 @@
+"""`olt clip trajectory`: the motion of a recording and how far it is from the truth."""
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from olt_toolkit.commands.clip_options import (
+    CameraHeightOption,
+    DurationOption,
+    FovOption,
+    JsonOption,
+    make_open_options,
+)
+
+
+def trajectory(
+    recording: Annotated[Path, typer.Argument(metavar="INPUT", help="A video or a drive folder.")],
+    clip_frames: Annotated[int | None, typer.Option(min=2, help="Cut into clips of so many frames.")] = None,
+    stride: Annotated[
+        int | None, typer.Option(min=1, help="Frames from one clip to the next; by default a clip long.")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw path and acceleration into this PNG file.")] = None,
+    fov: FovOption = None,
+    camera_height: CameraHeightOption = None,
+    duration: DurationOption = 20.0,
+    as_json: JsonOption = False,
+) -> None:
+    """Recover and smooth the motion, clip by clip, and hold it against the reference where one is known."""
+    from olt_toolkit.console import make_progress, print_json
+    from olt_toolkit.recording import open_recording
+    from olt_toolkit.trajectory_errors import measure_clips, plot_clips, summarize_clips
+
+    opened = open_recording(recording, make_open_options(duration, fov, camera_height))
+    with make_progress() as progress:
+        task = progress.add_task("trajectory", total=1.0)
+        motions = measure_clips(
+            opened, clip_frames, stride, on_progress=lambda share: progress.update(task, completed=share)
+        )
+    result = {
+        "recording": opened.name,
+        "reference": opened.reference is not None,
+        "clips": [motion.to_dict() for motion in motions],
+        "summary": summarize_clips(motions),
+        "assumptions": list(opened.assumptions),
+    }
+    if picture is not None:
+        plot_clips(opened, motions, picture)
+        result["picture"] = str(picture)
+    if as_json:
+        print_json(result)
+    else:
+        _print_result(result)
+
+
+def _print_result(result: dict[str, Any]) -> None:
+    from olt_toolkit.console import print_line, print_table
+
+    columns = [
+        "first frame",
+        "frames",
+        "length m",
+        "scale 1 sigma",
+        "ATE m",
+        "step %",
+        "rotation by step deg",
+        "Sim(3) ATE m",
+        "jerk² factor",
+        "acc. var. factor",
+        "label acc. m/s2",
+    ]
+    print_table(f"Motion of {result['recording']}", columns, [_row(clip) for clip in result["clips"]])
+    summary = result["summary"]
+    if summary["mean_ate_m"] is not None:
+        print_line(
+            f"{summary['clips']} clips: ATE {summary['mean_ate_m']:.2f} m (worst {summary['worst_ate_m']:.2f} m), "
+            f"translation by step {summary['mean_step_translation_percent']:.2f} %"
+        )
+    for assumption in result["assumptions"]:
+        print_line(f"assumed: {assumption}")
+    if "picture" in result:
+        print_line(f"picture: {result['picture']}")
+
+
+def _row(clip: dict[str, Any]) -> tuple[object, ...]:
+    errors, noise = clip["errors"], clip["label_noise"]
+    metric, sim3 = (errors["metric"], errors["sim3"]) if errors else (None, None)
+    actual = noise["actual"] if noise else None
+    return (
+        clip["first_frame"],
+        clip["frames"],
+        clip["path_length_m"],
+        clip["scale_sigma"],
+        metric and metric["ate_m"],
+        metric and metric["step_translation_percent"],
+        metric and metric["step_rotation_deg"],
+        sim3 and sim3["ate_m"],
+        clip["jerk_factor"],
+        clip["acceleration_variance_factor"],
+        actual and actual["acceleration"],
+    )
