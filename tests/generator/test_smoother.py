@@ -160,6 +160,17 @@ def test_a_quarter_of_outliers_breaks_nothing(radians):
     assert np.mean(motion.outliers == bad) > 0.97
 
 
+@pytest.mark.parametrize("where", [slice(0, 2), slice(60, 70), slice(-2, None)])
+def test_a_burst_of_wrong_poses_is_recognised(where):
+    true = drive(count=120)
+    noisy = jittered(true, 0.05, 0.1)
+    poses = noisy.T_world_rig.copy()
+    poses[where] = poses[where] @ exponential(np.array([0.0, 4.0, 0.0, 0.0, 0.0, 0.4]))
+    motion = smooth_trajectory(Trajectory(noisy.timestamps_us, poses))
+    assert np.all(motion.outliers == np.isin(np.arange(120), np.arange(120)[where]))
+    assert worst_distance(motion.trajectory, true) < 0.3
+
+
 def test_without_outliers_none_are_found():
     assert not smooth_trajectory(jittered(drive(count=300), 0.05, 0.1)).outliers.any()
 

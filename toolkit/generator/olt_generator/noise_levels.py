@@ -3,7 +3,8 @@
 Positions are taken for thrice integrated white noise (jerk) on every axis, summed rotation vectors for twice integrated
 white noise (angular acceleration), both seen with white jitter. A Kalman filter runs for every pair of levels on a
 grid; its innovations give the likelihood (Schweppe 1965). A measurement that a pair finds less likely than a stray
-pose anywhere about is left out, so that outliers spoil neither state nor level.
+pose anywhere about is left out, so that outliers spoil neither state nor level. The filter runs in both directions of
+time, and the one that finds more sense in the measurements counts.
 """
 
 from dataclasses import dataclass
@@ -82,8 +83,19 @@ def estimate_levels(
         grid: what is tried.
     """
     jitter, density = grid.pairs()
-    best = np.argmin(_surprise(lengths, seconds, measurements, grid) + grid.prior(), axis=1)
+    forward = _surprise(lengths, seconds, measurements, grid) + grid.prior()
+    backward = _surprise(lengths, *_reverse(lengths, seconds, measurements), grid) + grid.prior()
+    # A filter that starts among stray measurements may lose its way; it has no reason to in the other direction.
+    surprise = np.where((forward.min(axis=1) <= backward.min(axis=1))[:, None], forward, backward)
+    best = np.argmin(surprise, axis=1)
     return jitter[best], density[best]
+
+
+def _reverse(lengths: NDArray[np.int64], seconds: Array, measurements: Array) -> tuple[Array, Array]:
+    """Time steps and measurements in the opposite order, still from the first row on."""
+    back = np.maximum(lengths - 1 - np.arange(len(measurements))[:, None], 0)
+    steps = np.maximum(lengths - 2 - np.arange(len(seconds))[:, None], 0)
+    return np.take_along_axis(seconds, steps, axis=0), np.take_along_axis(measurements, back[..., None], axis=0)
 
 
 def _surprise(lengths: NDArray[np.int64], seconds: Array, measurements: Array, grid: LevelGrid) -> Array:
@@ -92,8 +104,8 @@ def _surprise(lengths: NDArray[np.int64], seconds: Array, measurements: Array, g
     states = 1 + len(grid.initial_sigmas)
     shape = (len(lengths), len(jitter))
     covariance = np.zeros((*shape, states, states))
-    covariance[:] = np.diag(np.square([0.0, *grid.initial_sigmas]))
-    covariance[..., 0, 0] = jitter**2
+    # The first measurement may itself be astray, and only says where about to start.
+    covariance[:] = np.diag(np.square([grid.stray_range, *grid.initial_sigmas]))
     state = np.zeros((*shape, states, 3))
     state[..., 0, :] = measurements[0, :, None]
     surprise = np.zeros(shape)
