@@ -38,7 +38,7 @@ GAIN = 40.0
 # Pixels over which differences are summed, and where a difference stops to grow.
 WINDOW = (5, 5)
 LARGEST_DIFFERENCE = np.uint8(80)
-NEUTRAL_DIFFERENCE = np.uint8(40)
+NEUTRAL_DIFFERENCE = np.uint8(25)
 # Differences are kept in these fractions of a grey level.
 COST_SCALE = WINDOW[0] * WINDOW[1]
 

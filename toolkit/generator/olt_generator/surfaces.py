@@ -29,9 +29,9 @@ LEAST_CONTRAST = 2.0
 CONTRAST_WINDOW = (7, 7)
 
 # The evidence of a pixel is full where its best distance matches this much better than all others, in normalised grey
-# levels after a margin for noise, and it fades as the best match itself gets bad.
+# levels after a margin for noise, and it fades as the best match itself gets as bad as what no frame sees.
 MARGIN, FULL_ADVANTAGE = 3.0, 10.0
-WORST_MATCH = 30.0
+WORST_MATCH = 25.0
 # Evidence that counts as a measurement.
 MEASURED = 0.3
 
