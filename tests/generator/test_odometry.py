@@ -135,6 +135,38 @@ def test_standstill_is_exact_and_has_no_scale():
     assert odometry.scale_sigma is None
 
 
+@pytest.mark.parametrize("rate", [0.1, 0.6])
+def test_turning_on_the_spot_is_no_travel(rate):
+    yaw = 0.1 * rate * np.arange(8)
+    T_world_camera = np.tile(MOUNTING, (8, 1, 1))
+    T_world_camera[:, :3, :3] = planar_pose(0.0, 0.0, yaw)[:, :3, :3] @ MOUNTING[:3, :3]
+    frames = np.stack([render(PINHOLE, pose) for pose in T_world_camera])
+    odometry = estimate_odometry(frames, np.arange(8, dtype=np.int64) * 100_000, PINHOLE, MOUNTING)
+    camera_path = (odometry.trajectory.T_world_rig @ odometry.T_rig_camera)[:, :3, 3]
+    assert np.ptp(camera_path, axis=0).max() < 1e-9
+    turned = Rotation.from_matrix(odometry.trajectory.T_world_rig[-1, :3, :3]).as_rotvec()
+    assert turned == pytest.approx([0.0, 0.0, yaw[-1]], abs=0.003)
+    assert odometry.scale_sigma is None
+
+
+@pytest.mark.parametrize("change", ["times that jitter", "gaps", "late clock", "saturated"])
+def test_rough_input_still_gives_the_motion(change):
+    frames, timestamps_us, true = ten_hertz_drive(PINHOLE)
+    kept = np.arange(len(frames))
+    if change == "times that jitter":
+        # Only positions are compared, so the stamps may be wrong by a quarter of a step.
+        timestamps_us = timestamps_us + np.random.default_rng(1).integers(-25_000, 25_000, len(timestamps_us))
+    elif change == "gaps":
+        kept = np.delete(kept, [3, 4, 8])
+    elif change == "late clock":
+        timestamps_us = timestamps_us + 4 * 10**15
+    else:
+        frames = np.clip(6 * frames.astype(np.int16) - 400, 0, 255).astype(np.uint8)
+    odometry = estimate_odometry(frames[kept], timestamps_us[kept], PINHOLE, MOUNTING)
+    expected = Trajectory(timestamps_us[kept], true.T_world_rig[kept])
+    check_motion(odometry, expected, 0.05)
+
+
 def test_stopping_and_starting():
     seconds = np.arange(26) * 0.1
     # Brake from 3 m/s to 0 in the first second, stand half a second, start again.

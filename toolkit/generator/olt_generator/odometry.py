@@ -36,6 +36,8 @@ TRACK_SIGMA_PIXELS = 0.5
 LEAST_OBSERVATIONS = 2
 # A median motion below this many pixels between keyframes is standstill.
 STANDSTILL_PIXELS = 0.15
+# The same once a rotation is taken out; following is less sharp while the picture moves.
+TURNING_PIXELS = 0.3
 # Lengths of the strips of road, in camera heights, that give the speed of single steps and the scale of the whole.
 SPEED_STRIP_HEIGHTS = 5.5
 SCALE_STRIP_HEIGHTS = 9.0
@@ -156,7 +158,7 @@ def _check_input(timestamps_us: NDArray[np.int64], T_rig_camera: Array) -> None:
 
 @dataclass(frozen=True)
 class _Step:
-    """Motion from the last keyframe to a frame; no rotation and direction 0 where nothing moves."""
+    """Motion from the last keyframe to a frame; `moves` tells whether the vehicle gets anywhere, direction 0 if not."""
 
     key: int
     current: int
@@ -176,6 +178,10 @@ def _estimate_step(pair: TrackedPair, camera: Camera, up: Array) -> _Step:
     if _stands(pair.flow[used], rays_key[used], up):
         still = TwoViewMotion(np.eye(3), np.zeros(3), used)
         return _Step(pair.key, pair.current, False, still, pair.points[used], rays_key[used], rays_current[used])
+    turn = _turn_on_the_spot(rays_key[used], rays_current[used], up, _radians_per_pixel(camera))
+    if turn is not None:
+        turned = TwoViewMotion(turn, np.zeros(3), used)
+        return _Step(pair.key, pair.current, False, turned, pair.points[used], rays_key[used], rays_current[used])
     sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(camera)
     motion = estimate_motion(rays_key[used], rays_current[used], sigma)
     if motion is None or np.count_nonzero(motion.inliers) < MIN_POINTS:
@@ -188,6 +194,18 @@ def _stands(flow: Array, rays: Array, up: Array) -> bool:
     """Whether what is near stays in place; clouds and the skyline stay even while the vehicle drives."""
     near = rays @ up < -np.sin(BELOW_HORIZON)
     return bool(np.median(flow[near] if near.any() else flow) < STANDSTILL_PIXELS)
+
+
+def _turn_on_the_spot(rays_key: Array, rays_current: Array, up: Array, radians_per_pixel: float) -> Array | None:
+    """The rotation R_current_key (3, 3) if it alone explains where the near points went, otherwise None."""
+    R = Rotation.align_vectors(rays_current, rays_key)[0].as_matrix()
+    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)
+    # What moves by itself tilts the first fit; the second one is made without it.
+    agrees = missed <= 2.0 * np.median(missed)
+    R = Rotation.align_vectors(rays_current[agrees], rays_key[agrees])[0].as_matrix()
+    near = rays_key @ up < -np.sin(BELOW_HORIZON)
+    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)[near if near.any() else slice(None)]
+    return R if np.median(missed) < TURNING_PIXELS * radians_per_pixel else None
 
 
 def _too_few(pair: TrackedPair, count: np.integer | int) -> InputError:
@@ -231,10 +249,10 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, 
     """Keyframe poses (k, 4, 4) in the axes of the first one, the mounting, and the scale's relative deviation."""
     moves = np.array([step.moves for step in clip.key_steps])
     if not moves.any():
-        return np.tile(np.eye(4), (len(clip.keyframes), 1, 1)), clip.T_rig_camera, None
+        turns = make_pose([step.motion.R_b_a.T for step in clip.key_steps], np.zeros(3))
+        return _chain(turns), clip.T_rig_camera, None
     driven = _measure_speed(clip, moves) * np.diff(clip.key_times)
     T_key_next = _adjust(clip, driven, settings.rounds)
-    T_key_next[~moves] = np.eye(4)
     mounting = _align_mounting(T_key_next, driven / np.diff(clip.key_times), clip.T_rig_camera)
     scale = _measure_scale(clip, _chain(T_key_next), driven, mounting)
     T_key_next[:, :3, 3] *= scale.factor[:, None]
@@ -282,7 +300,7 @@ def _adjust(clip: _Clip, driven: Array, rounds: int) -> Array:
     )
     sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(clip.camera)
     T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), sigma, priors, rounds)
-    return invert(T_start_key[:-1]) @ T_start_key[1:]
+    return np.where(moves[:, None, None], invert(T_start_key[:-1]) @ T_start_key[1:], expected)
 
 
 def _sense(step: _Step) -> float:
