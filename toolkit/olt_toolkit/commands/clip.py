@@ -21,6 +21,7 @@ from olt_toolkit.commands.clip_options import (
     WidthOption,
     make_open_options,
 )
+from olt_toolkit.commands.trajectory import trajectory
 from olt_toolkit.source_choice import DepthChoice, PoseChoice, SourceChoice
 
 if TYPE_CHECKING:
@@ -31,6 +32,7 @@ if TYPE_CHECKING:
     from olt_toolkit.recording import Recording
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Build, inspect and score clips.")
+app.command(help="Recover the motion of a recording, and hold it against the reference.")(trajectory)
 
 
 @app.command(help="Build the clip of a recording, or of each recording in a folder, and add it to a store.")
@@ -204,7 +206,7 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
             lambda share: progress.update(task, completed=round(100 * share)),
             lambda stage: progress.update(task, description=f"clip: {stage}"),
         )
-        progress.update(task, description="clip: store")
+        progress.update(task, completed=100, description="clip: store")
         start = time.perf_counter()
         store.commit([summary["clip"]["clip_id"]])
     summary["store_seconds"]["commit"] = time.perf_counter() - start
@@ -245,12 +247,14 @@ def _build_with_progress(recording: "Recording", options: "BuildOptions") -> "Bu
 
     with make_progress() as progress:
         task = progress.add_task("views", total=100)
-        return build_clip(
+        built = build_clip(
             recording,
             options,
             on_progress=lambda share: progress.update(task, completed=round(100 * share)),
             on_stage=lambda stage: progress.update(task, description=f"views: {stage}"),
         )
+        progress.update(task, completed=100)  # stages that were left out count as done
+    return built
 
 
 def _stored_recording(root: Path, clip: str) -> "Recording":
