@@ -174,7 +174,7 @@ def test_a_van_that_goes_ahead_is_noticed_and_stands_on_the_road():
     frames = np.stack([image for image, _, _ in drawn])
     estimate = estimate_distance(frames, CAMERA, Trajectory(100_000 * index, poses), T_RIG_CAMERA, shown=[4])
     _, truth, van = drawn[4]
-    assert estimate.moving[0][van].mean() > 0.6
+    assert estimate.moving[0][van].mean() > 0.5
     assert estimate.moving[0][~van].mean() < 0.05
     error = np.abs(estimate.distance[0][van] - truth[van]) / truth[van]
     assert np.median(error) < 0.15

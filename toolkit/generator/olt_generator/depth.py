@@ -78,7 +78,7 @@ class SweepSettings:
 
     planes: int = 24
     neighbours: int = 2
-    width: int = 320
+    width: int = 256
 
     def __post_init__(self) -> None:
         if not (4 <= self.planes <= 200 and self.neighbours in (1, 2) and self.width >= 32):

@@ -25,14 +25,13 @@ CAMERA = PinholeCamera.from_field_of_view(WIDTH, HEIGHT, float(np.radians(90.0))
 RIGHT = 0.1
 
 SETTINGS = {
-    "24 planes, 2 neighbours, 320 columns": SweepSettings(),
+    "24 planes, 2 neighbours, 256 columns": SweepSettings(),
     "12 planes": SweepSettings(planes=12),
     "16 planes": SweepSettings(planes=16),
     "48 planes": SweepSettings(planes=48),
     "1 neighbour": SweepSettings(neighbours=1),
-    "160 columns": SweepSettings(width=160),
+    "128 columns": SweepSettings(width=128),
     "416 columns": SweepSettings(width=416),
-    "832 columns": SweepSettings(width=832),
 }
 
 
