@@ -21,6 +21,9 @@ SURFACE_TOLERANCE = 0.05
 # The same for the distances of the frames from a surface: below it, they see it equally well.
 _FINENESS_STEP = 0.02
 
+# Metres that stand for infinity: farther than any clip is long, and finite.
+_INFINITY = 1e6
+
 # Keys are, from the highest bit: 12 bits of distance, 12 bits of distance from the source, 8 bits of source, 31 bits
 # of pixel.
 _DISTANCE_BIT, _FINENESS_BIT, _SOURCE_BIT = 51, 39, 31
@@ -73,10 +76,6 @@ def gather(sources: Sequence[Source], camera: Camera, target: Camera, radius: in
             key |= (number << _SOURCE_BIT) | landing.source
             np.minimum.at(closest, (landing.row + radius) * width + landing.column + radius, key)
     return _look_up(spread_nearest(closest.reshape(height, width), radius), sources)
-
-
-# Metres that stand for infinity: farther than any clip is long, and finite.
-_INFINITY = 1e6
 
 
 def _level(distance: NDArray[np.float32], step: float) -> NDArray[np.int64]:

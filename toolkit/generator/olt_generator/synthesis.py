@@ -142,13 +142,13 @@ class _Synthesis:
 
     def make(self, index: int, others: tuple[int, ...]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """The image (h, w, 3) of one frame, and a `PixelOrigin` for each of its pixels (h, w)."""
-        same = self._warp_same_frame(index)
-        origin = np.where(same.visible, PixelOrigin.SAME_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
+        known = self._warp_same_frame(index)
+        origin = np.where(known.visible, PixelOrigin.SAME_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
         if others:
             other = self._gather(index, others)
-            origin[other.visible & ~same.visible] = PixelOrigin.OTHER_FRAME
-            same = _laid_over(same, other)
-        return self._fill(index, same), origin
+            origin[other.visible & ~known.visible] = PixelOrigin.OTHER_FRAME
+            known = _laid_over(known, other)
+        return self._fill(index, known), origin
 
     def _warp_same_frame(self, index: int) -> _Layer:
         within_reach = np.minimum(self._front.distance[index], np.float32(FAR_DISTANCE))
