@@ -4,10 +4,10 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_generator.aggregate import SURFACE_TOLERANCE, Gathered, Source, gather
 from olt_generator.cameras import FthetaCamera, PinholeCamera
 from olt_generator.poses import camera_pose_in_rig, invert, make_pose, pose_from_quaternion
 from olt_generator.seeds import make_generator
+from olt_generator.views.aggregate import SURFACE_TOLERANCE, Gathered, Source, gather
 
 FRONT = PinholeCamera.from_field_of_view(24, 16, float(np.radians(80.0)))
 WIDE = FthetaCamera.equidistant(24, 16, 11.0, 9.0, 14.0)

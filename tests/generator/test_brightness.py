@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from olt_generator.brightness import brightened, relative_brightness
 from olt_generator.cameras import FthetaCamera
-from olt_generator.front_view import FrontView
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.brightness import brightened, relative_brightness
+from olt_generator.views.front_view import FrontView
 from olt_toolkit.benchmarks.street import render_street
 
 CAMERA = FthetaCamera.equidistant(208, 124, 103.0, 75.0, 100.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from olt_generator.bundle_adjustment import StepPriors, Tracks, adjust_poses
+from olt_generator.motion.bundle_adjustment import StepPriors, Tracks, adjust_poses
 from olt_generator.poses import invert, make_pose
 
 KEYFRAMES, POINTS = 12, 300

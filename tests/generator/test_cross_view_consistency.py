@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from olt_generator.cameras import FthetaCamera, PinholeCamera
-from olt_generator.cross_view_consistency import (
+from olt_generator.errors import InputError
+from olt_generator.metrics.cross_view_consistency import (
     MAX_SAMPSON_ERROR,
     METRIC_HEIGHT,
     METRIC_WIDTH,
@@ -20,8 +21,7 @@ from olt_generator.cross_view_consistency import (
     metric_camera,
     sampson_errors,
 )
-from olt_generator.errors import InputError
-from olt_generator.matchers import Matches, SiftMatcher
+from olt_generator.metrics.matchers import Matches, SiftMatcher
 from olt_generator.poses import camera_pose_in_rig, invert, planar_pose, transform
 from olt_generator.seeds import make_generator
 from olt_toolkit.benchmarks.street import render_street

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import PinholeCamera, pixel_rays
-from olt_generator.depth import (
+from olt_generator.distance.depth import (
     FAR_DISTANCE,
     DistanceEstimate,
     Origin,
@@ -15,9 +15,9 @@ from olt_generator.depth import (
     estimate_distance,
     road_distance,
 )
+from olt_generator.distance.own_vehicle import find_own_vehicle
+from olt_generator.distance.plane_sweep import BASELINES, choose_partners
 from olt_generator.errors import InputError
-from olt_generator.own_vehicle import find_own_vehicle
-from olt_generator.plane_sweep import BASELINES, choose_partners
 from olt_generator.poses import camera_pose_in_rig, planar_pose, transform
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory

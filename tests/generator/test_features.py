@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from olt_generator.features import detect_corners, track_corners, track_from_keyframes
+from olt_generator.motion.features import detect_corners, track_corners, track_from_keyframes
 
 STEP = 3
 HIDDEN = np.zeros((160, 240), np.bool_)

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_generator.fill import MID_GREY, fill_holes, interpolate
 from olt_generator.seeds import make_generator
+from olt_generator.views.fill import MID_GREY, fill_holes, interpolate
 
 
 @settings(max_examples=30, deadline=None)

@@ -5,7 +5,7 @@ import pytest
 
 from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_datasets.sources.video import assume_camera, find_field_of_view
-from olt_generator.focal_length import estimate_field_of_view
+from olt_generator.motion.focal_length import estimate_field_of_view
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_toolkit.benchmarks.street import render_street

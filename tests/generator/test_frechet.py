@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from olt_generator.errors import InputError
-from olt_generator.frechet import frechet_distance
+from olt_generator.metrics.frechet import frechet_distance
 from olt_generator.seeds import make_generator
 
 seeds = st.integers(0, 2**32 - 1)

@@ -5,7 +5,7 @@ import pytest
 from scipy.ndimage import correlate
 
 from olt_generator.errors import InputError
-from olt_generator.image_metrics import psnr, ssim
+from olt_generator.metrics.image_metrics import psnr, ssim
 from olt_generator.seeds import make_generator
 
 

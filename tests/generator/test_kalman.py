@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_generator.car_motion import BodyMotion, CarMotion, linearise
-from olt_generator.kalman import (
+from olt_generator.motion.car_motion import BodyMotion, CarMotion, linearise
+from olt_generator.motion.kalman import (
     LinearSystem,
     filter_forward,
     integrator_noise,

@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from olt_generator.errors import InputError
-from olt_generator.latents import (
+from olt_generator.seeds import make_generator
+from olt_generator.views.latents import (
     count_latents,
     frame_of_latent,
     frames_of_latent,
     latent_of_frame,
     visibility_in_latents,
 )
-from olt_generator.seeds import make_generator
 
 
 @given(st.integers(0, 10_000))

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import PinholeCamera, pixel_rays
-from olt_generator.depth import Origin
-from olt_generator.depth_anything import DepthAnything
-from olt_generator.depth_crafter import FILES, DepthCrafter, DiffusionSettings
-from olt_generator.depth_source import GeometricDepth, make_metric
+from olt_generator.distance.depth import Origin
+from olt_generator.distance.depth_anything import DepthAnything
+from olt_generator.distance.depth_crafter import FILES, DepthCrafter, DiffusionSettings
+from olt_generator.distance.depth_source import GeometricDepth, make_metric
+from olt_generator.distance.metric_alignment import align
 from olt_generator.errors import InputError
-from olt_generator.metric_alignment import align
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.progress import silent
 from olt_generator.seeds import make_generator

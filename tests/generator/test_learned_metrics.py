@@ -8,11 +8,11 @@ import torch
 from safetensors.torch import save_file
 
 from olt_generator.errors import InputError
-from olt_generator.i3d_features import I3dFeatures
-from olt_generator.inception_features import InceptionFeatures
-from olt_generator.lpips import Lpips
+from olt_generator.metrics.i3d_features import I3dFeatures
+from olt_generator.metrics.inception_features import InceptionFeatures
+from olt_generator.metrics.lpips import Lpips
+from olt_generator.metrics.weight_files import read_weights
 from olt_generator.seeds import make_generator
-from olt_generator.weight_files import read_weights
 
 CHANNELS = 2
 
@@ -180,7 +180,7 @@ def test_weights_are_read_from_both_formats_and_nothing_is_executed(tmp_path):
 def test_loftr_runs_from_a_local_file(tmp_path):
     from kornia.feature import LoFTR
 
-    from olt_generator.loftr import LoftrMatcher
+    from olt_generator.metrics.loftr import LoftrMatcher
 
     torch.manual_seed(0)
     torch.save({"state_dict": LoFTR(pretrained=None).state_dict()}, tmp_path / "loftr.ckpt")

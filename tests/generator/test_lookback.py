@@ -1,7 +1,7 @@
 """Which frame a rear view looks back to."""
 
-from olt_generator.lookback import LOOKBACK_LATENTS, lookback_frame
-from olt_generator.view_plan import VIEW_ID
+from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
+from olt_generator.views.view_plan import VIEW_ID
 
 
 def test_offsets_are_those_of_the_rear_views():

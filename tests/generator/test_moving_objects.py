@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import FthetaCamera
-from olt_generator.front_view import FrontView
-from olt_generator.moving_objects import find_moving
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.front_view import FrontView
+from olt_generator.views.moving_objects import find_moving
 from olt_toolkit.benchmarks.street import BOXES, Box, render_street
 
 CAMERA = FthetaCamera.equidistant(208, 120, 103.0, 75.0, 100.0)

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.cameras import FthetaCamera, PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
-from olt_generator.odometry import choose_keyframes, estimate_odometry
+from olt_generator.motion.odometry import choose_keyframes, estimate_odometry
 from olt_generator.poses import R_FORWARD_CAMERA, camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from olt_generator.cameras import PinholeCamera
-from olt_generator.panorama import Panorama
 from olt_generator.poses import camera_pose_in_rig
+from olt_generator.views.panorama import Panorama
 
 CAMERA = PinholeCamera.from_field_of_view(96, 64, float(np.radians(80.0)))
 T_RIG_AHEAD = camera_pose_in_rig([1.7, 0.0, 1.4], 0.0, 0.0, 0.0)

@@ -5,13 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_generator.background import FAR_DISTANCE, background_distance, road_distance
 from olt_generator.cameras import FthetaCamera, PinholeCamera, pixel_rays
-from olt_generator.plane_sweep import PlaneSweep, choose_partners, normalize_contrast
+from olt_generator.distance.background import FAR_DISTANCE, background_distance, road_distance
+from olt_generator.distance.plane_sweep import PlaneSweep, choose_partners, normalize_contrast
+from olt_generator.distance.sky import SkyColours
+from olt_generator.distance.standing import foot_distance
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
-from olt_generator.sky import SkyColours
-from olt_generator.standing import foot_distance
 from olt_toolkit.benchmarks.street import Box, render_street
 
 PINHOLE = PinholeCamera.from_field_of_view(160, 96, float(np.radians(90.0)))

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from olt_generator.cameras import FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
-from olt_generator.plucker import MOMENT_SCALE, anchor_poses, plucker_rays, token_rays
 from olt_generator.poses import camera_pose_in_rig, invert, make_pose, planar_pose, pose_from_quaternion
 from olt_generator.seeds import make_generator
+from olt_generator.views.plucker import MOMENT_SCALE, anchor_poses, plucker_rays, token_rays
 
 PINHOLE = PinholeCamera(832, 480, 410.0, 415.0, 414.2, 239.1)
 WIDE = FthetaCamera.equidistant(832, 480, 413.0, 300.0, 400.0)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from olt_generator.errors import InputError
-from olt_generator.pose_metrics import align_similarity, compare_trajectories, measure_smoothness
+from olt_generator.motion.pose_metrics import align_similarity, compare_trajectories, measure_smoothness
 from olt_generator.poses import make_pose, planar_pose
 from olt_generator.trajectory import Trajectory
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from olt_generator import pose_sources
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
-from olt_generator.map_anything import MapAnything
-from olt_generator.odometry import Odometry
-from olt_generator.pose_sources import KnownPoses, PoseSource, VisualOdometry
+from olt_generator.motion import pose_sources
+from olt_generator.motion.map_anything import MapAnything
+from olt_generator.motion.odometry import Odometry
+from olt_generator.motion.pose_sources import KnownPoses, PoseSource, VisualOdometry
+from olt_generator.motion.smoother import ODOMETRY_SETTINGS
 from olt_generator.poses import camera_pose_in_rig, invert, planar_pose
-from olt_generator.smoother import ODOMETRY_SETTINGS
 from olt_generator.trajectory import Trajectory
 
 CAMERA = PinholeCamera(8, 6, 5.0, 5.0, 3.5, 2.5)

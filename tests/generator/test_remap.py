@@ -7,7 +7,7 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.cameras import BrownConradyCamera, FthetaCamera, KannalaBrandtCamera, PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
-from olt_generator.remap import Remapper
+from olt_generator.lenses.remap import Remapper
 
 FISHEYE = FthetaCamera.equidistant(400, 240, 199.5, 130.0, 190.0)
 SOURCES = [

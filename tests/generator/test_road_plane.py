@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_generator.road_plane import RoadMatches, separate_tilt
+from olt_generator.motion.road_plane import RoadMatches, separate_tilt
 
 STEPS = 40
 ALL_STEPS = np.arange(STEPS)

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from olt_generator import smoother
-from olt_generator.car_motion import CarMotion
 from olt_generator.errors import InputError
-from olt_generator.pose_metrics import compare_trajectories, measure_smoothness
+from olt_generator.motion import smoother
+from olt_generator.motion.car_motion import CarMotion
+from olt_generator.motion.pose_metrics import compare_trajectories, measure_smoothness
+from olt_generator.motion.smoother import SmootherSettings, smooth_trajectories, smooth_trajectory
 from olt_generator.poses import invert, make_pose, planar_pose
-from olt_generator.smoother import SmootherSettings, smooth_trajectories, smooth_trajectory
 from olt_generator.trajectory import Trajectory
 from olt_generator.twists import exponential, logarithm
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import FthetaCamera
-from olt_generator.depth import road_distance
-from olt_generator.front_view import FrontView
+from olt_generator.distance.depth import road_distance
 from olt_generator.poses import camera_pose_in_rig, planar_pose
-from olt_generator.source_frames import SourceChooser, may_be_seen
-from olt_generator.splat import land
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.front_view import FrontView
+from olt_generator.views.source_frames import SourceChooser, may_be_seen
+from olt_generator.views.splat import land
 
 FRONT = FthetaCamera.equidistant(48, 27, 23.5, 18.0, 23.6)
 T_RIG_FRONT = camera_pose_in_rig([1.7, 0.0, 1.45], 0.0, 0.0, 0.0)

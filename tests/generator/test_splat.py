@@ -10,7 +10,7 @@ from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import make_pose, pose_from_quaternion
 from olt_generator.seeds import make_generator
-from olt_generator.splat import Warp, splat, splat_reference
+from olt_generator.views.splat import Warp, splat, splat_reference
 
 PINHOLE = PinholeCamera.from_field_of_view(40, 24, float(np.radians(80.0)))
 WIDE = FthetaCamera.equidistant(40, 24, 18.0, 13.5, 20.0)

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import FthetaCamera, PinholeCamera
-from olt_generator.depth import FAR_DISTANCE
+from olt_generator.distance.depth import FAR_DISTANCE
 from olt_generator.errors import InputError
-from olt_generator.fill import MID_GREY
-from olt_generator.front_view import FrontView
-from olt_generator.image_metrics import psnr
-from olt_generator.moving_objects import find_moving
+from olt_generator.metrics.image_metrics import psnr
 from olt_generator.poses import camera_pose_in_rig, planar_pose
-from olt_generator.synthesis import PixelOrigin, SynthesisSettings, SynthesizedView, synthesize_view
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.fill import MID_GREY
+from olt_generator.views.front_view import FrontView
+from olt_generator.views.moving_objects import find_moving
+from olt_generator.views.synthesis import PixelOrigin, SynthesisSettings, SynthesizedView, synthesize_view
 from olt_toolkit.benchmarks.street import BOXES, ROAD_COLOUR, SKY_COLOUR, Box, render_street
 
 FRONT = FthetaCamera.equidistant(416, 240, 206.0, 150.0, 200.0)

@@ -15,9 +15,9 @@ from olt_generator.cameras import (
     pixel_rays,
 )
 from olt_generator.errors import InputError
-from olt_generator.image_metrics import psnr
+from olt_generator.metrics.image_metrics import psnr
 from olt_generator.poses import camera_pose_in_rig
-from olt_generator.tele import crop_tele, tele_camera
+from olt_generator.views.tele import crop_tele, tele_camera
 
 PINHOLE = PinholeCamera(832, 480, 600.0, 620.0, 420.3, 250.7)
 EQUIDISTANT = FthetaCamera.equidistant(832, 468, 413.4, 327.9, 410.0)

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from olt_generator.two_view import epipolar_sines, estimate_motion
+from olt_generator.motion.two_view import epipolar_sines, estimate_motion
 
 SIGMA = 1e-3
 

@@ -5,7 +5,7 @@ from itertools import combinations
 import pytest
 
 from olt_generator.errors import InputError
-from olt_generator.view_plan import CONDITIONS, VIEW_ID, plan_views
+from olt_generator.views.view_plan import CONDITIONS, VIEW_ID, plan_views
 
 FRONT, TELE = "camera_front_wide_120fov", "camera_front_tele_30fov"
 LEFT, RIGHT = "camera_cross_left_120fov", "camera_cross_right_120fov"

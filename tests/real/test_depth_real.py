@@ -8,7 +8,7 @@ import pytest
 
 from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_generator.cameras import PinholeCamera, pixel_rays
-from olt_generator.depth import FAR_DISTANCE, Origin, estimate_distance
+from olt_generator.distance.depth import FAR_DISTANCE, Origin, estimate_distance
 from olt_generator.poses import invert, pose_from_quaternion, transform
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.recording import OpenOptions

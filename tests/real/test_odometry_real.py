@@ -6,9 +6,9 @@ import pytest
 from olt_datasets.sources.kitti_odometry import SOURCE as KITTI_ODOMETRY
 from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_datasets.sources.video import SOURCE as VIDEO
-from olt_generator.odometry import estimate_odometry
-from olt_generator.pose_metrics import measure_smoothness
-from olt_generator.smoother import smooth_trajectory
+from olt_generator.motion.odometry import estimate_odometry
+from olt_generator.motion.pose_metrics import measure_smoothness
+from olt_generator.motion.smoother import smooth_trajectory
 from olt_toolkit.recording import OpenOptions
 from olt_toolkit.trajectory_errors import measure_clips, summarize_clips
 

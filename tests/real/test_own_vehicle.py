@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import PinholeCamera
-from olt_generator.depth import road_distance
-from olt_generator.own_vehicle import find_own_vehicle
+from olt_generator.distance.depth import road_distance
+from olt_generator.distance.own_vehicle import find_own_vehicle
 from olt_generator.poses import camera_pose_in_rig
 
 

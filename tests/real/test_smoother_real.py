@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_generator.cameras import PinholeCamera
-from olt_generator.pose_metrics import compare_trajectories, measure_smoothness
-from olt_generator.pose_sources import KnownPoses, VisualOdometry
+from olt_generator.motion.pose_metrics import compare_trajectories, measure_smoothness
+from olt_generator.motion.pose_sources import KnownPoses, VisualOdometry
+from olt_generator.motion.smoother import smooth_trajectories, smooth_trajectory
 from olt_generator.poses import camera_pose_in_rig, invert, make_pose
-from olt_generator.smoother import smooth_trajectories, smooth_trajectory
 from olt_generator.trajectory import Trajectory
 from olt_generator.twists import exponential
 from olt_toolkit.label_noise import measure_label_noise

@@ -8,8 +8,8 @@ import pytest
 from typer.testing import CliRunner
 
 from olt_generator.errors import InputError
-from olt_generator.image_metrics import psnr
-from olt_generator.matchers import SiftMatcher
+from olt_generator.metrics.image_metrics import psnr
+from olt_generator.metrics.matchers import SiftMatcher
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.benchmarks.street import render_street

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from olt_generator.motion.smoother import SmootherSettings, smooth_trajectory
 from olt_generator.poses import make_pose, planar_pose
-from olt_generator.smoother import SmootherSettings, smooth_trajectory
 from olt_generator.trajectory import Trajectory
 from olt_generator.twists import exponential
 from olt_toolkit.label_noise import measure_label_noise

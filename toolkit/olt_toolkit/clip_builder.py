@@ -5,18 +5,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.depth import DistanceEstimate
+from olt_generator.distance.depth import DistanceEstimate
 from olt_generator.errors import InputError
-from olt_generator.front_view import FrontView
-from olt_generator.image_metrics import psnr
-from olt_generator.moving_objects import find_moving
-from olt_generator.pose_metrics import PoseErrors, compare_trajectories
-from olt_generator.pose_sources import PoseEstimate
+from olt_generator.metrics.image_metrics import psnr
+from olt_generator.motion.pose_metrics import PoseErrors, compare_trajectories
+from olt_generator.motion.pose_sources import PoseEstimate
+from olt_generator.motion.smoother import SmoothedMotion, smooth_trajectory
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
-from olt_generator.smoother import SmoothedMotion, smooth_trajectory
 from olt_generator.trajectory import Trajectory
-from olt_generator.view_plan import ViewPlan, plan_views
+from olt_generator.views.front_view import FrontView
+from olt_generator.views.moving_objects import find_moving
+from olt_generator.views.view_plan import ViewPlan, plan_views
 from olt_toolkit.clip import CameraStream, Clip, ClipKind, EgoMotion, make_clip_id
 from olt_toolkit.clip_views import BuildOptions, View, ViewMaker
 from olt_toolkit.ftheta_fit import fit_ftheta

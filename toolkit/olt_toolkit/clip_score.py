@@ -6,7 +6,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.cross_view_consistency import (
+from olt_generator.errors import InputError
+from olt_generator.metrics.cross_view_consistency import (
     MAX_SAMPSON_ERROR,
     METRIC_HEIGHT,
     METRIC_WIDTH,
@@ -15,9 +16,8 @@ from olt_generator.cross_view_consistency import (
     join,
     measure_consistency,
 )
-from olt_generator.errors import InputError
-from olt_generator.image_metrics import psnr, ssim
-from olt_generator.matchers import Matcher
+from olt_generator.metrics.image_metrics import psnr, ssim
+from olt_generator.metrics.matchers import Matcher
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clip_store import ClipStore
@@ -49,10 +49,10 @@ class ImageDistance(Protocol):
 def open_matcher(loftr_weights: Path | None, device: str) -> Matcher:
     """LoFTR where its weights are given, SIFT otherwise."""
     if loftr_weights is None:
-        from olt_generator.matchers import SiftMatcher
+        from olt_generator.metrics.matchers import SiftMatcher
 
         return SiftMatcher()
-    from olt_generator.loftr import LoftrMatcher
+    from olt_generator.metrics.loftr import LoftrMatcher
 
     return LoftrMatcher(loftr_weights, device)
 
@@ -61,7 +61,7 @@ def open_lpips(weights: Path | None, device: str) -> ImageDistance | None:
     """LPIPS where its weights are given."""
     if weights is None:
         return None
-    from olt_generator.lpips import Lpips
+    from olt_generator.metrics.lpips import Lpips
 
     return Lpips(weights, device)
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from olt_generator.pose_metrics import PoseErrors, measure_smoothness
+from olt_generator.motion.pose_metrics import PoseErrors, measure_smoothness
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clip import ClipInfo, EgoMotion
 from olt_toolkit.clip_builder import BuiltClip

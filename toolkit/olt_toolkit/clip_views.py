@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 import olt_generator
 from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera, fit_camera
-from olt_generator.depth_source import DepthSource, GeometricDepth
+from olt_generator.distance.depth_source import DepthSource, GeometricDepth
 from olt_generator.errors import InputError
-from olt_generator.front_view import FrontView
-from olt_generator.lookback import LOOKBACK_LATENTS
-from olt_generator.pose_sources import PoseSource, VisualOdometry
+from olt_generator.motion.pose_sources import PoseSource, VisualOdometry
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
-from olt_generator.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
-from olt_generator.tele import crop_tele, tele_camera
+from olt_generator.views.front_view import FrontView
+from olt_generator.views.lookback import LOOKBACK_LATENTS
+from olt_generator.views.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
+from olt_generator.views.tele import crop_tele, tele_camera
 from olt_toolkit import __version__
 from olt_toolkit.clip import Split, ViewKind, ViewProvenance
 from olt_toolkit.images import fit_images
@@ -168,7 +168,7 @@ class ViewMaker:
         observed = same_frame + other_frame
         provenance = ViewProvenance(
             kind="warped",
-            engine="olt_generator.synthesis",
+            engine="olt_generator.views.synthesis",
             version=olt_generator.__version__,
             seed=self.options.seed,
             observed_share=observed,

@@ -11,8 +11,8 @@ import numpy as np
 
 from olt_generator.cameras import Camera, FthetaCamera
 from olt_generator.errors import InputError
-from olt_generator.ftheta import TABLE_DEGREE
-from olt_generator.lens_curves import Polynomial, evaluate, fit_through_origin
+from olt_generator.lenses.ftheta import TABLE_DEGREE
+from olt_generator.lenses.lens_curves import Polynomial, evaluate, fit_through_origin
 from olt_generator.poses import Array
 
 # A pixel that is not square may move no image point further than this, and a fitted lens none further than that.

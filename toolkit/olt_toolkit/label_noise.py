@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.iterated_smoother import STANDSTILL_SPEED
+from olt_generator.motion.iterated_smoother import STANDSTILL_SPEED
+from olt_generator.motion.smoother import SmoothedMotion
 from olt_generator.poses import Array, invert
-from olt_generator.smoother import SmoothedMotion
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.action_space import DEFAULT_SETTINGS, trajectory_to_actions
 from olt_toolkit.clip import EgoMotion

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from olt_generator.errors import InputError
 
 if TYPE_CHECKING:
-    from olt_generator.depth_source import DepthSource
-    from olt_generator.pose_sources import PoseSource
+    from olt_generator.distance.depth_source import DepthSource
+    from olt_generator.motion.pose_sources import PoseSource
     from olt_toolkit.clip_views import BuildOptions
 
 
@@ -69,10 +69,10 @@ class SourceChoice:
 
 def _open_poses(choice: SourceChoice) -> "PoseSource":
     if choice.mapanything_weights is None:
-        from olt_generator.pose_sources import VisualOdometry
+        from olt_generator.motion.pose_sources import VisualOdometry
 
         return VisualOdometry()
-    from olt_generator.map_anything import MapAnything
+    from olt_generator.motion.map_anything import MapAnything
 
     return MapAnything(choice.mapanything_weights, choice.device)
 
@@ -80,13 +80,13 @@ def _open_poses(choice: SourceChoice) -> "PoseSource":
 @lru_cache(maxsize=1)  # a process builds many clips with one network
 def _open_depth(choice: SourceChoice) -> "DepthSource":
     if choice.depth_weights is None:
-        from olt_generator.depth_source import GeometricDepth
+        from olt_generator.distance.depth_source import GeometricDepth
 
         return GeometricDepth()
     if choice.depth is DepthChoice.DEPTHANYTHING:
-        from olt_generator.depth_anything import DepthAnything
+        from olt_generator.distance.depth_anything import DepthAnything
 
         return DepthAnything(choice.depth_weights, choice.device)
-    from olt_generator.depth_crafter import DepthCrafter
+    from olt_generator.distance.depth_crafter import DepthCrafter
 
     return DepthCrafter(choice.depth_weights, choice.device)

@@ -8,11 +8,11 @@ import numpy as np
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_generator.odometry import Odometry, estimate_odometry
-from olt_generator.pose_metrics import PoseErrors, Smoothness, compare_trajectories, measure_smoothness
+from olt_generator.motion.odometry import Odometry, estimate_odometry
+from olt_generator.motion.pose_metrics import PoseErrors, Smoothness, compare_trajectories, measure_smoothness
+from olt_generator.motion.smoother import ODOMETRY_SETTINGS, SmoothedMotion, smooth_trajectory
 from olt_generator.poses import Array, invert
 from olt_generator.progress import Progress, silent
-from olt_generator.smoother import ODOMETRY_SETTINGS, SmoothedMotion, smooth_trajectory
 from olt_toolkit.label_noise import LabelNoiseBudget, measure_label_noise
 from olt_toolkit.recording import Recording
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
-from olt_generator.pose_sources import KnownPoses
+from olt_generator.motion.pose_sources import KnownPoses
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import write_video
-from olt_generator.view_plan import ViewPlan, plan_views
+from olt_generator.views.view_plan import ViewPlan, plan_views
 from olt_toolkit.clip_builder import BuiltClip
 from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.clip_summary import summarize_build

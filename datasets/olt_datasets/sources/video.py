@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
-from olt_generator.focal_length import estimate_field_of_view
+from olt_generator.motion.focal_length import estimate_field_of_view
 from olt_generator.video import read_video
 from olt_toolkit.recording import OpenOptions, Recording
 from olt_toolkit.rigs import load_rig

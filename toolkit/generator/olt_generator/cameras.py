@@ -4,12 +4,12 @@ Convention: pixel (u, v) has its origin in the centre of the top-left pixel, u t
 row i and column j is sampled at exactly (j, i). Camera axes are x right, y down, z forward. Rays are unit vectors.
 """
 
-from olt_generator.brown_conrady import BrownConradyCamera
-from olt_generator.camera_model import Camera, Mask, fit_camera, pixel_rays
-from olt_generator.ftheta import FthetaCamera
-from olt_generator.kannala_brandt import KannalaBrandtCamera
-from olt_generator.pinhole import PinholeCamera
-from olt_generator.remap import remap_table
+from olt_generator.lenses.brown_conrady import BrownConradyCamera
+from olt_generator.lenses.camera_model import Camera, Mask, fit_camera, pixel_rays
+from olt_generator.lenses.ftheta import FthetaCamera
+from olt_generator.lenses.kannala_brandt import KannalaBrandtCamera
+from olt_generator.lenses.pinhole import PinholeCamera
+from olt_generator.lenses.remap import remap_table
 
 __all__ = [
     "BrownConradyCamera",

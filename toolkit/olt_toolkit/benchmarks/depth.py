@@ -7,9 +7,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.background import FAR_DISTANCE, background_distance
 from olt_generator.cameras import Camera, PinholeCamera, pixel_rays
-from olt_generator.depth import SweepSettings, estimate_distance
+from olt_generator.distance.background import FAR_DISTANCE, background_distance
+from olt_generator.distance.depth import SweepSettings, estimate_distance
 from olt_generator.poses import Array, camera_pose_in_rig, invert, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.benchmark import Benchmark, Setting

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera, PinholeCamera
-from olt_generator.odometry import OdometrySettings, estimate_odometry
-from olt_generator.pose_metrics import compare_trajectories
+from olt_generator.motion.odometry import OdometrySettings, estimate_odometry
+from olt_generator.motion.pose_metrics import compare_trajectories
 from olt_generator.poses import Array, camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.benchmark import Benchmark, Setting

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import PinholeCamera
-from olt_generator.plucker import MOMENT_SCALE, anchor_poses, plucker_rays
 from olt_generator.poses import Array, camera_pose_in_rig, make_pose, planar_pose
+from olt_generator.views.plucker import MOMENT_SCALE, anchor_poses, plucker_rays
 from olt_toolkit.benchmark import Benchmark, Setting
 
 CAMERA = PinholeCamera.from_field_of_view(832, 480, float(np.radians(100.0)))

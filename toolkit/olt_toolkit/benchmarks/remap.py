@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from olt_generator.cameras import Camera, PinholeCamera, remap_table
+from olt_generator.lenses.remap import Remapper
 from olt_generator.poses import Array
-from olt_generator.remap import Remapper
 from olt_generator.seeds import make_generator
 from olt_toolkit.benchmark import Benchmark, Setting
 from olt_toolkit.rig import FRONT_WIDE, pav_rig

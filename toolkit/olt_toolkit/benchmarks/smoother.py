@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_matrix, lil_matrix
 from scipy.sparse.linalg import spsolve
 
-from olt_generator.car_motion import BodyMotion, CarMotion
-from olt_generator.iterated_smoother import MeasuredPoses, linear_system
-from olt_generator.kalman import LinearSystem, filter_forward, smooth_states, smoothing_gains
+from olt_generator.motion.car_motion import BodyMotion, CarMotion
+from olt_generator.motion.iterated_smoother import MeasuredPoses, linear_system
+from olt_generator.motion.kalman import LinearSystem, filter_forward, smooth_states, smoothing_gains
 from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.twists import exponential

@@ -7,10 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import FthetaCamera
-from olt_generator.front_view import FrontView
 from olt_generator.poses import Array, camera_pose_in_rig, planar_pose
-from olt_generator.synthesis import SynthesisSettings, synthesize_view
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.front_view import FrontView
+from olt_generator.views.synthesis import SynthesisSettings, synthesize_view
 from olt_toolkit.benchmark import Benchmark, Setting
 from olt_toolkit.benchmarks.street import render_street
 

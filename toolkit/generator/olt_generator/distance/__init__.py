@@ -1,0 +1,1 @@
+"""How far away every pixel of the front video is."""

@@ -1,0 +1,210 @@
+"""Distance to what the front camera sees, from the motion of the camera and the road plane; no learned weights.
+
+The background is the road, the plane z = 0 of the rig, and beyond it everything at `FAR_DISTANCE`. What stands in
+front of it is found in `surfaces` by a plane sweep over several frames of the clip.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.cameras import Camera
+from olt_generator.distance.background import FAR_DISTANCE, background_distance, road_distance
+from olt_generator.distance.metric_alignment import Alignment
+from olt_generator.distance.own_vehicle import find_own_vehicle
+from olt_generator.distance.surfaces import SurfaceFinder, Surfaces
+from olt_generator.errors import InputError
+from olt_generator.poses import Array
+from olt_generator.progress import Progress, silent
+from olt_generator.trajectory import Trajectory
+
+__all__ = ["FAR_DISTANCE", "DistanceEstimate", "Origin", "SweepSettings", "estimate_distance", "road_distance"]
+
+# Share of pixels whose distance is right within a tenth, by the weight of what speaks for it (`Surfaces.knowledge`):
+# measured on drives of the synthetic world, for surfaces in front of the background and for the background.
+KNOWLEDGE = (0.0, 0.02, 0.05, 0.12, 0.3, 0.6, 1.0)
+SURFACE_CONFIDENCE = (0.0, 0.12, 0.22, 0.42, 0.55, 0.78, 0.85)
+BACKGROUND_CONFIDENCE = (0.0, 0.4, 0.6, 0.85, 0.97, 0.99, 0.99)
+
+
+class Origin(IntEnum):
+    """Which rule gave the distance of a pixel."""
+
+    FAR = 0
+    PLANE = 1
+    PARALLAX = 2
+    INTERPOLATED = 3
+    VEHICLE = 4
+    LEARNED = 5
+
+
+@dataclass(frozen=True)
+class DistanceEstimate:
+    """Distance along the rays of the m frames of a clip that were asked for.
+
+    Attributes:
+        distance: (m, H, W) float32 metres along each pixel's ray, NaN on the own vehicle. Never inf: sky is not told
+            from other far things.
+        origin: (m, H, W) uint8, an `Origin` per pixel.
+        confidence: (m, H, W) float32, 0 to 1: about the share of such pixels whose distance is right within a tenth.
+            0 where only the assumption of a background speaks for the distance, and on the own vehicle.
+        moving: (m, H, W) bool, pixels of moving objects, as far as they are noticed.
+        alignment: how a network's depth was made metric; None for distances by geometry alone.
+    """
+
+    distance: NDArray[np.float32]
+    origin: NDArray[np.uint8]
+    confidence: NDArray[np.float32]
+    moving: NDArray[np.bool_]
+    alignment: Alignment | None = None
+
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """How much work goes into the plane sweep.
+
+    Attributes:
+        planes: distances that are tried besides the background.
+        neighbours: frames, 1 or 2, that judge each of them.
+        width: columns to which wider frames are reduced.
+
+    Raises:
+        InputError: a setting is out of range.
+    """
+
+    planes: int = 24
+    neighbours: int = 2
+    width: int = 256
+
+    def __post_init__(self) -> None:
+        if not (4 <= self.planes <= 200 and self.neighbours in (1, 2) and self.width >= 32):
+            raise InputError(f"{self}: give 4 to 200 planes, 1 or 2 neighbours and a width of at least 32")
+
+
+def estimate_distance(
+    frames: NDArray[np.uint8],
+    camera: Camera,
+    trajectory: Trajectory,
+    T_rig_camera: Array,
+    on_progress: Progress = silent,
+    shown: Sequence[int] | NDArray[np.integer] | None = None,
+    settings: SweepSettings | None = None,
+) -> DistanceEstimate:
+    """Estimate the distance of every pixel of a clip.
+
+    Close to the direction of travel, and everywhere at standstill, there is no parallax: there the background is
+    assumed, with little or no confidence.
+
+    Args:
+        frames: (n, H, W, 3) uint8.
+        camera: camera of the frames at their size.
+        trajectory: n rig poses, one per frame.
+        T_rig_camera: (4, 4) pose of the camera in the rig; its height above the road scales the plane.
+        on_progress: told the share of frames that are done.
+        shown: numbers (m,) of the frames whose distance is wanted; the others only help with them. None: all.
+        settings: how much work goes into it.
+
+    Raises:
+        InputError: frames, camera and trajectory do not belong together, a frame that is not there is asked for, or
+            the camera is not above the road.
+    """
+    check_clip(frames, camera, trajectory)
+    wanted = choose_shown(shown, len(frames))
+    settings = settings or SweepSettings()
+    T_world_camera = trajectory.T_world_rig @ T_rig_camera
+    road = road_distance(camera, T_rig_camera)
+    vehicle = find_own_vehicle(frames, camera, T_rig_camera, T_world_camera[:, :3, 3], road)
+    small = _reduced(camera, settings.width)
+    images = [cv2.resize(frame, (small.width, small.height), interpolation=cv2.INTER_AREA) for frame in frames]
+    finder = SurfaceFinder(images, small, T_world_camera, T_rig_camera, settings.planes, settings.neighbours)
+    small_background = background_distance(small, T_rig_camera)
+    estimate = _empty_estimate(len(wanted), camera)
+    for place, index in enumerate(wanted):
+        _insert(estimate, place, finder.find(int(index)), small_background, road)
+        on_progress((place + 1) / len(wanted))
+    _leave_out(estimate, vehicle)
+    return estimate
+
+
+def _reduced(camera: Camera, width: int) -> Camera:
+    factor = min(1.0, width / camera.width)
+    return camera.resized(round(factor * camera.width), round(factor * camera.height))
+
+
+def _empty_estimate(count: int, camera: Camera) -> DistanceEstimate:
+    shape = (count, camera.height, camera.width)
+    return DistanceEstimate(
+        distance=np.empty(shape, np.float32),
+        origin=np.empty(shape, np.uint8),
+        confidence=np.empty(shape, np.float32),
+        moving=np.empty(shape, np.bool_),
+    )
+
+
+def _insert(
+    estimate: DistanceEstimate,
+    place: int,
+    surfaces: Surfaces,
+    small_background: NDArray[np.float32],
+    road: NDArray[np.float32],
+) -> None:
+    """Put the surfaces (h, w) of a frame into its place (H, W) before the background, which is taken at full size."""
+    in_front = surfaces.ratio > 1.0
+    confidence = np.where(
+        in_front,
+        np.interp(surfaces.knowledge, KNOWLEDGE, SURFACE_CONFIDENCE),
+        np.interp(surfaces.knowledge, KNOWLEDGE, BACKGROUND_CONFIDENCE),
+    ).astype(np.float32)
+    small_origin = np.where(surfaces.measured, Origin.PARALLAX, Origin.INTERPOLATED).astype(np.uint8)
+    in_front, distance, origin, estimate.confidence[place], moving = (
+        cv2.resize(values, road.shape[::-1], interpolation=cv2.INTER_NEAREST)
+        for values in (
+            in_front.astype(np.uint8),
+            small_background / surfaces.ratio,
+            small_origin,
+            confidence,
+            surfaces.moving.astype(np.uint8),
+        )
+    )
+    is_surface = in_front > 0
+    estimate.distance[place] = np.where(is_surface, distance, np.minimum(road, np.float32(FAR_DISTANCE)))
+    estimate.origin[place] = np.where(is_surface, origin, np.where(road < FAR_DISTANCE, Origin.PLANE, Origin.FAR))
+    estimate.moving[place] = moving > 0
+
+
+def _leave_out(estimate: DistanceEstimate, vehicle: NDArray[np.bool_]) -> None:
+    estimate.distance[:, vehicle] = np.nan
+    estimate.origin[:, vehicle] = Origin.VEHICLE
+    estimate.confidence[:, vehicle] = 0.0
+    estimate.moving[:, vehicle] = False
+
+
+def choose_shown(shown: Sequence[int] | NDArray[np.integer] | None, count: int) -> NDArray[np.int64]:
+    """Numbers (m,) of the frames that are wanted out of `count`; all where `shown` is None.
+
+    Raises:
+        InputError: a number is not that of a frame.
+    """
+    wanted = np.arange(count) if shown is None else np.asarray(shown, np.int64)
+    outside = (wanted < 0) | (wanted >= count)
+    if outside.any():
+        raise InputError(f"shown: there is no frame {wanted[outside][0]} in a clip of {count}; count from 0")
+    return wanted
+
+
+def check_clip(frames: NDArray[np.uint8], camera: Camera, trajectory: Trajectory) -> None:
+    """Check that frames (n, H, W, 3), camera and trajectory belong together.
+
+    Raises:
+        InputError: they do not.
+    """
+    if frames.shape[1:] != (camera.height, camera.width, 3):
+        raise InputError(
+            f"frames of shape {frames.shape[1:]} for a camera of {camera.width} x {camera.height}; resize the camera"
+        )
+    if len(frames) != len(trajectory):
+        raise InputError(f"{len(frames)} frames for {len(trajectory)} poses; give one pose per frame")

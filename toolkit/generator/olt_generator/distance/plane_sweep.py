@@ -1,0 +1,293 @@
+"""Multi-view stereo by plane sweep: which distance makes the other frames of a moving camera agree with this one.
+
+Every hypothesis is a distance, the same along all rays. Frame by frame the picture that a partner should show if a
+hypothesis were true is compared with what it shows (Collins, A space-sweep approach to true multi-image matching,
+1996). The background, which is the road and beyond it the far, is the first hypothesis.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.cameras import Camera, pixel_rays
+from olt_generator.distance.background import FAR_DISTANCE, background_distance, road_distance
+from olt_generator.poses import Array, invert, transform
+
+# Metres from the farthest to the nearest hypothesis; the ratio of two that follow each other is constant.
+FARTHEST, NEAREST = 120.0, 3.5
+# Metres at which the sky is judged.
+WITHOUT_PARALLAX = np.float32(1e6)
+
+# Metres between a frame and its partners that are aimed at. A hypothesis is judged by the baseline closest to this
+# share of its distance: so all are told apart equally well, and near things are not lost from view.
+BASELINES = (1.2, 3.0, 8.0)
+BASELINE_SHARE = 0.15
+MIDDLE_BASELINE = 1
+# Least motion in metres that gives parallax.
+SHORTEST_BASELINE = 0.3
+MOST_FRAMES_APART = 40
+
+# Pictures are compared after their local mean is taken away and their local contrast is made alike: what the camera's
+# exposure changes cancels. Grey levels of noise that are not amplified, and of contrast in what is compared.
+NORMALIZING_WINDOW = (9, 9)
+NOISE = 6.0
+GAIN = 40.0
+
+# Pixels over which differences are summed, and where a difference stops to grow.
+WINDOW = (5, 5)
+LARGEST_DIFFERENCE = np.uint8(80)
+NEUTRAL_DIFFERENCE = np.uint8(25)
+# Differences are kept in these fractions of a grey level.
+COST_SCALE = WINDOW[0] * WINDOW[1]
+
+# Grey levels by which the background may match worse than something in front of it: it is what most pixels show.
+ROAD_BONUS, FAR_BONUS = 5.0, 2.0
+
+# Pixels between the rays whose warp is computed; the warp of the others is interpolated, which it is smooth enough for.
+SPHERE_CELL = 16
+BACKGROUND_CELL = 8
+
+
+@dataclass(frozen=True)
+class Match:
+    """What the sweep says about the pixels of some rows of a frame; differences are grey levels after normalising.
+
+    Attributes:
+        distance: (rows, w) float32 metres of the best hypothesis, interpolated between hypotheses.
+        mismatch: (rows, w) float32 mean difference of the best hypothesis.
+        runner_up: (rows, w) float32 mean difference of the best of those that say something clearly different.
+        mismatch_still: (rows, w) float32 mean difference of what keeps its place in the picture: it is far away or
+            goes with the camera.
+    """
+
+    distance: NDArray[np.float32]
+    mismatch: NDArray[np.float32]
+    runner_up: NDArray[np.float32]
+    mismatch_still: NDArray[np.float32]
+
+
+def choose_partners(positions: Array, index: int, neighbours: int) -> list[list[int]]:
+    """Frames to compare frame `index` with, up to `neighbours` for each of `BASELINES`, from positions (n, 3).
+
+    One is taken from before and one from after: what one of them does not see, the other may. The better fit comes
+    first; frames closer than `SHORTEST_BASELINE` are left out.
+    """
+    first = max(0, index - MOST_FRAMES_APART)
+    moved = np.linalg.norm(positions[first : index + MOST_FRAMES_APART + 1] - positions[index], axis=1)
+    here = index - first
+    usable = np.flatnonzero(moved >= SHORTEST_BASELINE)
+    partners = []
+    for baseline in BASELINES:
+        misfit = np.abs(np.log(np.maximum(moved, 1e-9) / baseline))
+        sides = [side[np.argmin(misfit[side])] for side in (usable[usable < here], usable[usable > here]) if len(side)]
+        partners.append([first + int(side) for side in sorted(sides, key=misfit.__getitem__)][:neighbours])
+    return partners
+
+
+class PlaneSweep:
+    """Compares the frames of one clip under hypotheses of distance.
+
+    Args:
+        grey: n pictures (h, w) uint8.
+        camera: the camera at their size.
+        T_world_camera: (n, 4, 4) camera poses.
+        T_rig_camera: (4, 4) pose of the camera in the rig.
+        planes: number of hypotheses besides the background.
+        neighbours: 1 or 2 frames with which each hypothesis is judged.
+    """
+
+    def __init__(
+        self,
+        grey: list[NDArray[np.uint8]],
+        camera: Camera,
+        T_world_camera: Array,
+        T_rig_camera: Array,
+        planes: int,
+        neighbours: int,
+    ) -> None:
+        self._pictures = [normalize_contrast(picture) for picture in grey]
+        self._camera = camera
+        self._T_world_camera, self._T_rig_camera = T_world_camera, T_rig_camera
+        self._neighbours = neighbours
+        self._background = background_distance(camera, T_rig_camera)
+        self._distances = np.geomspace(FARTHEST, NEAREST, planes)
+        self._baseline_of = _suitable_baseline(self._distances)
+        self._background_baseline = _suitable_baseline(self._background)
+
+    def background_mismatch(self, index: int) -> NDArray[np.float32] | None:
+        """Mean difference (h, w) in normalised grey levels if all is background; None where the camera hardly moved."""
+        partners = self._partners(index)
+        if not partners[0]:
+            return None
+        return _grey_levels(self._background_cost(index, partners, 0, self._camera.height))
+
+    def match(self, index: int, top: int, bottom: int) -> Match | None:
+        """The best hypothesis for the pixels in rows `top` to `bottom`; None where the camera hardly moved."""
+        partners = self._partners(index)
+        if not partners[0]:
+            return None
+        costs = self._costs(index, partners, top, bottom)
+        far = pixel_rays(_grid_camera(self._band_camera(top, bottom), SPHERE_CELL)) * WITHOUT_PARALLAX
+        still = self._cost(index, partners[MIDDLE_BASELINE], far, SPHERE_CELL, top, bottom)
+        road = self._background[top:bottom] < FAR_DISTANCE
+        bonus = (np.where(road, ROAD_BONUS, FAR_BONUS) * COST_SCALE).astype(np.uint16)
+        costs[0] -= np.minimum(costs[0], bonus)
+        best, label = _least(costs)
+        step = np.log(self._distances[0] / self._distances[1])
+        distance = self._distances[np.maximum(label, 1) - 1] * np.exp(-step * _sub_label(costs, label))
+        background = self._background[top:bottom]
+        return Match(
+            distance=np.where(label == 0, background, np.minimum(distance, background)).astype(np.float32),
+            mismatch=_grey_levels(best),
+            runner_up=_grey_levels(_runner_up(costs, label)),
+            mismatch_still=_grey_levels(still),
+        )
+
+    def _partners(self, index: int) -> list[list[int]]:
+        return choose_partners(self._T_world_camera[:, :3, 3], index, self._neighbours)
+
+    def _costs(self, index: int, partners: list[list[int]], top: int, bottom: int) -> NDArray[np.uint16]:
+        """Summed differences (1 + planes, rows, w): of the background, then of the distances from far to near."""
+        costs = np.empty((1 + len(self._distances), bottom - top, self._camera.width), np.uint16)
+        costs[0] = self._background_cost(index, partners, top, bottom)
+        sphere = pixel_rays(_grid_camera(self._band_camera(top, bottom), SPHERE_CELL))
+        # Nothing that stands still is seen through the road: a distance is tried only where the road is not nearer.
+        possible = self._background[top:bottom] >= self._distances[:, None, None]
+        rows = possible.shape[1] - np.any(possible[:, ::-1], axis=2).argmax(axis=1)
+        for baseline, judges in enumerate(partners):
+            planes = np.flatnonzero(self._baseline_of == baseline)
+            points = sphere * self._distances[planes, None, None, None]
+            self._compare(
+                index, judges, points, SPHERE_CELL, top, [costs[1 + plane, : rows[plane]] for plane in planes]
+            )
+        costs[1:][~possible] = int(LARGEST_DIFFERENCE) * COST_SCALE
+        return costs
+
+    def _background_cost(self, index: int, partners: list[list[int]], top: int, bottom: int) -> NDArray[np.uint16]:
+        """Summed differences (rows, w) of the background, each pixel at the baseline that suits its distance."""
+        grid = _grid_camera(self._band_camera(top, bottom), BACKGROUND_CELL)
+        distance = np.minimum(road_distance(grid, self._T_rig_camera), WITHOUT_PARALLAX)
+        points = pixel_rays(grid) * distance[..., None]
+        costs = [self._cost(index, judges, points, BACKGROUND_CELL, top, bottom) for judges in partners]
+        return np.choose(self._background_baseline[top:bottom], costs).astype(np.uint16)
+
+    def _band_camera(self, top: int, bottom: int) -> Camera:
+        return self._camera.cropped(0, top, self._camera.width, bottom - top)
+
+    def _cost(
+        self, index: int, judges: list[int], points: Array, cell: int, top: int, bottom: int
+    ) -> NDArray[np.uint16]:
+        """Mean over the judging frames of the differences (rows, w) if the surface is at `points` of a grid."""
+        cost = np.empty((bottom - top, self._camera.width), np.uint16)
+        self._compare(index, judges, points[None], cell, top, [cost])
+        return cost
+
+    def _compare(
+        self, index: int, judges: list[int], points: Array, cell: int, top: int, costs: list[NDArray[np.uint16]]
+    ) -> None:
+        """Fill k costs (rows, w), each from row `top` on, for surfaces at k sets of `points` of a grid."""
+        tables = [self._tables(index, judge, points) for judge in judges]
+        for surface, cost in enumerate(costs):
+            picture = self._pictures[index][top : top + len(cost)]
+            parts = [
+                _difference(picture, self._pictures[judge], _enlarge(table[surface], cell, picture.shape))
+                for judge, table in zip(judges, tables, strict=True)
+            ]
+            cost[:] = parts[0][0] if len(parts) == 1 else _mean_where_seen(*parts)
+
+    def _tables(self, index: int, judge: int, points: Array) -> NDArray[np.float32]:
+        """Pixels (k, rows, columns, 2) of frame `judge` that show `points` (k, rows, columns, 3) of frame `index`."""
+        T_judge_frame = invert(self._T_world_camera[judge]) @ self._T_world_camera[index]
+        pixels, _ = self._camera.project(transform(T_judge_frame, points.reshape(-1, 3)))
+        return pixels.astype(np.float32).reshape(*points.shape[:-1], 2)
+
+
+def _grey_levels(cost: NDArray[np.uint16]) -> NDArray[np.float32]:
+    return np.divide(cost, COST_SCALE, dtype=np.float32)
+
+
+def _suitable_baseline(distance: Array | NDArray[np.float32]) -> NDArray[np.int64]:
+    """Which of `BASELINES` (...) comes closest to its share of a distance (...)."""
+    return np.abs(np.log(np.array(BASELINES) / (BASELINE_SHARE * distance[..., None]))).argmin(axis=-1)
+
+
+def _difference(
+    picture: NDArray[np.uint8], other: NDArray[np.uint8], table: NDArray[np.float32]
+) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+    """Summed differences (h, w) between a picture and another one at the pixels of a table, and where it is unseen."""
+    # Zero is what no normalised picture contains.
+    found = np.asarray(cv2.remap(other, table, None, cv2.INTER_LINEAR, borderValue=0), np.uint8)  # pyright: ignore
+    unseen = found == 0
+    difference = np.minimum(cv2.absdiff(found, picture), LARGEST_DIFFERENCE)
+    difference[unseen] = NEUTRAL_DIFFERENCE
+    return np.asarray(cv2.boxFilter(difference, cv2.CV_16U, WINDOW, normalize=False), np.uint16), unseen
+
+
+def _mean_where_seen(
+    one: tuple[NDArray[np.uint16], NDArray[np.bool_]], other: tuple[NDArray[np.uint16], NDArray[np.bool_]]
+) -> NDArray[np.uint16]:
+    """Mean of two differences; the one of them that is seen where the other is not."""
+    (first, first_unseen), (second, second_unseen) = one, other
+    np.copyto(first, second, where=first_unseen)
+    np.copyto(second, first, where=second_unseen)
+    return np.asarray((first >> 1) + (second >> 1), np.uint16)
+
+
+def _enlarge(grid: NDArray[np.float32], cell: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Interpolate values (rows, columns, 2) of a `_grid_camera` to the pixels of its camera."""
+    full = cv2.resize(grid, (grid.shape[1] * cell, grid.shape[0] * cell), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(full[cell : cell + shape[0], cell : cell + shape[1]], np.float32)
+
+
+def normalize_contrast(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """The picture (h, w) less its local mean and over its local contrast, from 1 to 255."""
+    mean, deviation = local_contrast(grey, NORMALIZING_WINDOW)
+    return np.clip(128.0 + GAIN * (grey - mean) / (deviation + NOISE), 1.0, 255.0).astype(np.uint8)
+
+
+def local_contrast(grey: NDArray[np.uint8], window: tuple[int, int]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Mean and standard deviation (h, w) of the grey levels in a window around each pixel."""
+    # Sums of whole numbers are exact in float32, so that they do not depend on how threads share the picture.
+    values = grey.astype(np.float32)
+    mean = np.asarray(cv2.blur(values, window), np.float32)
+    return mean, np.sqrt(np.maximum(cv2.blur(values**2, window) - mean**2, 0.0))
+
+
+def _grid_camera(camera: Camera, cell: int) -> Camera:
+    """The camera whose pixels are the centres of cells of `camera`, with one more cell on every side."""
+    columns, rows = -(-camera.width // cell), -(-camera.height // cell)
+    return (
+        camera.cropped(0, 0, columns * cell, rows * cell).resized(columns, rows).cropped(-1, -1, columns + 2, rows + 2)
+    )
+
+
+def _least(costs: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:
+    """The least cost (h, w) and its label; of equal ones the first, so that the background wins."""
+    # Ten times as fast as argmin along the first axis.
+    least, label = costs[0].copy(), np.zeros(costs.shape[1:], np.uint8)
+    for index, cost in enumerate(costs[1:], start=1):
+        better = cost < least
+        np.copyto(least, cost, where=better)
+        label[better] = index
+    return least, label
+
+
+def _runner_up(costs: NDArray[np.uint16], label: NDArray[np.uint8]) -> NDArray[np.uint16]:
+    """The least cost (h, w) of labels that are not next to `label` nor next but one."""
+    runner_up = np.full(label.shape, np.iinfo(np.uint16).max, np.uint16)
+    signed = label.astype(np.int16)
+    for index, cost in enumerate(costs):
+        elsewhere = np.abs(signed - index) > 2
+        np.minimum(runner_up, cost, out=runner_up, where=elsewhere)
+    return runner_up
+
+
+def _sub_label(costs: NDArray[np.uint16], label: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Where between the labels beside it the least cost lies, -0.5 to 0.5, by a parabola through the three costs."""
+    inner = np.clip(label, 2, len(costs) - 2)[None].astype(np.intp)
+    before, here, after = (np.take_along_axis(costs, inner + step, axis=0)[0].astype(np.float32) for step in (-1, 0, 1))
+    bend = before - 2.0 * here + after
+    offset = np.divide(before - after, 2.0 * bend, out=np.zeros_like(bend), where=bend > 0.0)
+    return np.where(inner[0] == label, np.clip(offset, -0.5, 0.5), 0.0).astype(np.float32)

@@ -1,0 +1,1 @@
+"""How close images are to the true ones, and views to each other."""

@@ -1,0 +1,1 @@
+"""From a front video to a metric, smooth trajectory, and how far it is from the truth."""

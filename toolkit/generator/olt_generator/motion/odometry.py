@@ -1,0 +1,372 @@
+"""Monocular visual odometry without learned weights.
+
+Corners are tracked over keyframes a tenth of a second apart. Epipolar geometry gives the rotation and direction of
+each step, and the road below a camera of known height its rough speed. From there all keyframes are adjusted together
+to all tracks, which makes the shape of the path exact but lets its scale drift; the road gives the scale back.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation
+
+from olt_generator.cameras import Camera
+from olt_generator.errors import InputError
+from olt_generator.motion.bundle_adjustment import StepPriors, Tracks, adjust_poses
+from olt_generator.motion.carried import BELOW_HORIZON, find_carried
+from olt_generator.motion.features import Gray, TrackedPair, track_from_keyframes
+from olt_generator.motion.road_plane import PlaneScale, measure_scale
+from olt_generator.motion.road_scale import RoadStrip, estimate_speed, road_frame
+from olt_generator.motion.two_view import TwoViewMotion, estimate_motion
+from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
+from olt_generator.progress import Progress, silent
+from olt_generator.trajectory import Trajectory
+
+KEYFRAME_SECONDS = 0.1
+MAX_STEP_SECONDS = 0.5
+MIN_POINTS = 20
+MIN_CAMERA_HEIGHT = 0.3
+MAX_RAY_ANGLE = np.radians(75.0)
+TRACK_SIGMA_PIXELS = 0.5
+# Keyframes after its first in which a point must be seen.
+LEAST_OBSERVATIONS = 2
+# A median motion below this many pixels between keyframes is standstill.
+STANDSTILL_PIXELS = 0.15
+# The same once a rotation is taken out; following is less sharp while the picture moves.
+TURNING_PIXELS = 0.3
+# Lengths of the strips of road, in camera heights, that give the speed of single steps and the scale of the whole.
+SPEED_STRIP_HEIGHTS = 5.5
+SCALE_STRIP_HEIGHTS = 9.0
+# How far a step found on its own may be from the truth: radians of rotation, share of the distance driven along the
+# step, radians of its direction; and what is left of radians and metres at standstill.
+PRIOR_ROTATION = np.radians(0.1)
+PRIOR_SPEED_SHARE = 0.2
+PRIOR_DIRECTION = np.radians(2.0)
+STANDING_ROTATION = 1e-5
+STANDING_METRES = 0.002
+
+
+@dataclass(frozen=True)
+class OdometrySettings:
+    """How much work is spent on a clip.
+
+    Attributes:
+        corners_per_cell: points followed in every 32 x 32 pixels.
+        window: keyframes over which a point is followed at most, and so seen together.
+        rounds: Gauss-Newton rounds over all keyframes together; 0 leaves every step as it was found on its own.
+    """
+
+    corners_per_cell: int = 4
+    window: int = 10
+    rounds: int = 6
+
+
+@dataclass(frozen=True)
+class Odometry:
+    """Metric ego motion from one camera.
+
+    Attributes:
+        trajectory: T_world_rig at every frame; the first pose is the identity.
+        T_rig_camera: (4, 4) mounting whose pitch and yaw agree with the direction of travel; roll and position are
+            as given.
+        scale_sigma: relative standard deviation of the metric scale; None where the vehicle never moved.
+        inliers: (n - 1,) points that support the motion of each step.
+        standstill: (n - 1,) whether the vehicle stood in each step.
+    """
+
+    trajectory: Trajectory
+    T_rig_camera: Array
+    scale_sigma: float | None
+    inliers: NDArray[np.int64]
+    standstill: NDArray[np.bool_]
+
+
+def estimate_odometry(
+    frames: NDArray[np.uint8],
+    timestamps_us: NDArray[np.int64],
+    camera: Camera,
+    T_rig_camera: Array,
+    on_progress: Progress = silent,
+    settings: OdometrySettings | None = None,
+) -> Odometry:
+    """Recover the metric rig trajectory from a front-camera video.
+
+    Args:
+        frames: (n, H, W, 3) uint8 RGB.
+        timestamps_us: (n,) int64, strictly increasing.
+        camera: model of the camera at the size of the frames.
+        T_rig_camera: (4, 4) mounting. Its height above ground sets the scale; its pitch and yaw may be rough.
+        on_progress: told the share of the work that is done.
+        settings: how much work is spent; None for the defaults.
+
+    Raises:
+        InputError: fewer than two frames, too long a gap between frames, too few points to track, or no road in view.
+    """
+    _check_input(timestamps_us, T_rig_camera)
+    settings = settings or OdometrySettings()
+    grays = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in frames]
+    keyframes = choose_keyframes(timestamps_us)
+    hidden = find_carried(grays, keyframes, camera, T_rig_camera)
+    steps = []
+    for pair in track_from_keyframes(grays, keyframes, hidden, settings.corners_per_cell, settings.window):
+        steps.append(_estimate_step(pair, camera, T_rig_camera[2, :3]))
+        on_progress(0.8 * pair.current / (len(grays) - 1))
+    clip = _Clip(grays, timestamps_us, keyframes, steps, camera, T_rig_camera, hidden)
+    T_start_key, mounting, scale_sigma = _recover_keyframes(clip, settings)
+    on_progress(1.0)
+    T_start_camera = _interpolate(T_start_key, steps, keyframes, timestamps_us)
+    stood = {step.key: not step.moves for step in clip.key_steps}
+    return Odometry(
+        Trajectory(timestamps_us, mounting @ T_start_camera @ invert(mounting)),
+        mounting,
+        scale_sigma,
+        np.array([np.count_nonzero(step.motion.inliers) for step in steps]),
+        np.array([stood[step.key] for step in steps]),
+    )
+
+
+def choose_keyframes(timestamps_us: NDArray[np.int64]) -> list[int]:
+    """Indices of frames about a tenth of a second apart, the first and the last among them."""
+    times = (timestamps_us - timestamps_us[0]) * 1e-6
+    steps = max(1, round(times[-1] / KEYFRAME_SECONDS))
+    wanted = np.linspace(0.0, times[-1], steps + 1)
+    after = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)
+    nearest = np.where(wanted - times[after - 1] < times[after] - wanted, after - 1, after)
+    return sorted({0, len(times) - 1, *nearest.tolist()})
+
+
+def _check_input(timestamps_us: NDArray[np.int64], T_rig_camera: Array) -> None:
+    if len(timestamps_us) < 2:
+        raise InputError(f"odometry: {len(timestamps_us)} frame given, at least 2 are needed; give a longer clip")
+    gaps = np.diff(timestamps_us) * 1e-6
+    if gaps.max() > MAX_STEP_SECONDS:
+        index = int(np.argmax(gaps))
+        raise InputError(
+            f"odometry: frames {index} and {index + 1} are {gaps[index]:.2f} s apart, at most {MAX_STEP_SECONDS} s can "
+            "be tracked; give a video with more frames per second or cut it at the gap"
+        )
+    if T_rig_camera[2, 3] < MIN_CAMERA_HEIGHT:
+        raise InputError(
+            f"odometry: the camera is mounted {T_rig_camera[2, 3]:.2f} m above ground, at least {MIN_CAMERA_HEIGHT} m "
+            "is needed; give its true height, which fixes the metric scale"
+        )
+
+
+@dataclass(frozen=True)
+class _Step:
+    """Motion from the last keyframe to a frame; `moves` tells whether the vehicle gets anywhere, direction 0 if not."""
+
+    key: int
+    current: int
+    moves: bool
+    motion: TwoViewMotion
+    points: NDArray[np.int64]
+    rays_key: Array
+    rays_current: Array
+
+
+def _estimate_step(pair: TrackedPair, camera: Camera, up: Array) -> _Step:
+    rays_key = camera.rays(pair.key_pixels.astype(np.float64))
+    rays_current = camera.rays(pair.current_pixels.astype(np.float64))
+    used = np.minimum(rays_key[:, 2], rays_current[:, 2]) > np.cos(MAX_RAY_ANGLE)
+    if np.count_nonzero(used) < MIN_POINTS:
+        raise _too_few(pair, np.count_nonzero(used))
+    if _stands(pair.flow[used], rays_key[used], up):
+        still = TwoViewMotion(np.eye(3), np.zeros(3), used)
+        return _Step(pair.key, pair.current, False, still, pair.points[used], rays_key[used], rays_current[used])
+    turn = _turn_on_the_spot(rays_key[used], rays_current[used], up, _radians_per_pixel(camera))
+    if turn is not None:
+        turned = TwoViewMotion(turn, np.zeros(3), used)
+        return _Step(pair.key, pair.current, False, turned, pair.points[used], rays_key[used], rays_current[used])
+    sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(camera)
+    motion = estimate_motion(rays_key[used], rays_current[used], sigma)
+    if motion is None or np.count_nonzero(motion.inliers) < MIN_POINTS:
+        raise _too_few(pair, 0 if motion is None else np.count_nonzero(motion.inliers))
+    agrees = np.flatnonzero(used)[motion.inliers]
+    return _Step(pair.key, pair.current, True, motion, pair.points[agrees], rays_key[agrees], rays_current[agrees])
+
+
+def _stands(flow: Array, rays: Array, up: Array) -> bool:
+    """Whether what is near stays in place; clouds and the skyline stay even while the vehicle drives."""
+    near = rays @ up < -np.sin(BELOW_HORIZON)
+    return bool(np.median(flow[near] if near.any() else flow) < STANDSTILL_PIXELS)
+
+
+def _turn_on_the_spot(rays_key: Array, rays_current: Array, up: Array, radians_per_pixel: float) -> Array | None:
+    """The rotation R_current_key (3, 3) if it alone explains where the near points went, otherwise None."""
+    R = Rotation.align_vectors(rays_current, rays_key)[0].as_matrix()
+    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)
+    # What moves by itself tilts the first fit; the second one is made without it.
+    agrees = missed <= 2.0 * np.median(missed)
+    R = Rotation.align_vectors(rays_current[agrees], rays_key[agrees])[0].as_matrix()
+    near = rays_key @ up < -np.sin(BELOW_HORIZON)
+    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)[near if near.any() else slice(None)]
+    return R if np.median(missed) < TURNING_PIXELS * radians_per_pixel else None
+
+
+def _too_few(pair: TrackedPair, count: np.integer | int) -> InputError:
+    return InputError(
+        f"odometry: frame {pair.current} shares only {count} usable points with frame {pair.key}, {MIN_POINTS} are "
+        "needed; cut away dark, blurred or blank frames"
+    )
+
+
+def _radians_per_pixel(camera: Camera) -> float:
+    u, v = 0.5 * (camera.width - 1), 0.5 * (camera.height - 1)
+    left, right = camera.rays(np.array([[u - 1.0, v], [u + 1.0, v]]))
+    return 0.5 * float(np.arccos(left @ right))
+
+
+@dataclass(frozen=True)
+class _Clip:
+    """What is known of a clip once every step has been looked at on its own."""
+
+    grays: Sequence[Gray]
+    timestamps_us: NDArray[np.int64]
+    keyframes: list[int]
+    steps: Sequence[_Step]
+    camera: Camera
+    T_rig_camera: Array
+    hidden: NDArray[np.bool_]
+
+    @property
+    def key_steps(self) -> list[_Step]:
+        """The steps from keyframe to keyframe."""
+        ends = set(self.keyframes)
+        return [step for step in self.steps if step.current in ends]
+
+    @property
+    def key_times(self) -> Array:
+        """Seconds of the keyframes since the first one."""
+        return (self.timestamps_us[self.keyframes] - self.timestamps_us[0]) * 1e-6
+
+
+def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, Array, float | None]:
+    """Keyframe poses (k, 4, 4) in the axes of the first one, the mounting, and the scale's relative deviation."""
+    moves = np.array([step.moves for step in clip.key_steps])
+    if not moves.any():
+        turns = make_pose([step.motion.R_b_a.T for step in clip.key_steps], np.zeros(3))
+        return _chain(turns), clip.T_rig_camera, None
+    driven = _measure_speed(clip, moves) * np.diff(clip.key_times)
+    T_key_next = _adjust(clip, driven, settings.rounds)
+    mounting = _align_mounting(T_key_next, driven / np.diff(clip.key_times), clip.T_rig_camera)
+    scale = _measure_scale(clip, _chain(T_key_next), driven, mounting)
+    T_key_next[:, :3, 3] *= scale.factor[:, None]
+    return _chain(T_key_next), mounting, scale.sigma
+
+
+def _measure_speed(clip: _Clip, moves: NDArray[np.bool_]) -> Array:
+    """Rough speed (k,) over the steps between keyframes, m/s."""
+    steps = clip.key_steps
+    directions = np.array([step.motion.direction_a * _sense(step) for step in steps])[moves]
+    travel = np.median(directions, axis=0)
+    travel /= np.linalg.norm(travel)
+    strip, up = _lay_strip(clip, travel, clip.T_rig_camera, SPEED_STRIP_HEIGHTS), clip.T_rig_camera[2, :3]
+    scores = np.full((len(steps), strip.shifts), -1.0)
+    for index in np.flatnonzero(moves).tolist():
+        first, second, motion = _in_driving_order(steps[index])
+        step_axes = road_frame(travel, up, motion.direction_a)
+        scores[index] = strip.match(clip.grays[first], clip.grays[second], step_axes, motion.R_b_a)
+    return estimate_speed(scores, np.diff(clip.key_times), moves)
+
+
+def _measure_scale(clip: _Clip, T_start_key: Array, driven: Array, T_rig_camera: Array) -> PlaneScale:
+    strip = _lay_strip(clip, T_rig_camera[0, :3], T_rig_camera, SCALE_STRIP_HEIGHTS)
+    grays = [clip.grays[index] for index in clip.keyframes]
+    return measure_scale(grays, clip.key_times, T_start_key, driven, strip, T_rig_camera[2, :3])
+
+
+def _lay_strip(clip: _Clip, forward: Array, T_rig_camera: Array, length_heights: float) -> RoadStrip:
+    axes = road_frame(forward, T_rig_camera[2, :3], forward)
+    return RoadStrip(clip.camera, float(T_rig_camera[2, 3]), axes, clip.hidden, length_heights)
+
+
+def _adjust(clip: _Clip, driven: Array, rounds: int) -> Array:
+    """Motion (k, 4, 4) from keyframe to keyframe that agrees best with all tracks."""
+    steps = clip.key_steps
+    expected = make_pose(
+        [step.motion.R_b_a.T for step in steps], driven[:, None] * [step.motion.direction_a for step in steps]
+    )
+    moves = np.array([step.moves for step in steps])
+    priors = StepPriors(
+        expected,
+        np.where(moves, PRIOR_ROTATION, STANDING_ROTATION),
+        np.where(moves, PRIOR_SPEED_SHARE * driven, 0.0) + STANDING_METRES,
+        np.where(moves, PRIOR_DIRECTION * driven, 0.0) + STANDING_METRES,
+    )
+    sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(clip.camera)
+    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), sigma, priors, rounds)
+    return np.where(moves[:, None, None], invert(T_start_key[:-1]) @ T_start_key[1:], expected)
+
+
+def _sense(step: _Step) -> float:
+    """+1 where the camera moves forward, -1 where it moves backward."""
+    return 1.0 if step.motion.direction_a[2] >= 0.0 else -1.0
+
+
+def _in_driving_order(step: _Step) -> tuple[int, int, TwoViewMotion]:
+    """The two frames of a step, ordered such that the camera moves forward from the first to the second."""
+    motion = step.motion
+    if _sense(step) > 0.0:
+        return step.key, step.current, motion
+    return step.current, step.key, TwoViewMotion(motion.R_b_a.T, -motion.R_b_a @ motion.direction_a, motion.inliers)
+
+
+def _collect_tracks(clip: _Clip) -> Tracks:
+    """What the keyframes have seen of the points that agree with the motion of their steps."""
+    steps = clip.key_steps
+    number = {frame: index for index, frame in enumerate(clip.keyframes)}
+    start = np.repeat([number[step.key] for step in steps], [len(step.points) for step in steps])
+    rays_key = np.concatenate([step.rays_key for step in steps])
+    rays_current = np.concatenate([step.rays_current for step in steps])
+    # Steps come in the order of time, so the first time that a point is seen is its anchor.
+    seen = np.concatenate([step.points for step in steps])
+    _, first, point, count = np.unique(seen, return_index=True, return_inverse=True, return_counts=True)
+    # A point seen twice agrees with any motion along its epipolar line, and so adds little but work.
+    lasting = count >= LEAST_OBSERVATIONS
+    kept = lasting[point]
+    number_of = np.cumsum(lasting) - 1
+    first = first[lasting]
+    return Tracks(start[first], rays_key[first], number_of[point[kept]], start[kept] + 1, rays_current[kept])
+
+
+def _align_mounting(T_key_next: Array, speed: Array, T_rig_camera: Array) -> Array:
+    """Mounting with the pitch and yaw for which the rig origin moves along rig x.
+
+    The rear axle does not slip sideways, so the rig origin, which lies at q in the camera, moves straight ahead by
+    d + (R - I) q where the camera moves by d and turns by R. Only the faster half of the speeds is asked.
+    """
+    fast = (speed > 0.0) & (speed >= 0.5 * speed.max())
+    if not fast.any():
+        return T_rig_camera
+    origin = invert(T_rig_camera)[:3, 3]
+    moved = T_key_next[fast, :3, 3] + (T_key_next[fast, :3, :3] - np.eye(3)) @ origin
+    moved *= np.sign(moved[:, 2:]) / np.linalg.norm(moved, axis=1, keepdims=True)
+    roll = Rotation.from_matrix(T_rig_camera[:3, :3] @ R_FORWARD_CAMERA.T).as_euler("ZYX")[2]
+    return aim_camera(T_rig_camera[:3, 3], float(roll), np.median(moved, axis=0))
+
+
+def _chain(T_key_next: Array) -> Array:
+    """Poses (n, 4, 4) in the axes of the first one, of the motions (n - 1, 4, 4) between them."""
+    poses = [np.eye(4)]
+    for motion in T_key_next:
+        poses.append(poses[-1] @ motion)
+    return np.stack(poses)
+
+
+def _interpolate(
+    T_start_key: Array, steps: Sequence[_Step], keyframes: Sequence[int], timestamps_us: NDArray[np.int64]
+) -> Array:
+    """Camera poses (n, 4, 4) of all frames: positions between the keyframes' run smoothly, rotations are measured."""
+    poses = np.tile(np.eye(4), (len(timestamps_us), 1, 1))
+    rotation_of = dict(zip(keyframes, T_start_key[:, :3, :3], strict=True))
+    for step in steps:
+        measured = rotation_of[step.key] @ step.motion.R_b_a.T
+        poses[step.current, :3, :3] = rotation_of.get(step.current, measured)
+    times = (timestamps_us - timestamps_us[0]) * 1e-6
+    poses[:, :3, 3] = PchipInterpolator(times[list(keyframes)], T_start_key[:, :3, 3])(times)
+    return poses

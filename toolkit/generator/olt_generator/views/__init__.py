@@ -1,0 +1,1 @@
+"""Views of other cameras, made from what the front camera saw."""

@@ -1,0 +1,90 @@
+"""What the surroundings look like in every direction, at a coarse scale: the last resort for pixels no frame shows.
+
+Road, roofs and sky run on along the horizon far more than up and down. So colours are gathered by direction in cells
+that are wide in azimuth and narrow in elevation, and what is missing comes from its neighbours.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.cameras import Camera, pixel_rays
+from olt_generator.poses import Array
+from olt_generator.views.fill import interpolate
+
+# Cells around the whole horizon, and between the elevations of +- 60 degrees; what is steeper falls in the last row.
+_COLUMNS, _ROWS = 24, 120
+_CELL_WIDTH, _CELL_HEIGHT = 2.0 * np.pi / _COLUMNS, np.radians(120.0) / _ROWS
+
+
+# Of the front image, which is only averaged, every fourth pixel is enough, along rows and along columns.
+_FRONT_STEP = 4
+
+
+class DirectionCells:
+    """Pixels sorted into cells by their direction in the rig.
+
+    Attributes:
+        above_horizon: (H, W) bool, pixels whose rays rise.
+    """
+
+    def __init__(self, rays_rig: Array, middle: Array) -> None:
+        """Cells of pixels with rays (H, W, 3) in the rig; the panorama's middle lies in direction (3,) `middle`."""
+        x, y, z = np.moveaxis(rays_rig, -1, 0)
+        azimuth = np.arctan2(middle[0] * y - middle[1] * x, middle[0] * x + middle[1] * y)
+        elevation = np.arctan2(z, np.hypot(x, y))
+        self.above_horizon = z > 0.0
+        self._column = (0.5 * (_COLUMNS - 1) - azimuth / _CELL_WIDTH).clip(0, _COLUMNS - 1).astype(np.float32)
+        self._row = (0.5 * (_ROWS - 1) - elevation / _CELL_HEIGHT).clip(0, _ROWS - 1).astype(np.float32)
+        self._cell = np.rint(self._row).astype(np.int64) * _COLUMNS + np.rint(self._column).astype(np.int64)
+
+    def mean(self, image: NDArray[np.uint8], known: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+        """Mean colour (rows, columns, 3) of the known (H, W) pixels of an image by cell, and which cells have any."""
+        cell, colours = self._cell[known], image[known]
+        count = np.bincount(cell, minlength=_ROWS * _COLUMNS)
+        total = np.stack([np.bincount(cell, channel, _ROWS * _COLUMNS) for channel in colours.T], axis=-1)
+        mean = total / np.maximum(count, 1)[:, None]
+        return mean.reshape(_ROWS, _COLUMNS, 3), (count > 0).reshape(_ROWS, _COLUMNS)
+
+    def look_up(self, cells: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The colours (H, W, 3) of a panorama (rows, columns, 3) as the camera sees it."""
+        smooth = cv2.remap(cells, self._column, self._row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        return np.asarray(smooth, np.float32)
+
+
+class Panorama:
+    """The surroundings of a camera that was not there, from what is known of its image and from the front image."""
+
+    def __init__(self, target: Camera, T_rig_target: Array, front: Camera, T_rig_front: Array) -> None:
+        """Cameras and their mountings (4, 4)."""
+        target_rays = pixel_rays(target) @ T_rig_target[:3, :3].T
+        front_rays = pixel_rays(front)[::_FRONT_STEP, ::_FRONT_STEP] @ T_rig_front[:3, :3].T
+        self._target = DirectionCells(target_rays, T_rig_target[:3, 2])
+        self._front = DirectionCells(front_rays, T_rig_target[:3, 2])
+
+    def background(
+        self,
+        image: NDArray[np.uint8],
+        visible: NDArray[np.bool_],
+        far: NDArray[np.bool_],
+        front_image: NDArray[np.uint8],
+        front_visible: NDArray[np.bool_],
+        front_far: NDArray[np.bool_],
+    ) -> NDArray[np.float32] | None:
+        """Smooth colours (h, w, 3) for the whole target image; None where nothing is known.
+
+        What no frame shows above the horizon is taken to be sky, so there only what is far away lends its colours.
+
+        Args:
+            image: (h, w, 3) target image.
+            visible: (h, w) pixels of it that are known.
+            far: (h, w) pixels of it that show far things.
+            front_image, front_visible, front_far: the same of the front camera (H, W).
+        """
+        mean, known = self._target.mean(image, visible & (far | ~self._target.above_horizon))
+        few = np.s_[::_FRONT_STEP, ::_FRONT_STEP]
+        lends = front_visible[few] & (front_far[few] | ~self._front.above_horizon)
+        front_mean, front_known = self._front.mean(front_image[few], lends)
+        if not (known | front_known).any():
+            return None
+        return self._target.look_up(interpolate(np.where(known[..., None], mean, front_mean), known | front_known))

@@ -1,0 +1,99 @@
+"""Which other frames of the front camera to draw on for a view at one moment, by camera geometry alone.
+
+Points in front of the wanted camera, at every bearing and several distances, stand for what it may see. Frames are
+added one by one, each the one that shows most of what is still unseen or seen from too far, until little is gained.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.cameras import Camera, pixel_rays
+from olt_generator.poses import Array, invert, transform
+from olt_generator.views.front_view import FrontView
+
+# Metres driven between the wanted moment and a frame worth a try, forwards and backwards.
+_OFFSETS = np.geomspace(1.0, 64.0, 13)
+_PROBE_COLUMNS, _PROBE_ROWS = 9, 5
+_PROBE_DISTANCES = np.geomspace(3.0, 48.0, 5)
+# Metres under the road from which on a point cannot be seen.
+_UNDERGROUND = -0.3
+# A frame must show this share of the points more, or more sharply, than those already chosen.
+_LEAST_GAIN = 0.01
+
+# Of a source frame one pixel in so many is tried, along rows and along columns, to tell where it may be of use.
+_BLOCK = 8
+# Metres from which on distances are all the same to it.
+_FARTHEST = 1e6
+
+
+class SourceChooser:
+    """Chooses source frames for one target camera."""
+
+    def __init__(self, front: FrontView, target: Camera, T_rig_target: Array, most: int) -> None:
+        """At most `most` frames of `front` are chosen for the camera `target` mounted at `T_rig_target` (4, 4)."""
+        self._front = front
+        self._most = most
+        self._probes_rig, self._probe_distance = _probes(target, T_rig_target)
+
+    def choose(self, index: int, given: tuple[int, ...] = ()) -> tuple[int, ...]:
+        """Frames for the view at frame `index`, without that frame: the `given` ones, then the most useful first."""
+        chosen = list(given)
+        candidates = self._candidates(index)
+        sharpness = self._sharpness(index, np.array([index, *given, *candidates]))
+        seen, offered = sharpness[: 1 + len(given)].max(axis=0), sharpness[1 + len(given) :]
+        while len(chosen) < self._most and candidates:
+            gain = np.maximum(offered - seen, 0.0).mean(axis=1)
+            best = int(gain.argmax())
+            if gain[best] < _LEAST_GAIN:
+                break
+            chosen.append(candidates[best])
+            seen = np.maximum(seen, offered[best])
+        return tuple(chosen)
+
+    def _candidates(self, index: int) -> list[int]:
+        """Frames near the wanted distances along the path, the nearest in time first; at standstill there are none."""
+        path = self._front.path_position
+        wanted = path[index] + np.concatenate([-_OFFSETS, _OFFSETS])
+        within = wanted[(wanted >= path[0]) & (wanted <= path[-1])]
+        frames = {int(frame) for frame in np.searchsorted(path, within)} - {index}
+        return sorted(frames, key=lambda frame: (abs(frame - index), frame))
+
+    def _sharpness(self, index: int, frames: NDArray[np.int64]) -> Array:
+        """How finely each of k frames shows each of m points (k, m): 1 as fine as the target could, 0 not at all."""
+        T_camera_rig = invert(self._front.camera_poses[frames]) @ self._front.trajectory.T_world_rig[index]
+        points = transform(T_camera_rig, self._probes_rig)
+        inside = self._front.camera.project(points)[1]
+        return inside * np.minimum(self._probe_distance / np.linalg.norm(points, axis=-1), 1.0)
+
+
+def _probes(target: Camera, T_rig_target: Array) -> tuple[Array, Array]:
+    """Points (m, 3) in the rig that the target may see, and their distances (m,) from it."""
+    u, v = (
+        (np.arange(count) + 0.5) * side / count - 0.5
+        for count, side in ((_PROBE_COLUMNS, target.width), (_PROBE_ROWS, target.height))
+    )
+    rays = target.rays(np.stack(np.meshgrid(u, v), axis=-1)).reshape(-1, 3)
+    points = transform(T_rig_target, (rays * _PROBE_DISTANCES[:, None, None]).reshape(-1, 3))
+    above_ground = points[:, 2] > _UNDERGROUND
+    return points[above_ground], np.repeat(_PROBE_DISTANCES, len(rays))[above_ground]
+
+
+def may_be_seen(
+    distance: NDArray[np.float32], camera: Camera, target: Camera, T_target_camera: Array
+) -> NDArray[np.bool_]:
+    """Pixels (H, W) of a source frame that may land in the target: blocks around those that do, to save the rest.
+
+    What stands out from its block may be missed at the edge of the target.
+
+    Args:
+        distance: (H, W) metres along the rays of `camera`, inf for what is only turned, NaN for what is not known.
+        camera, target: source and target camera.
+        T_target_camera: (4, 4) pose of the source camera in the target camera.
+    """
+    few = np.s_[_BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
+    reach = np.minimum(distance[few], np.float32(_FARTHEST))
+    points = pixel_rays(camera)[few] * reach[..., None] @ T_target_camera[:3, :3].T + T_target_camera[:3, 3]
+    lands = target.project(points)[1] | np.isnan(reach)
+    blocks = cv2.dilate(lands.astype(np.uint8), np.ones((3, 3), np.uint8))
+    return cv2.resize(blocks, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST) > 0
