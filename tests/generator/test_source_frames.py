@@ -1,13 +1,17 @@
 """Which frames are drawn on, by geometry alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from olt_generator.cameras import FthetaCamera
 from olt_generator.distance.depth import road_distance
+from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.views.front_view import FrontView
+from olt_generator.views.lookback import lookback_frame
 from olt_generator.views.source_frames import SourceChooser, may_be_seen
 from olt_generator.views.splat import land
 
@@ -89,3 +93,19 @@ def test_what_may_be_seen_holds_all_that_lands():
     turned = may_be_seen(np.full_like(distance, np.inf), camera, FRONT, T_target_camera)
     assert turned.any()
     assert not turned.all()
+
+
+def test_only_the_frames_offered_are_drawn_on_wherever_the_rest_is():
+    offered = np.arange(0, 60, 3)
+    among_all = replace(STRAIGHT, sources=offered)
+    alone = driven(planar_pose(offered.astype(float), 0.0, 0.0))
+    chosen = SourceChooser(among_all, FRONT, T_RIG_LEFT, 4).choose(42)
+    assert set(chosen) <= set(offered.tolist())
+    assert chosen == tuple(3 * frame for frame in SourceChooser(alone, FRONT, T_RIG_LEFT, 4).choose(14))
+
+
+def test_frames_of_a_part_of_the_video_look_back_by_their_numbers():
+    part = replace(STRAIGHT, numbers=3 * np.arange(60))
+    assert part.numbers[part.look_back(14, 4)] == lookback_frame(42, 4) == 27
+    with pytest.raises(InputError, match="frame 23 of the video, to which frame 39 looks back, is not there"):
+        part.look_back(13, 4)

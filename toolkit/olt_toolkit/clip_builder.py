@@ -15,6 +15,7 @@ from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
 from olt_generator.views.front_view import FrontView
+from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
 from olt_generator.views.moving_objects import find_moving
 from olt_generator.views.view_plan import ViewPlan, plan_views
 from olt_toolkit.clip import CameraStream, Clip, ClipKind, EgoMotion, make_clip_id
@@ -50,7 +51,7 @@ class BuiltClip:
         left_out: what was not made, and why.
         measured: the trajectory as it was measured; None where the reference was taken.
         motion: the smoothed trajectory; None where the reference was taken.
-        distance: distances of all front images of the recording; None where no view needed them.
+        distance: distances of the front images that views are made of or draw on; None where no view needs them.
         observed: (m, h, w) pixels taken from what the front camera saw, by synthesized view.
         pose_errors: errors of the smoothed trajectory.
         raw_pose_errors: errors of the trajectory before smoothing.
@@ -116,17 +117,20 @@ def build_clip(
     stages = Stages(_SHARES, on_progress, on_stage)
     motion = _measure_motion(recording, options, stages)
     synthesizes = _clip_kind(options, plan) == "Syn"
-    distance = _estimate_distance(recording, options, motion, stages) if synthesizes else None
     kept = _kept_frames(recording, options)
     shown = _only_frames(recording, kept)
-    front = None if distance is None else _front_view(recording, motion, distance)
-    views = _make_views(ViewMaker(shown, options, motion.T_rig_camera, front, kept), plan, stages)
+    needed = _frames_with_distance(plan, kept) if synthesizes else kept
+    distance = _estimate_distance(recording, options, motion, needed, stages) if synthesizes else None
+    front = None if distance is None else _front_view(recording, motion, distance, needed)
+    maker = ViewMaker(shown, options, motion.T_rig_camera, front, np.searchsorted(needed, kept))
+    views = _make_views(maker, plan, stages)
     return BuiltClip(
         clip=_assemble(shown, options, plan, views, motion.ego),
         plan=plan,
         left_out=plan.left_out
         | _frames_left_out(len(recording.frames), len(kept))
-        | _sources_left_out(len(recording.frames), views),
+        | _distances_left_out(len(recording.frames), len(needed))
+        | _sources_left_out(len(needed), views),
         measured=motion.measured,
         motion=motion.smoothed,
         distance=distance,
@@ -134,7 +138,7 @@ def build_clip(
         pose_errors=_pose_errors(motion.smoothed, recording),
         raw_pose_errors=_pose_errors(motion.measured, recording),
         label_noise=_label_noise(motion, recording),
-        distance_error=_distance_error(distance, recording),
+        distance_error=_distance_error(distance, _only_frames(recording, needed)),
         view_errors=_view_errors(views, shown),
         seconds=stages.seconds,
         assumptions=(*recording.assumptions, *_lens_notes(views)),
@@ -157,22 +161,34 @@ def _measure_motion(recording: Recording, options: BuildOptions, stages: Stages)
 
 
 def _estimate_distance(
-    recording: Recording, options: BuildOptions, motion: _Motion, stages: Stages
+    recording: Recording, options: BuildOptions, motion: _Motion, needed: NDArray[np.int64], stages: Stages
 ) -> DistanceEstimate:
     with stages.stage("distance") as on_progress:
         return options.depth.estimate(
-            recording.frames, recording.camera, motion.trajectory, motion.T_rig_camera, on_progress
+            recording.frames, recording.camera, motion.trajectory, motion.T_rig_camera, on_progress, needed
         )
 
 
-def _front_view(recording: Recording, motion: _Motion, distance: DistanceEstimate) -> FrontView:
+def _frames_with_distance(plan: ViewPlan, kept: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The frames that are made, and those to which rear views look back."""
+    offsets = [LOOKBACK_LATENTS[name] for name in plan.needed if name in LOOKBACK_LATENTS]
+    looked_back_to = [lookback_frame(frame, offset) for offset in offsets for frame in kept.tolist()]
+    return np.union1d(kept, np.array(looked_back_to, np.int64))
+
+
+def _front_view(
+    recording: Recording, motion: _Motion, distance: DistanceEstimate, needed: NDArray[np.int64]
+) -> FrontView:
+    """The needed frames. Views draw on those that samples show, so that they do not depend on what else is made."""
     front = FrontView(
-        recording.frames,
+        recording.frames[needed],
         distance.distance,
-        motion.trajectory,
+        Trajectory(recording.timestamps_us[needed], motion.trajectory.T_world_rig[needed]),
         recording.camera,
         motion.T_rig_camera,
         distance.confidence,
+        sources=np.searchsorted(needed, shown_frames(recording.timestamps_us)),
+        numbers=needed,
     )
     return replace(front, moving=distance.moving | find_moving(front))
 
@@ -198,6 +214,12 @@ def _frames_left_out(count: int, kept: int) -> dict[str, str]:
     if kept == count:
         return {}
     return {f"{count - kept} of {count} frames of each view": "no sample with t0 on the 0.1 s grid shows them"}
+
+
+def _distances_left_out(count: int, needed: int) -> dict[str, str]:
+    if needed == count:
+        return {}
+    return {f"distances of {count - needed} of {count} front frames": "no view is made of them or draws on them"}
 
 
 def _sources_left_out(count: int, views: dict[str, View]) -> dict[str, str]:

@@ -1,13 +1,12 @@
 """How each view of a clip is made: taken as it is, cropped, or synthesized from the front view."""
 
 from dataclasses import dataclass, field
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 import olt_generator
-from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera, fit_camera
+from olt_generator.cameras import Camera, fit_camera
 from olt_generator.distance.depth_source import DepthSource, GeometricDepth
 from olt_generator.errors import InputError
 from olt_generator.motion.pose_sources import PoseSource, VisualOdometry
@@ -24,7 +23,6 @@ from olt_toolkit.recording import Recording
 from olt_toolkit.rig import FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, Rig, pav_rig
 
 Images = NDArray[np.uint8]
-Lens = TypeVar("Lens", PinholeCamera, FthetaCamera)
 
 
 @dataclass(frozen=True)
@@ -103,7 +101,7 @@ class ViewMaker:
         recording: the images to make views for, and true images of other cameras where they are known.
         options: size, rig and whether to take true images.
         T_rig_front: (4, 4) mounting of the front camera, as corrected by the motion.
-        front: all images of the front camera with their distances; None where nothing is synthesized.
+        front: images of the front camera with their distances; None where nothing is synthesized.
         indices: (n,) numbers of the recording's images among those of `front`.
     """
 
@@ -136,13 +134,6 @@ class ViewMaker:
 
     def _tele(self) -> View:
         front = self.recording.camera
-        if isinstance(front, PinholeCamera):
-            return self._cropped(front)
-        if isinstance(front, FthetaCamera):
-            return self._cropped(front)
-        raise InputError(f"{self.recording.name}: a {type(front).__name__} cannot be held by a clip")
-
-    def _cropped(self, front: Lens) -> View:
         camera = tele_camera(front, self.options.width, self.options.height)
         images = crop_tele(self.recording.frames, front, camera)
         return View(images, camera, self.T_rig_front, self._as_given("cropped"))

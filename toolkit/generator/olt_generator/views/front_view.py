@@ -10,6 +10,7 @@ from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.lookback import lookback_frame
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,8 @@ class FrontView:
         T_rig_camera: (4, 4) its mounting.
         confidence: (n, H, W) trust in the distance, 0 to 1; None where it is not known.
         moving: (n, H, W) bool, pixels that show moving objects; None where it is not known.
+        sources: (s,) int, increasing, the frames that views of other moments may draw on; None for all.
+        numbers: (n,) int, increasing, which frame of the video each of them is; None where they are all of it.
 
     Raises:
         InputError: lengths or sizes do not agree.
@@ -36,6 +39,8 @@ class FrontView:
     T_rig_camera: Array
     confidence: NDArray[np.float32] | None = None
     moving: NDArray[np.bool_] | None = None
+    sources: NDArray[np.int64] | None = None
+    numbers: NDArray[np.int64] | None = None
 
     def __post_init__(self) -> None:
         size = (self.camera.height, self.camera.width)
@@ -59,7 +64,26 @@ class FrontView:
         return self.trajectory.T_world_rig @ self.T_rig_camera
 
     @cached_property
+    def drawn_on(self) -> NDArray[np.int64]:
+        """Numbers (s,) of the frames that views of other moments may draw on."""
+        return np.arange(len(self)) if self.sources is None else self.sources
+
+    def look_back(self, index: int, offset: int) -> int:
+        """The frame `offset` latent frames of the video before frame `index` (`lookback`).
+
+        Raises:
+            InputError: it is not among the frames.
+        """
+        numbers = np.arange(len(self)) if self.numbers is None else self.numbers
+        wanted = lookback_frame(int(numbers[index]), offset)
+        found = int(np.searchsorted(numbers, wanted))
+        if found == len(numbers) or numbers[found] != wanted:
+            raise InputError(f"frame {wanted} of the video, to which frame {numbers[index]} looks back, is not there")
+        return found
+
+    @cached_property
     def path_position(self) -> Array:
-        """Metres (n,) driven up to each frame."""
-        steps = np.linalg.norm(np.diff(self.trajectory.positions, axis=0), axis=1)
-        return np.concatenate([[0.0], np.cumsum(steps)])
+        """Metres (n,) driven up to each frame, along straight lines between the frames drawn on."""
+        steps = np.linalg.norm(np.diff(self.trajectory.positions[self.drawn_on], axis=0), axis=1)
+        driven = np.concatenate([[0.0], np.cumsum(steps)])
+        return np.interp(self.trajectory.times, self.trajectory.times[self.drawn_on], driven)

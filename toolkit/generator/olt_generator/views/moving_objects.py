@@ -33,7 +33,7 @@ def find_moving(front: FrontView) -> NDArray[np.bool_]:
     moving = np.empty(front.distance.shape, np.bool_)
     for index, each in enumerate(blocks):
         looked_through = np.zeros(each.shape, np.uint8)
-        for other in _others(front.trajectory.times, index):
+        for other in _others(front, index):
             T_other_index = invert(front.camera_poses[other]) @ front.camera_poses[index]
             looked_through |= _looked_through(each, nearest[other], front.camera, T_other_index)
         # Single blocks are errors of distance. The middle of an object that moved by less than its size was not looked
@@ -44,11 +44,13 @@ def find_moving(front: FrontView) -> NDArray[np.bool_]:
     return moving
 
 
-def _others(times: Array, index: int) -> list[int]:
-    """Frames the wanted gaps away from frame `index`, where the clip has them."""
+def _others(front: FrontView, index: int) -> list[int]:
+    """Frames drawn on that are the wanted gaps away from frame `index`, where the clip has them."""
+    times = front.trajectory.times
+    offered = times[front.drawn_on]
     wanted = times[index] + np.array(_GAPS)
-    within = wanted[(wanted >= times[0]) & (wanted <= times[-1])]
-    return sorted({int(frame) for frame in np.searchsorted(times, within)} - {index})
+    within = wanted[(wanted >= offered[0]) & (wanted <= offered[-1])]
+    return sorted(set(front.drawn_on[np.searchsorted(offered, within)].tolist()) - {index})
 
 
 def _looked_through(

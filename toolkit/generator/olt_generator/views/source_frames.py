@@ -53,10 +53,11 @@ class SourceChooser:
 
     def _candidates(self, index: int) -> list[int]:
         """Frames near the wanted distances along the path, the nearest in time first; at standstill there are none."""
-        path = self._front.path_position
+        sources, path = self._front.drawn_on, self._front.path_position
         wanted = path[index] + np.concatenate([-_OFFSETS, _OFFSETS])
-        within = wanted[(wanted >= path[0]) & (wanted <= path[-1])]
-        frames = {int(frame) for frame in np.searchsorted(path, within)} - {index}
+        offered = path[sources]
+        within = wanted[(wanted >= offered[0]) & (wanted <= offered[-1])]
+        frames = set(sources[np.searchsorted(offered, within)].tolist()) - {index}
         return sorted(frames, key=lambda frame: (abs(frame - index), frame))
 
     def _sharpness(self, index: int, frames: NDArray[np.int64]) -> Array:

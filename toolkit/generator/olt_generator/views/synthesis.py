@@ -20,7 +20,6 @@ from olt_generator.views.aggregate import Source, gather
 from olt_generator.views.brightness import brightened, relative_brightness
 from olt_generator.views.fill import fill_holes
 from olt_generator.views.front_view import FrontView
-from olt_generator.views.lookback import lookback_frame
 from olt_generator.views.panorama import Panorama
 from olt_generator.views.source_frames import SourceChooser, may_be_seen
 from olt_generator.views.splat import splat
@@ -138,7 +137,7 @@ class _Synthesis:
     def _looked_back_to(self, index: int) -> tuple[int, ...]:
         if self._settings.lookback is None:
             return ()
-        return tuple({lookback_frame(index, self._settings.lookback)} - {index})
+        return tuple({self._front.look_back(index, self._settings.lookback)} - {index})
 
     def make(self, index: int, others: tuple[int, ...]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """The image (h, w, 3) of one frame, and a `PixelOrigin` for each of its pixels (h, w)."""
