@@ -62,6 +62,7 @@ class Scene:
         drivable: closed outlines (n, 3) of the drivable area, counter-clockwise.
         route: (n, 3) the line that the ego is meant to follow.
         looks: path of the USD stage whose payload holds what only rendering needs; None if there is none.
+        assumptions: what the recording does not say and was assumed, a sentence each.
     """
 
     name: str
@@ -75,3 +76,4 @@ class Scene:
     drivable: tuple[Array, ...]
     route: Array
     looks: str | None = None
+    assumptions: tuple[str, ...] = ()

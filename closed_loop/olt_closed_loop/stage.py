@@ -1,6 +1,6 @@
 """Scenes as OpenUSD stages.
 
-    /World            name, category, factors
+    /World            name, category, factors, assumptions
     /World/Road       lanes, edges, drivable, route: polylines
     /World/Ego        recorded motion of the rig, size of the vehicle
     /World/Agents/*   label, size and recorded motion of each agent
@@ -49,6 +49,7 @@ def write_scene(scene: Scene, path: Path) -> Path:
     write_value(world, "name", scene.name)
     write_value(world, "category", scene.category)
     write_texts(world, "factors", scene.factors)
+    write_texts(world, "assumptions", scene.assumptions)
     _write_road(stage, scene)
     _write_ego(stage, scene)
     write_group(stage, "/World/Agents")
@@ -80,6 +81,7 @@ def read_scene(path: Path) -> Scene:
         drivable=_read_lines(reader, "/World/Road/Drivable"),
         route=reader.array(reader.prim("/World/Road/Route"), "points"),
         looks=str(path),
+        assumptions=reader.texts(world, "assumptions"),
     )
 
 
