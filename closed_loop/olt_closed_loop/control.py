@@ -1,36 +1,35 @@
-"""Tracking of a plan by model predictive control.
+"""Tracking of a plan: what to command now so that the vehicle follows the plan over the next two seconds.
 
-The commands of the next two seconds minimise, over the vehicle's own equations,
+One cost (`olt_closed_loop.tracking_cost`) and one model, the vehicle's own equations with the lags of its actuators,
+so a lag is led. Three ways to minimise:
 
-    sum of (along^2 + across^2) / position_scale^2 + yaw^2 / yaw_scale^2
-        + (change of steering)^2 / steering_change^2 + (change of acceleration)^2 / acceleration_change^2
+- `lqr`: linearised, the commands cut at their limits in the end (`olt_closed_loop.linear_control`);
+- `linear`: linearised, the limits part of the problem: linear MPC, the default;
+- `nonlinear`: the nonlinear problem, to convergence (`olt_closed_loop.nonlinear_control`).
 
-where along, across and yaw are the errors to the plan, in the plan's own axes, at every 0.1 s. The problem is solved by
-Gauss-Newton steps in condensed form from the commands that the plan itself suggests, as in the real-time iteration
-(Diehl, Bock, Schloeder, SIAM J. Control Optim. 43, 2005): predict, linearise along the prediction, solve one small
-linear system, cut at the limits, repeat. The lags of the actuators are part of the equations and so are led.
-
-The call is a pure function of its arguments. It works in the rig's own frame, so world coordinates of any size do not
-cost precision.
+Each call starts from the commands of the last. A solve that fails or is late is counted, and the last feasible commands
+go on: those of the last solution for the present time or, before the first solution, those that the plan itself
+suggests; past their end the brake is held. The work is done in the rig's own frame, so world coordinates of any size do
+not cost precision.
 """
 
-from dataclasses import dataclass
+import time
+from dataclasses import dataclass, field
+from typing import Literal
 
-import casadi as ca
 import numpy as np
 
-from olt_closed_loop.buffered import BufferedFunction
-from olt_closed_loop.integrators import step_function
+from olt_closed_loop.linear_control import LinearSolver
+from olt_closed_loop.nonlinear_control import NonlinearSolver
 from olt_closed_loop.plans import WorldPlan
-from olt_closed_loop.vehicle import (
-    CONTROL_SIZE,
-    STATE,
-    STATE_SIZE,
-    VehicleParameters,
-    steering_for,
-)
+from olt_closed_loop.solver import SolveFailed, Solver
+from olt_closed_loop.tracking_cost import TrackingCost
+from olt_closed_loop.vehicle import STATE, VehicleParameters, steering_for
+from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_toolkit.policy import STEP_SECONDS, STEP_US
+
+ControlMethod = Literal["lqr", "linear", "nonlinear"]
 
 
 @dataclass(frozen=True)
@@ -38,64 +37,106 @@ class ControlSettings:
     """How a plan is tracked.
 
     Attributes:
+        method: how the cost is minimised; see the module.
         horizon: steps of 0.1 s that are looked ahead.
-        iterations: Gauss-Newton steps a call.
-        position_scale: metres of position error that weigh as much as
-        yaw_scale: this many radians of yaw error, as
-        steering_change: this many radians of change in the steering command from step to step, and as
-        acceleration_change: this many m/s^2 of change in the acceleration command.
+        substeps: parts into which the prediction divides each step.
+        rounds: how often `lqr` and `linear` linearise and solve in a call.
+        cost: what is minimised.
+        deadline_seconds: a solve that takes longer is late. None: never late, and equal drives stay equal.
         standing_distance, standing_speed: a plan that moves less than this many metres within the horizon, at a
             vehicle slower than this many m/s, is a plan to stand.
-        holding_brake: acceleration command that holds a standing vehicle, m/s^2.
+        holding_brake: deceleration with which a vehicle is held at the end, m/s^2.
     """
 
+    method: ControlMethod = "linear"
     horizon: int = 20
-    iterations: int = 2
-    position_scale: float = 0.1
-    yaw_scale: float = 0.1
-    steering_change: float = 0.05
-    acceleration_change: float = 1.0
+    substeps: int = 2
+    rounds: int = 1
+    cost: TrackingCost = field(default_factory=TrackingCost)
+    deadline_seconds: float | None = None
     standing_distance: float = 0.05
     standing_speed: float = 0.3
-    holding_brake: float = -2.0
+    holding_brake: float = 2.0
+
+
+@dataclass(frozen=True)
+class ControlEvents:
+    """How the calls of a controller went.
+
+    Attributes:
+        solves: calls that looked for commands; the others held a standing vehicle.
+        failed: solves without a solution. The last feasible commands were held.
+        late: solves after the deadline. The last feasible commands were held; the solution serves from the next call.
+    """
+
+    solves: int = 0
+    failed: int = 0
+    late: int = 0
 
 
 class TrackingController:
-    """Follows plans with one vehicle."""
+    """Follows plans with one vehicle through one drive; a new drive takes a new controller."""
 
     def __init__(self, parameters: VehicleParameters, settings: ControlSettings | None = None) -> None:
         self._parameters = parameters
         self._settings = settings or ControlSettings()
-        self._predict = BufferedFunction(_linearised_step(parameters).mapaccum("predict", self._settings.horizon))
-        self._change_scale = np.array([self._settings.steering_change, self._settings.acceleration_change])
-        self._changes = (
-            _change_matrix(self._settings.horizon) / np.tile(self._change_scale, self._settings.horizon)[:, None]
-        )
+        self._solver = _make_solver(parameters, self._settings)
+        self._brake = -self._settings.holding_brake
+        self._feasible: _TimedCommands | None = None
+        self.events = ControlEvents()
 
     def control(self, state: Array, plan: WorldPlan, time_us: int) -> Array:
         """The control (2,) to hold from `time_us` for 0.1 s, in the vehicle's limits.
 
         Args:
-            state: (6,) of the vehicle at `time_us`.
+            state: (states,) of the vehicle at `time_us`.
             plan: what to follow; past its end it stands.
-            time_us: now.
+            time_us: now; never before that of the last call.
+
+        Raises:
+            InputError: the state is not finite.
         """
+        if not np.isfinite(state).all():
+            raise InputError(f"vehicle state at {time_us} us is not finite; nothing can be tracked from there")
         horizon_us = time_us + STEP_US * np.arange(self._settings.horizon + 1, dtype=np.int64)
         target = _in_rig(plan.at(horizon_us), state)
         if self._stands(target, state):
-            return np.array([state[STATE.steering], self._settings.holding_brake])
-        start = np.concatenate([np.zeros(3), state[STATE.speed :]])
-        controls = self._suggested_controls(target)
-        for _ in range(self._settings.iterations):
-            controls = np.clip(controls + self._improvement(start, controls, target), *self._parameters.control_limits)
-        return controls[0]
+            self._feasible = None
+            return np.array([state[STATE.steering], self._brake])
+        feasible = self._feasible or _TimedCommands(time_us, self._suggested_commands(target))
+        start = np.concatenate([np.zeros(STATE.speed), state[STATE.speed :]])
+        return self._solve(start, target[1:], feasible, time_us)
+
+    def _solve(self, start: Array, target: Array, feasible: "_TimedCommands", time_us: int) -> Array:
+        """The first command of a new solution or, where that fails or is late, the present one of the feasible."""
+        held = feasible.at(time_us, self._brake)
+        began = time.perf_counter()
+        try:
+            commands = self._solver.solve(start, feasible.guess(time_us), target)
+        except SolveFailed:
+            self._feasible = feasible
+            self._count(failed=1)
+            return held
+        late = self._is_late(time.perf_counter() - began)
+        self._feasible = _TimedCommands(time_us, commands)
+        self._count(late=int(late))
+        return held if late else commands[0]
+
+    def _is_late(self, seconds: float) -> bool:
+        return self._settings.deadline_seconds is not None and seconds > self._settings.deadline_seconds
+
+    def _count(self, failed: int = 0, late: int = 0) -> None:
+        events = self.events
+        self.events = ControlEvents(events.solves + 1, events.failed + failed, events.late + late)
 
     def _stands(self, target: Array, state: Array) -> bool:
         moved = np.abs(np.diff(target[:, :2], axis=0)).sum()
-        return bool(moved < self._settings.standing_distance and state[STATE.speed] < self._settings.standing_speed)
+        return bool(
+            moved < self._settings.standing_distance and abs(state[STATE.speed]) < self._settings.standing_speed
+        )
 
-    def _suggested_controls(self, target: Array) -> Array:
-        """Controls (horizon, 2) that roughly drive the target poses (horizon + 1, 3)."""
+    def _suggested_commands(self, target: Array) -> Array:
+        """Commands (horizon, 2) that roughly drive the target poses (horizon + 1, 3)."""
         moved = np.diff(target, axis=0)
         heading = target[:-1, 2] + 0.5 * moved[:, 2]
         speed = (moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)) / STEP_SECONDS
@@ -103,59 +144,31 @@ class TrackingController:
         acceleration = np.gradient(speed, STEP_SECONDS)
         return np.clip(np.stack([steering, acceleration], axis=-1), *self._parameters.control_limits)
 
-    def _improvement(self, start: Array, controls: Array, target: Array) -> Array:
-        """One Gauss-Newton step: the change (horizon, 2) of the controls."""
-        horizon = self._settings.horizon
-        states, by_state, by_control = self._predict(start, controls)
-        sensitivity = _sensitivities(
-            by_state.reshape(horizon, STATE_SIZE, STATE_SIZE).swapaxes(1, 2),
-            by_control.reshape(horizon, CONTROL_SIZE, STATE_SIZE).swapaxes(1, 2),
-        )
-        weight = self._error_weights(target[1:, 2])
-        error = np.einsum("kij,kj->ki", weight, states[:, :3] - target[1:]).ravel()
-        jacobian = (weight @ sensitivity[:, :3]).reshape(3 * horizon, -1)
-        changed = self._changes @ controls.ravel()
-        changed[:CONTROL_SIZE] -= start[STATE.steering :] / self._change_scale
-        normal = jacobian.T @ jacobian + self._changes.T @ self._changes
-        gradient = jacobian.T @ error + self._changes.T @ changed
-        return -np.linalg.solve(normal, gradient).reshape(horizon, CONTROL_SIZE)
 
-    def _error_weights(self, yaw: Array) -> Array:
-        """Matrices (horizon, 3, 3) from errors in x, y, yaw to scaled errors along, across and in yaw."""
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        weight = np.zeros((len(yaw), 3, 3))
-        weight[:, 0, 0] = weight[:, 1, 1] = cos / self._settings.position_scale
-        weight[:, 0, 1] = sin / self._settings.position_scale
-        weight[:, 1, 0] = -weight[:, 0, 1]
-        weight[:, 2, 2] = 1.0 / self._settings.yaw_scale
-        return weight
+@dataclass(frozen=True)
+class _TimedCommands:
+    """Feasible commands (horizon, 2) for the steps from `time_us` on."""
+
+    time_us: int
+    commands: Array
+
+    def at(self, time_us: int, brake: float) -> Array:
+        """The command for that time; past the end the steering stays and the brake is held."""
+        index = (time_us - self.time_us) // STEP_US
+        return self.commands[index] if index < len(self.commands) else np.array([self.commands[-1, 0], brake])
+
+    def guess(self, time_us: int) -> Array:
+        """Commands (horizon, 2) for the steps from that time on, the last one repeated."""
+        last = len(self.commands) - 1
+        index = (time_us - self.time_us) // STEP_US + np.arange(last + 1)
+        return self.commands[np.minimum(index, last)]
 
 
-def _linearised_step(parameters: VehicleParameters) -> ca.Function:
-    """(state, control) -> next state and its derivatives by state (6, 6) and control (6, 2)."""
-    state, control = ca.SX.sym("state", STATE_SIZE), ca.SX.sym("control", CONTROL_SIZE)
-    step = step_function(parameters, "rk4", 2, STEP_SECONDS)
-    following = step(state, control)
-    by_state, by_control = (ca.densify(ca.jacobian(following, by)) for by in (state, control))
-    return ca.Function("linearised_step", [state, control], ca.cse([following, by_state, by_control]))
-
-
-def _sensitivities(by_state: Array, by_control: Array) -> Array:
-    """Derivatives (n, 6, 2 n) of all predicted states by all controls, from those of each step."""
-    horizon = len(by_state)
-    result = np.zeros((horizon, STATE_SIZE, CONTROL_SIZE * horizon))
-    current = np.zeros((STATE_SIZE, CONTROL_SIZE * horizon))
-    for index in range(horizon):
-        current = by_state[index] @ current
-        current[:, CONTROL_SIZE * index : CONTROL_SIZE * (index + 1)] = by_control[index]
-        result[index] = current
-    return result
-
-
-def _change_matrix(horizon: int) -> Array:
-    """(2 n, 2 n): controls in a row -> their changes from step to step, the first against nothing."""
-    size = CONTROL_SIZE * horizon
-    return np.eye(size) - np.eye(size, k=-CONTROL_SIZE)
+def _make_solver(parameters: VehicleParameters, settings: ControlSettings) -> Solver:
+    if settings.method == "nonlinear":
+        return NonlinearSolver(parameters, settings.cost, settings.horizon, settings.substeps)
+    limited = settings.method == "linear"
+    return LinearSolver(parameters, settings.cost, settings.horizon, settings.substeps, settings.rounds, limited)
 
 
 def _in_rig(poses: Array, state: Array) -> Array:

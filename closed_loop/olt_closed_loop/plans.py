@@ -8,6 +8,10 @@ from numpy.typing import NDArray
 from olt_generator.poses import Array, yaw_of
 from olt_toolkit.policy import FUTURE_STEPS, STEP_US, Plan
 
+MAX_PLAN_SPEED = 60.0
+"""m/s. Vehicle and control are made for speeds up to this; a plan that is faster over a second is refused."""
+_SECOND_US = 1_000_000
+
 
 class PlanRefused(Exception):
     """A policy's answer that no vehicle can be asked to follow; the message says why."""
@@ -20,10 +24,27 @@ class WorldPlan:
     Attributes:
         timestamps_us: (n,) int64, strictly increasing; the first is the time of planning.
         poses: (n, 3) float64: x, y in the world (m) and unwrapped yaw (rad); the first is where the rig was then.
+
+    Raises:
+        PlanRefused: the shapes do not fit, times do not increase, a pose is not finite, or the plan is faster than
+            MAX_PLAN_SPEED.
     """
 
     timestamps_us: NDArray[np.int64]
     poses: Array
+
+    def __post_init__(self) -> None:
+        count = len(self.timestamps_us)
+        if count == 0 or self.poses.shape != (count, 3):
+            raise PlanRefused(f"plan of {count} times and poses of shape {self.poses.shape}")
+        if np.any(np.diff(self.timestamps_us) <= 0):
+            raise PlanRefused("times of the plan do not increase")
+        if not np.isfinite(self.poses).all():
+            raise PlanRefused("plan is not finite")
+        later = self.at(self.timestamps_us + _SECOND_US)
+        speed = np.linalg.norm(later[:, :2] - self.poses[:, :2], axis=1).max()
+        if speed > MAX_PLAN_SPEED:
+            raise PlanRefused(f"plan moves {speed:.0f} m within a second; at most {MAX_PLAN_SPEED:.0f} m/s are driven")
 
     def at(self, timestamps_us: NDArray[np.int64]) -> Array:
         """Poses (m, 3) at the given times, linear in between; after its end the plan stands at its last pose."""
@@ -36,7 +57,7 @@ def place_plan(plan: Plan, x: float, y: float, yaw: float, time_us: int) -> Worl
     """The plan that was made in the rig at (x, y, yaw), in the world.
 
     Raises:
-        PlanRefused: the plan has another shape than the policy contract says, or is not finite.
+        PlanRefused: the plan has another shape than the policy contract says, is not finite, or too fast.
     """
     if plan.xyz.shape != (FUTURE_STEPS, 3) or plan.rotation.shape != (FUTURE_STEPS, 3, 3):
         raise PlanRefused(f"plan of shapes {plan.xyz.shape}, {plan.rotation.shape} instead of 64 poses")

@@ -1,0 +1,69 @@
+"""AlpaSim's vehicle, written from its description (facts sheet alpasim, section 4): what controllers are measured on.
+
+It shares no code with `olt_closed_loop.vehicle`, so an error in those equations shows as an error of tracking.
+All functions take and give whole batches of vehicles.
+"""
+
+import numpy as np
+
+from olt_generator.poses import Array
+
+MASS, YAW_INERTIA = 2014.4, 3414.2
+WHEELBASE, REAR_TO_GRAVITY = 2.85, 1.59
+FRONT_STIFFNESS, REAR_STIFFNESS = 2.0 * 93534.5, 2.0 * 176162.1
+"""N/rad of an axle."""
+LAG = 0.1
+SWITCH_SPEED = 5.0
+SUBSTEPS = 10
+
+
+def drive_step(state: Array, control: Array, step: float) -> Array:
+    """States (n, 8) one step later under controls (n, 2) of steering angle (rad) and acceleration (m/s^2).
+
+    A state is x, y (m) and yaw (rad) of the rig, speed forward and to the left at the centre of gravity (m/s), yaw rate
+    (rad/s), steering angle (rad), acceleration (m/s^2). Explicit midpoint rule in steps of a tenth, speed cut at 0.
+    """
+    length = step / SUBSTEPS
+    for _ in range(SUBSTEPS):
+        middle = state + 0.5 * length * _derivative(state, control)
+        state = state + length * _derivative(middle, control)
+        state[:, 3] = np.maximum(state[:, 3], 0.0)
+    return state
+
+
+def _derivative(state: Array, control: Array) -> Array:
+    _, _, yaw, forward, left, yaw_rate, steering, acceleration = state.T
+    fast = forward >= SWITCH_SPEED
+    slip_change, yaw_acceleration = np.where(
+        fast,
+        _tyre_forces(np.maximum(forward, SWITCH_SPEED), left, yaw_rate, steering),
+        _rolling(forward, left, yaw_rate, steering),
+    )
+    sideways = np.where(fast, left - REAR_TO_GRAVITY * yaw_rate, 0.0)  # at the rear axle
+    return np.stack(
+        [
+            forward * np.cos(yaw) - sideways * np.sin(yaw),
+            forward * np.sin(yaw) + sideways * np.cos(yaw),
+            yaw_rate,
+            acceleration,
+            slip_change,
+            yaw_acceleration,
+            (control[:, 0] - steering) / LAG,
+            (control[:, 1] - acceleration) / LAG,
+        ],
+        axis=-1,
+    )
+
+
+def _tyre_forces(forward: Array, left: Array, yaw_rate: Array, steering: Array) -> tuple[Array, Array]:
+    """Changes of the speed to the left and of the yaw rate under linear tyres."""
+    front_arm = WHEELBASE - REAR_TO_GRAVITY
+    front = FRONT_STIFFNESS * (steering - (left + front_arm * yaw_rate) / forward)
+    rear = -REAR_STIFFNESS * (left - REAR_TO_GRAVITY * yaw_rate) / forward
+    return (front + rear) / MASS - forward * yaw_rate, (front_arm * front - REAR_TO_GRAVITY * rear) / YAW_INERTIA
+
+
+def _rolling(forward: Array, left: Array, yaw_rate: Array, steering: Array) -> tuple[Array, Array]:
+    """The same below the switch speed: relaxation towards rolling without slip."""
+    turning = forward * steering / WHEELBASE
+    return 10.0 * (turning * REAR_TO_GRAVITY - left), 10.0 * (turning - yaw_rate)
