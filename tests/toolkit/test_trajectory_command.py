@@ -48,3 +48,13 @@ def test_clips_are_measured_and_drawn(drive, tmp_path):
 def test_a_recording_shorter_than_a_clip_is_refused(drive):
     with pytest.raises(InputError, match="has 21 frames, a clip needs 41"):
         run(drive, "--clip-frames", 41)
+
+
+def test_smoothing_takes_jitter_out_of_the_reference(drive):
+    result = json.loads(run(drive, "--jitter-m", 0.05, "--jitter-deg", 0.1, "--json"))
+    (clip,) = result["clips"]
+    raw, smoothed = (clip[name]["metric"]["ate_m"] for name in ("errors_before_smoothing", "errors"))
+    assert smoothed < raw
+    assert clip["jerk_factor"] > 100.0
+    assert clip["acceleration_variance_factor"] > 100.0
+    assert clip["scale_sigma"] is None

@@ -1,20 +1,40 @@
 """How well the motion of a recording is recovered, over clips of equal length that are each estimated on their own."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_generator.motion.odometry import Odometry, estimate_odometry
 from olt_generator.motion.pose_metrics import PoseErrors, Smoothness, compare_trajectories, measure_smoothness
-from olt_generator.motion.smoother import ODOMETRY_SETTINGS, SmoothedMotion, smooth_trajectory
-from olt_generator.poses import Array, invert
+from olt_generator.motion.pose_sources import VisualOdometry
+from olt_generator.motion.smoother import SmoothedMotion, SmootherSettings, smooth_trajectory
+from olt_generator.poses import Array, invert, make_pose
 from olt_generator.progress import Progress, silent
+from olt_generator.seeds import make_generator
+from olt_generator.trajectory import Trajectory
 from olt_toolkit.label_noise import LabelNoiseBudget, measure_label_noise
 from olt_toolkit.recording import Recording
+
+
+@dataclass(frozen=True)
+class Jitter:
+    """Independent noise of poses: standard deviations per axis in metres and radians, and the seed that draws it."""
+
+    position: float
+    rotation: float
+    seed: int = 0
+
+    def disturb(self, trajectory: Trajectory) -> Trajectory:
+        """The trajectory with noise on every pose."""
+        random = make_generator("jitter", self.seed)
+        offsets = self.position * random.standard_normal((len(trajectory), 3))
+        turns = Rotation.from_rotvec(self.rotation * random.standard_normal((len(trajectory), 3))).as_matrix()
+        poses = trajectory.T_world_rig
+        return replace(trajectory, T_world_rig=make_pose(poses[:, :3, :3] @ turns, poses[:, :3, 3] + offsets))
 
 
 @dataclass(frozen=True)
@@ -23,7 +43,7 @@ class ClipMotion:
 
     Attributes:
         first, frames: index of its first frame, and how many there are.
-        odometry: the motion as measured.
+        scale_sigma: relative standard deviation of the scale; None for poses that were not measured by odometry.
         smoothed: the motion after smoothing.
         raw_smoothness, smoothness: before and after smoothing.
         raw_errors, errors: against the reference, before and after smoothing.
@@ -32,7 +52,7 @@ class ClipMotion:
 
     first: int
     frames: int
-    odometry: Odometry
+    scale_sigma: float | None
     smoothed: SmoothedMotion
     raw_smoothness: Smoothness
     smoothness: Smoothness
@@ -46,7 +66,7 @@ class ClipMotion:
             "first_frame": self.first,
             "frames": self.frames,
             "path_length_m": self.smoothed.trajectory.path_length,
-            "scale_sigma": self.odometry.scale_sigma,
+            "scale_sigma": self.scale_sigma,
             "errors_before_smoothing": self.raw_errors.to_dict() if self.raw_errors else None,
             "errors": self.errors.to_dict() if self.errors else None,
             "smoothness_before_smoothing": asdict(self.raw_smoothness),
@@ -58,43 +78,60 @@ class ClipMotion:
 
 
 def measure_clips(
-    recording: Recording, frames: int | None, stride: int | None, on_progress: Progress = silent
+    recording: Recording,
+    frames: int | None,
+    stride: int | None,
+    jitter: Jitter | None = None,
+    on_progress: Progress = silent,
 ) -> list[ClipMotion]:
     """Recover the motion of each clip of `frames` frames, `stride` frames apart; of the whole recording without them.
 
+    With `jitter`, the reference disturbed by it is smoothed instead of the motion that odometry finds.
+
     Raises:
-        InputError: the recording is shorter than one clip, or its motion cannot be recovered.
+        InputError: the recording is shorter than one clip, its motion cannot be recovered, or there is no reference to
+            disturb.
     """
     count = len(recording.frames)
-    if frames is None:
-        return [_measure(recording, 0, count)]
-    if count < frames:
+    if jitter is not None and recording.reference is None:
+        raise InputError(f"{recording.name}: has no reference to disturb; leave out the jitter")
+    if frames is not None and count < frames:
         raise InputError(f"{recording.name}: has {count} frames, a clip needs {frames}; give a shorter --clip-frames")
-    starts = range(0, count - frames + 1, stride or frames)
+    length = frames or count
+    starts = range(0, count - length + 1, stride or length)
     motions = []
     for start in starts:
-        motions.append(_measure(recording, start, frames))
+        motions.append(_measure(recording, start, length, jitter))
         on_progress(len(motions) / len(starts))
     return motions
 
 
-def _measure(recording: Recording, first: int, frames: int) -> ClipMotion:
-    part = slice(first, first + frames)
-    times = recording.timestamps_us[part]
-    odometry = estimate_odometry(recording.frames[part], times, recording.camera, recording.T_rig_camera)
-    smoothed = smooth_trajectory(odometry.trajectory, ODOMETRY_SETTINGS)
+def _measure(recording: Recording, first: int, frames: int, jitter: Jitter | None) -> ClipMotion:
     reference = recording.reference
+    measured, scale_sigma, noise = _find_motion(recording, slice(first, first + frames), jitter)
+    smoothed = smooth_trajectory(measured, noise)
     return ClipMotion(
         first,
         frames,
-        odometry,
+        scale_sigma,
         smoothed,
-        measure_smoothness(odometry.trajectory),
+        measure_smoothness(measured),
         measure_smoothness(smoothed.trajectory),
-        compare_trajectories(odometry.trajectory, reference) if reference else None,
+        compare_trajectories(measured, reference) if reference else None,
         compare_trajectories(smoothed.trajectory, reference) if reference else None,
-        measure_label_noise(odometry.trajectory, smoothed, reference),
+        measure_label_noise(measured, smoothed, reference),
     )
+
+
+def _find_motion(
+    recording: Recording, part: slice, jitter: Jitter | None
+) -> tuple[Trajectory, float | None, SmootherSettings | None]:
+    """Poses, their scale's deviation, and the noise that they are known to have."""
+    times = recording.timestamps_us[part]
+    if jitter is not None and recording.reference is not None:
+        return jitter.disturb(Trajectory(times, recording.reference.interpolate(times))), None, None
+    found = VisualOdometry().estimate(recording.frames[part], times, recording.camera, recording.T_rig_camera)
+    return found.trajectory, found.scale_sigma, found.noise
 
 
 def summarize_clips(motions: list[ClipMotion]) -> dict[str, Any]:

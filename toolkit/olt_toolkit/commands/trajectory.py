@@ -20,6 +20,11 @@ def trajectory(
     stride: Annotated[
         int | None, typer.Option(min=1, help="Frames from one clip to the next; by default a clip long.")
     ] = None,
+    jitter_m: Annotated[
+        float | None, typer.Option(min=0.0, help="Smooth the reference with so much noise instead, metres an axis.")
+    ] = None,
+    jitter_deg: Annotated[float, typer.Option(min=0.0, help="Noise of its rotation, degrees an axis.")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed of that noise.")] = 0,
     picture: Annotated[Path | None, typer.Option(help="Draw path and acceleration into this PNG file.")] = None,
     fov: FovOption = None,
     camera_height: CameraHeightOption = None,
@@ -27,15 +32,21 @@ def trajectory(
     as_json: JsonOption = False,
 ) -> None:
     """Recover and smooth the motion, clip by clip, and hold it against the reference where one is known."""
+    from math import radians
+
     from olt_toolkit.console import make_progress, print_json
     from olt_toolkit.recording import open_recording
-    from olt_toolkit.trajectory_errors import measure_clips, plot_clips, summarize_clips
+    from olt_toolkit.trajectory_errors import Jitter, measure_clips, plot_clips, summarize_clips
 
     opened = open_recording(recording, make_open_options(duration, fov, camera_height))
     with make_progress() as progress:
         task = progress.add_task("trajectory", total=1.0)
         motions = measure_clips(
-            opened, clip_frames, stride, on_progress=lambda share: progress.update(task, completed=share)
+            opened,
+            clip_frames,
+            stride,
+            None if jitter_m is None else Jitter(jitter_m, radians(jitter_deg), seed),
+            on_progress=lambda share: progress.update(task, completed=share),
         )
     result = {
         "recording": opened.name,
