@@ -1,48 +1,16 @@
 """Distances on real recordings. The bounds are generous: what is reached is printed (`pytest -s`)."""
 
-import json
-
 import cv2
 import numpy as np
 import pytest
 
 from olt_datasets.sources.kitti_raw import SOURCE as KITTI
-from olt_generator.cameras import PinholeCamera, pixel_rays
+from olt_generator.cameras import pixel_rays
 from olt_generator.distance.depth import FAR_DISTANCE, Origin, estimate_distance
-from olt_generator.poses import invert, pose_from_quaternion, transform
-from olt_generator.trajectory import Trajectory
+from olt_generator.poses import invert, transform
 from olt_toolkit.recording import OpenOptions
 
 pytestmark = pytest.mark.slow
-
-SIX_CAMERAS = "six_camera_surround_three_steps"
-
-
-def pose_of(record: dict) -> np.ndarray:
-    rotation, translation = record["rotation"], record["translation"]
-    return pose_from_quaternion([rotation[f"q{axis}"] for axis in "xyzw"], [translation[axis] for axis in "xyz"])
-
-
-def read_front_camera(folder):
-    """Three frames a second apart, their camera, camera poses in the rig and rig poses, and the LiDAR of the first."""
-    calibration = json.loads((folder / "calibration.json").read_text())
-    index = calibration["names"].index("CAMERA_01")
-    intrinsics = calibration["intrinsics"][index]
-    full = PinholeCamera(1936, 1216, *(intrinsics[name] for name in ("fx", "fy", "cx", "cy")))
-    T_rig_camera = pose_of(calibration["extrinsics"][index])
-    records = json.loads((folder / "scene.json").read_text())["data"]
-    images = sorted(
-        (each["datum"]["image"] for each in records if each["id"]["name"] == "CAMERA_01"),
-        key=lambda image: image["filename"],
-    )
-    T_world_rig = np.stack([pose_of(image["pose"]) @ invert(T_rig_camera) for image in images])
-    camera = full.resized(832, 522)
-    frames = [cv2.imread(str(folder / image["filename"]))[..., ::-1] for image in images]
-    small = np.stack([cv2.resize(frame, (832, 522), interpolation=cv2.INTER_AREA) for frame in frames])
-    lidar = next(each["datum"]["point_cloud"] for each in records if each["id"]["name"] == "LIDAR")
-    points = np.load(folder / lidar["filename"])["data"][:, :3]
-    trajectory = Trajectory(1_000_000 * np.arange(3), T_world_rig)
-    return small, camera, trajectory, T_rig_camera, transform(pose_of(lidar["pose"]), points)
 
 
 def visible_points(points_camera, camera):
@@ -57,11 +25,11 @@ def visible_points(points_camera, camera):
     return row[kept], column[kept], distance[seen][kept]
 
 
-def test_distances_agree_with_lidar(shared_real):
-    frames, camera, trajectory, T_rig_camera, points_world = read_front_camera(shared_real / SIX_CAMERAS)
-    estimate = estimate_distance(frames, camera, trajectory, T_rig_camera, shown=[0])
-    T_world_camera = trajectory.T_world_rig[0] @ T_rig_camera
-    row, column, truth = visible_points(transform(invert(T_world_camera), points_world), camera)
+def test_distances_agree_with_lidar(six_cameras):
+    front = six_cameras.camera("front")
+    estimate = estimate_distance(front.frames, front.camera, front.trajectory, front.T_rig_camera, shown=[0])
+    points_camera = transform(invert(front.T_world_camera[0]), six_cameras.lidar())
+    row, column, truth = visible_points(points_camera, front.camera)
     found, confidence = estimate.distance[0, row, column], estimate.confidence[0, row, column]
     origin = estimate.origin[0, row, column]
     error = np.abs(found - np.minimum(truth, FAR_DISTANCE)) / truth
