@@ -1,8 +1,10 @@
 """Scores of many rollouts put together: AS and CR by category and overall, with what they rest on.
 
-AS is the mean scene score over rollouts, so that a category weighs as much as it has valid rollouts, as in the paper's
-Table 1. CR is the share of valid rollouts in which the ego touched anything, at fault or not. Intervals hold the true
-value in 95 of 100 repetitions if rollouts are independent; rollouts of one scene are not quite.
+AS is the mean scene score over rollouts, so that in the overall row a category weighs as much as it has valid rollouts:
+the paper's Table 1 is averaged like that, not over its columns. CR is the share of valid rollouts in which the ego
+touched anything, at fault or not. Intervals hold the true value in 95 of 100 repetitions if rollouts are independent;
+rollouts of one scene are not quite. The distance between incidents is all that was driven over all incidents, as
+AlpaSim has it, where an incident is a collision or leaving the road.
 """
 
 from collections.abc import Sequence
@@ -13,6 +15,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from olt_closed_loop.scoring import RolloutScore
+from olt_generator.errors import InputError
 
 OVERALL = "overall"
 Interval = tuple[float, float]
@@ -25,19 +28,26 @@ class ScoreRow:
     Attributes:
         category: long-tail category, or "overall".
         rollouts, valid: how many were driven, and how many of them could be scored.
+        scenes: how many scenes they are of.
+        seeds: which seeds they were driven with, in order.
         alpasim_score: AS, mean score of the valid rollouts.
         alpasim_score_interval: 95 % interval of AS (Student t, cut to 0..1); needs two different scores.
         collision_rate: CR, share of valid rollouts with any collision.
         collision_rate_interval: 95 % interval of CR (Wilson).
+        km_between_incidents, km_between_incidents_at_fault: driven by valid rollouts per incident; None without one.
     """
 
     category: str
     rollouts: int
     valid: int
+    scenes: int
+    seeds: tuple[int, ...]
     alpasim_score: float | None
     alpasim_score_interval: Interval | None
     collision_rate: float | None
     collision_rate_interval: Interval | None
+    km_between_incidents: float | None
+    km_between_incidents_at_fault: float | None
 
 
 @dataclass(frozen=True)
@@ -58,24 +68,39 @@ class ScoreTable:
 
 
 def summarize_scores(scores: Sequence[RolloutScore]) -> ScoreTable:
-    """Put the scores of one policy together."""
+    """Put the scores of one policy together; those that are not valid are counted and hide no other.
+
+    Raises:
+        InputError: the scores are of two definitions.
+    """
+    definitions = sorted({score.definition for score in scores})
+    if len(definitions) > 1:
+        raise InputError(f"scores by {' and '.join(definitions)} cannot be averaged; use one definition")
     categories = sorted({score.category for score in scores})
     rows = [_row(category, [s for s in scores if s.category == category]) for category in categories]
-    return ScoreTable("strict", (*rows, _row(OVERALL, scores)))
+    return ScoreTable(definitions[0] if definitions else "strict", (*rows, _row(OVERALL, scores)))
 
 
 def _row(category: str, scores: Sequence[RolloutScore]) -> ScoreRow:
-    values = np.array([score.score for score in scores if score.score is not None])
-    collided = sum(bool(score.collided) for score in scores)
-    valid = len(values)
+    scored = [score for score in scores if score.valid]
+    values = np.array([score.score for score in scored])
+    collided = sum(bool(score.collided) for score in scored)
+    valid = len(scored)
+    driven_km = 1e-3 * sum(score.distance_m or 0.0 for score in scored)
+    incidents = sum(score.incidents or 0 for score in scored)
+    at_fault = sum(score.incidents_at_fault or 0 for score in scored)
     return ScoreRow(
         category=category,
         rollouts=len(scores),
         valid=valid,
+        scenes=len({score.scene for score in scores}),
+        seeds=tuple(sorted({score.seed for score in scores if score.seed is not None})),
         alpasim_score=float(values.mean()) if valid else None,
         alpasim_score_interval=mean_interval(values),
         collision_rate=collided / valid if valid else None,
         collision_rate_interval=wilson_interval(collided, valid) if valid else None,
+        km_between_incidents=driven_km / incidents if incidents else None,
+        km_between_incidents_at_fault=driven_km / at_fault if at_fault else None,
     )
 
 

@@ -1,37 +1,54 @@
-"""What a rollout is worth: the definition `strict`.
+"""What a rollout is worth, by one of two definitions: `strict`, the default, and `alpasim`.
 
-It keeps the intent of AlpaSim's scene score (facts sheet alpasim, section 2) and differs from it where that depends on
-accidents of the computation:
+`alpasim` (`olt_closed_loop.alpasim`) gives the values of AlpaSim's own evaluation. `strict` keeps their intent:
 
-- Only what happens after the hand-over counts, here as there.
-- Collisions are tested between the samples too, with the whole boxes and with heights. Their side does not depend on
-  heading or on the order of agents. The ego is at fault when it moved into the agent (`collisions`). A collision that
-  is not its fault does not end the rollout.
-- Off road is any part of the ego's box outside the drivable area, however far beyond the edge.
-- Progress is the arc length along the recorded path, as a share of what the recording drives in the same time, from
-  the hand-over to the end of the rollout. It only grows and cannot jump between passages of the same place. It is not
-  counted from the first time on at which the ego is 4 m or more from the recorded path.
-- The score is 0 after a collision at fault or off the road, else min(progress / 0.8, 1). Where the recording drives
-  less than 5 m in that time the progress score is 1.
-- A rollout that failed is not valid and has no score.
+- Only what happens after the hand-over counts.
+- The score is 0 after a collision at fault or off the road, else min(progress / 0.8, 1).
+- Progress is the arc length along the recorded path, as a share of what the recording drives from the hand-over to the
+  end of the rollout; where that is under 5 m the progress score is 1. It is not counted from the first time on at which
+  the ego is 4 m or more from the recorded path.
+
+Where the two differ, and the case that shows it (`tests/closed_loop/test_scoring_definitions.py` holds each):
+
+| | `alpasim` | `strict` | case |
+| --- | --- | --- | --- |
+| time | samples only | continuous between them | a fast crossing between two samples is hit |
+| boxes | 2 % smaller, corners rounded | as they are | clipping a corner by 2 cm is a hit |
+| height | ignored | counts | a bridge above the road is no hit |
+| several contacts | one of them decides, by place | each has its side | hit ahead and behind at once, heading west |
+| first contact | ends the rollout | only its own fault counts | tapped from behind, then driving into a parked car |
+| fault | front or side, whoever moved | who moved into whom | a standing ego that is hit from the side |
+| off the road | at the edge only | also beyond it | the whole drive 8 m beside the road |
+| lane direction | angles not wrapped | wrapped | the proper lane, heading west |
+| progress | nearest point of the whole path | only ahead of the last one | a path that passes the same place twice |
+| whole | recording, warm-up included | what was recorded after the hand-over | a perfect drive of the first half |
+| precision | single | double | coordinates of 5e6 m |
+| failure | stops the summary | this rollout is not valid | a pose that is not finite |
 """
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from olt_closed_loop.collisions import Collision, MovingBox, ego_box, find_collisions, sample_times
-from olt_closed_loop.drivable import first_departure
+from olt_closed_loop.alpasim.scores import score_as_alpasim
+from olt_closed_loop.collisions import Collision, find_collisions
+from olt_closed_loop.drivable import first_departure, road_of
+from olt_closed_loop.drive_record import DriveRecord, record_drive_in_scene
+from olt_closed_loop.driving_metrics import measure_driving
+from olt_closed_loop.moving_boxes import agent_box, ego_box
 from olt_closed_loop.progress import PathTracker
 from olt_closed_loop.rollout import Rollout
 from olt_closed_loop.scene import Scene
-from olt_closed_loop.vehicle import STATE
 from olt_generator.errors import InputError
+from olt_generator.poses import Array
 
 FULL_PROGRESS = 0.8
 SHORT_RECORDING = 5.0
 MAX_PATH_DISTANCE = 4.0
+
+Definition = Literal["strict", "alpasim"]
+DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
 
 
 @dataclass(frozen=True)
@@ -39,134 +56,192 @@ class RolloutScore:
     """The score of one rollout.
 
     Attributes:
-        scene, category, policy, seed: which rollout.
+        scene, category, policy, seed: which rollout; the seed is None where nobody knows it.
         definition: how the score is defined.
         valid: whether the rollout can be scored; if not, `reason` says why and what was not measured is None.
         score: the scene score, 0 to 1.
-        progress: share of the recorded path that was driven after the hand-over, 0 to 1.
-        collisions: first contact with each agent, in order of time; () when none was found.
-        offroad: whether the ego left the drivable area; None when the scene has none.
-        offroad_us: when it first did.
-        left_path_us: when the ego was first 4 m or more from the recorded path.
+        progress: share of the recorded path that was driven, 0 to 1.
+        collided, collided_at_fault: whether the ego touched anything, and whether that was its fault.
+        collisions: first contact with each agent, in order of time; () when none was found. `strict` only.
+        offroad: whether the ego left the road; None when the scene has none.
+        offroad_us: when it first did. `strict` only.
+        left_path_us: when the ego was first 4 m or more from the recorded path. `strict` only.
+        distance_m: driven after the hand-over; for `alpasim` along the whole path up to the first incident.
+        incidents, incidents_at_fault: collisions and departures from the road; for `alpasim` at most one.
         reason: why the score is 0 by rule ("collision_at_fault", "offroad"), why there is none, or None.
+        metrics: further figures by name (`driving_metrics`, or AlpaSim's metrics).
         left_out: what was not computed, and why.
     """
 
     scene: str
     category: str
     policy: str
-    seed: int
-    definition: Literal["strict"] = "strict"
+    seed: int | None
+    definition: Definition = "strict"
     valid: bool = False
     score: float | None = None
     progress: float | None = None
+    collided: bool | None = None
+    collided_at_fault: bool | None = None
     collisions: tuple[Collision, ...] = ()
     offroad: bool | None = None
     offroad_us: int | None = None
     left_path_us: int | None = None
+    distance_m: float | None = None
+    incidents: int | None = None
+    incidents_at_fault: int | None = None
     reason: str | None = None
+    metrics: dict[str, float | bool | None] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
-
-    @property
-    def collided(self) -> bool | None:
-        """Whether anything was touched, at fault or not; None for a rollout that is not valid."""
-        return bool(self.collisions) if self.valid else None
-
-    @property
-    def collided_at_fault(self) -> bool | None:
-        """Whether the ego moved into anything; None for a rollout that is not valid."""
-        return any(collision.at_fault for collision in self.collisions) if self.valid else None
 
     def to_dict(self) -> dict[str, Any]:
         """The score as JSON can hold it."""
-        return {
-            **vars(self),
-            "collided": self.collided,
-            "collided_at_fault": self.collided_at_fault,
-            "collisions": [collision.to_dict() for collision in self.collisions],
-            "left_out": list(self.left_out),
-        }
+        collisions = [collision.to_dict() for collision in self.collisions]
+        return {**vars(self), "collisions": collisions, "left_out": list(self.left_out)}
 
 
-def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True) -> RolloutScore:
-    """Score one rollout of the scene.
+def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition: Definition = "strict") -> RolloutScore:
+    """Score one rollout of the scene. One that failed, or whose states are not finite, is not valid.
 
     Args:
         scene: the scene that was driven.
         rollout: the drive.
         skip: whether what cannot change the result is left out; the result is the same without, only slower.
+        definition: how the score is defined.
 
     Raises:
         InputError: the rollout is one of another scene.
     """
     if rollout.scene != scene.name:
         raise InputError(f"rollout of scene {rollout.scene} cannot be scored on scene {scene.name}; give its own scene")
-    named = {"scene": scene.name, "category": scene.category, "policy": rollout.policy, "seed": rollout.seed}
-    if rollout.failure:
-        return RolloutScore(**named, reason=rollout.failure)
-
-    ego = ego_box(rollout, scene.vehicle)
-    times = sample_times(rollout.handover_us, int(rollout.timestamps_us[-1]))
-    collisions, unreachable = find_collisions(ego, scene.agents, times, skip_unreachable=skip)
-    offroad_us = first_departure(scene, ego, times) if scene.drivable else None
-    progress, left_path_us = _progress(scene, rollout)
-    reason = _zero_reason(collisions, offroad_us)
-    return RolloutScore(
-        **named,
-        valid=True,
-        score=0.0 if reason else _progress_score(scene, rollout, progress),
-        progress=progress,
-        collisions=collisions,
-        offroad=offroad_us is not None if scene.drivable else None,
-        offroad_us=offroad_us,
-        left_path_us=left_path_us,
-        reason=reason,
-        left_out=_left_out(scene, ego, unreachable),
-    )
+    named: dict[str, Any] = {
+        "scene": scene.name,
+        "category": scene.category,
+        "policy": rollout.policy,
+        "seed": rollout.seed,
+        "definition": definition,
+    }
+    reason = rollout.failure or _unscorable(rollout)
+    if reason:
+        return RolloutScore(**named, reason=reason)
+    record = record_drive_in_scene(scene, rollout)
+    return _score(record, named, skip)
 
 
-def _progress(scene: Scene, rollout: Rollout) -> tuple[float, int | None]:
-    """Progress of the rollout, and when it left the path."""
-    tracker = PathTracker(scene.ego.positions[:, :2])
+def score_record(record: DriveRecord, definition: Definition = "strict", skip: bool = True) -> RolloutScore:
+    """Score one drive of which nothing but the record is known (`rollout_files`)."""
+    unknown = {"scene": record.name, "category": "unknown", "policy": "unknown", "seed": None}
+    return _score(record, {**unknown, "definition": definition}, skip)
+
+
+def _score(record: DriveRecord, named: dict[str, Any], skip: bool) -> RolloutScore:
+    if int((record.timestamps_us >= record.handover_us).sum()) < 2:
+        return RolloutScore(**named, reason="the drive ends before the hand-over")
+    values = _strict(record, skip) if named["definition"] == "strict" else _as_alpasim(record)
+    return RolloutScore(**named, **values)
+
+
+def _unscorable(rollout: Rollout) -> str | None:
+    finite = np.isfinite(rollout.states).all(axis=1) & np.isfinite(rollout.heights)
+    return None if finite.all() else f"the state at {rollout.timestamps_us[np.argmin(finite)]} us is not finite"
+
+
+def _strict(record: DriveRecord, skip: bool) -> dict[str, Any]:
+    ego, road = ego_box(record), road_of(record)
+    span = _scored_span(record)
+    collisions, unreachable = find_collisions(ego, record.agents, *span, skip_unreachable=skip)
+    offroad_us = first_departure(road, ego, *span, skip=skip) if road else None
+    progress, left_path_us = _progress(record)
+    metrics = measure_driving(record, ego, [agent_box(agent) for agent in record.agents])
+    at_fault = sum(collision.at_fault for collision in collisions)
+    left_road = int(offroad_us is not None)
+    reason = "collision_at_fault" if at_fault else "offroad" if left_road else None
+    return {
+        "valid": True,
+        "score": 0.0 if reason else _progress_score(record, progress),
+        "progress": progress,
+        "collided": bool(collisions),
+        "collided_at_fault": at_fault > 0,
+        "collisions": collisions,
+        "offroad": bool(left_road) if road else None,
+        "offroad_us": offroad_us,
+        "left_path_us": left_path_us,
+        "distance_m": metrics.distance_m,
+        "incidents": len(collisions) + left_road,
+        "incidents_at_fault": at_fault + left_road,
+        "reason": reason,
+        "metrics": metrics.to_dict(),
+        "left_out": _left_out(record, unreachable, road is not None),
+    }
+
+
+def _as_alpasim(record: DriveRecord) -> dict[str, Any]:
+    scores = score_as_alpasim(record)
+    missing = tuple(f"{name}: {reason}" for name, reason in scores.missing.items())
+    if scores.scene.score is None:
+        why = "; ".join(missing) or "progress has no value"
+        return {"reason": f"AlpaSim gives no scene score ({why})", "metrics": scores.final, "left_out": missing}
+    final = {name: value for name, value in scores.final.items() if value is not None}
+    return {
+        "valid": True,
+        "score": scores.scene.score,
+        "progress": min(max(final["progress_clipped_rel"], 0.0), 1.0),
+        "collided": final["collision_any"] > 0.0,
+        "collided_at_fault": final["collision_at_fault"] > 0.0,
+        "offroad": final["offroad"] > 0.0,
+        "distance_m": final["dist_traveled_m"],
+        "incidents": int(final["offroad_or_collision"]),
+        "incidents_at_fault": int(final["offroad_or_collision_at_fault"]),
+        "reason": scores.scene.failure_reason,
+        "metrics": scores.final,
+        "left_out": missing,
+    }
+
+
+def _scored_span(record: DriveRecord) -> tuple[int, int]:
+    """First and last microsecond that count."""
+    return max(record.handover_us, int(record.timestamps_us[0])), int(record.timestamps_us[-1])
+
+
+def _progress(record: DriveRecord) -> tuple[float, int | None]:
+    """Progress of the drive, and when it left the path."""
+    tracker = PathTracker(record.recorded_poses[:, :2])
     handed_over, reached, left_path_us = 0.0, 0.0, None
-    for time_us, state in zip(rollout.timestamps_us, rollout.states, strict=True):
-        arc_length = tracker.advance(state[: STATE.yaw])
+    for time_us, position in zip(record.timestamps_us.tolist(), record.poses[:, :2], strict=True):
+        arc_length = tracker.advance(position)
         if tracker.distance >= MAX_PATH_DISTANCE:
-            left_path_us = int(time_us)
+            left_path_us = time_us
             break
         reached = arc_length
-        if time_us <= rollout.handover_us:
+        if time_us <= record.handover_us:
             handed_over = reached
-    recorded = recorded_length(scene, rollout)
+    recorded = _recorded_length(record)
     return (min((reached - handed_over) / recorded, 1.0) if recorded > 0.0 else 1.0), left_path_us
 
 
 def recorded_length(scene: Scene, rollout: Rollout) -> float:
     """Metres that the recording drives from the rollout's hand-over to its end."""
-    ego = scene.ego
-    steps = np.linalg.norm(np.diff(ego.positions[:, :2], axis=0), axis=1)
+    return _recorded_length(record_drive_in_scene(scene, rollout))
+
+
+def _recorded_length(record: DriveRecord) -> float:
+    times = record.recorded_us
+    steps: Array = np.linalg.norm(np.diff(record.recorded_poses[:, :2], axis=0), axis=1)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
-    asked = np.array([rollout.handover_us, rollout.timestamps_us[-1]]) - ego.timestamps_us[0]
-    start, end = np.interp(asked, ego.timestamps_us - ego.timestamps_us[0], driven)
+    start, end = np.interp(np.array(_scored_span(record)) - times[0], times - times[0], driven)
     return float(end - start)
 
 
-def _progress_score(scene: Scene, rollout: Rollout, progress: float) -> float:
-    if recorded_length(scene, rollout) < SHORT_RECORDING:
+def _progress_score(record: DriveRecord, progress: float) -> float:
+    if _recorded_length(record) < SHORT_RECORDING:
         return 1.0
     return min(progress / FULL_PROGRESS, 1.0)
 
 
-def _zero_reason(collisions: tuple[Collision, ...], offroad_us: int | None) -> str | None:
-    if any(collision.at_fault for collision in collisions):
-        return "collision_at_fault"
-    return "offroad" if offroad_us is not None else None
-
-
-def _left_out(scene: Scene, ego: MovingBox, unreachable: tuple[str, ...]) -> tuple[str, ...]:
+def _left_out(record: DriveRecord, unreachable: tuple[str, ...], road: bool) -> tuple[str, ...]:
     notes = []
     if unreachable:
-        notes.append(f"collision tests of {len(unreachable)} of {len(scene.agents)} agents: never within reach")
-    if not scene.drivable:
-        notes.append("road test: the scene has no drivable area")
+        notes.append(f"collision tests of {len(unreachable)} of {len(record.agents)} agents: never within reach")
+    if not road:
+        notes.append("road test: the scene has no drivable area, nor lanes with road edges")
     return tuple(notes)

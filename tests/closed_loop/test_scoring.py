@@ -243,7 +243,7 @@ def test_a_rollout_of_another_scene_is_refused(straight_scene):
 
 
 def make_score(category, score, collided=False, valid=True):
-    return RolloutScore("scene", category, "policy", 0, valid=valid, score=score, collisions=("x",) if collided else ())
+    return RolloutScore("scene", category, "policy", 0, valid=valid, score=score, collided=collided if valid else None)
 
 
 def test_averages_weigh_every_rollout_and_count_the_valid_ones():
