@@ -21,6 +21,7 @@ from olt_generator.views.brightness import brightened, relative_brightness
 from olt_generator.views.fill import fill_holes
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.panorama import Panorama
+from olt_generator.views.road_view import RoadView
 from olt_generator.views.source_frames import SourceChooser, may_be_seen
 from olt_generator.views.splat import splat
 
@@ -128,6 +129,7 @@ class _Synthesis:
             for factor in (SUPERSAMPLING, OTHER_FRAMES_SUPERSAMPLING)
         )
         self._panorama = Panorama(target, T_rig_target, front.camera, front.T_rig_camera)
+        self._road = RoadView(front.camera, target, T_rig_target)
         self._chooser = SourceChooser(front, target, T_rig_target, settings.other_frames)
 
     def other_frames(self, index: int) -> tuple[int, ...]:
@@ -144,7 +146,8 @@ class _Synthesis:
         known = self._warp_same_frame(index)
         origin = np.where(known.visible, PixelOrigin.SAME_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
         if others:
-            other = self._gather(index, others)
+            sources = [self._source(index, other) for other in others]
+            other = _laid_over(self._gather(sources), self._look_up_road(sources))
             origin[other.visible & ~known.visible] = PixelOrigin.OTHER_FRAME
             known = _laid_over(known, other)
         return self._fill(index, known), origin
@@ -157,8 +160,11 @@ class _Synthesis:
         )
         return _averaged_down(warp.image, warp.visible, warp.distance > 0.9 * FAR_DISTANCE, SUPERSAMPLING)
 
-    def _gather(self, index: int, others: tuple[int, ...]) -> _Layer:
-        sources = [self._source(index, other) for other in others]
+    def _look_up_road(self, sources: Sequence[Source]) -> _Layer:
+        image, visible = self._road.look_up(sources)
+        return _Layer(image, visible, np.zeros_like(visible))
+
+    def _gather(self, sources: Sequence[Source]) -> _Layer:
         gathered = gather(sources, self._front.camera, self._other_frames_target)
         visible = gathered.source < len(sources)
         return _averaged_down(gathered.image, visible, gathered.far, OTHER_FRAMES_SUPERSAMPLING)
