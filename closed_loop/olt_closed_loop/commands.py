@@ -1,5 +1,6 @@
 """`olt closed-loop`: drive scenes and score the drives."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,9 +12,11 @@ if TYPE_CHECKING:
 app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and score them.")
 
 
-@app.callback()
-def _group() -> None:
-    """Keeps `run` a command of its own while it is the only one."""
+class ScoreDefinition(StrEnum):
+    """The definitions of a score (`olt_closed_loop.scoring`)."""
+
+    strict = "strict"
+    alpasim = "alpasim"
 
 
 @app.command()
@@ -57,6 +60,34 @@ def run(
             print_line(line)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
+
+
+@app.command()
+def score_rollout(
+    file: Annotated[Path, typer.Argument(help="One rollout as JSON (olt_closed_loop.rollout_files).")],
+    definition: Annotated[ScoreDefinition, typer.Option(help="How the score is defined.")] = ScoreDefinition.strict,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Score one recorded rollout."""
+    from olt_closed_loop.alpasim.scores import score_as_alpasim
+    from olt_closed_loop.rollout_files import read_rollout_file
+    from olt_closed_loop.scoring import score_record
+    from olt_toolkit.console import print_json, print_table
+
+    record = read_rollout_file(file)
+    if definition is ScoreDefinition.alpasim:
+        scores = score_as_alpasim(record)
+        result = {"definition": definition.value, **scores.to_dict()}
+        figures = {**vars(scores.scene), **scores.final}
+    else:
+        strict = score_record(record)
+        result = strict.to_dict()
+        figures = {name: value for name, value in result.items() if name not in ("metrics", "collisions", "left_out")}
+        figures |= strict.metrics | {f"hits {c.agent_id}": f"{c.side} at {c.time_us} us" for c in strict.collisions}
+    if as_json:
+        print_json(result)
+    else:
+        print_table(f"{file.name}, definition {definition.value}", ["figure", "value"], list(figures.items()))
 
 
 def _print_scores(policy: str, table: "ScoreTable") -> None:
