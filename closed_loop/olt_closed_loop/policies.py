@@ -6,6 +6,7 @@ from importlib.metadata import entry_points
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_closed_loop.batch_policy import ObservationBatch, PlanBatch
 from olt_closed_loop.scene import Scene
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, planar_pose
@@ -31,58 +32,70 @@ def make_policy(spec: str) -> Policy:
     return loader(argument or None)
 
 
-class _CameralessPolicy:
+class _BatchPolicy:
+    """What the policies below share: no cameras, and one answer for one and for many rollouts."""
+
     cameras: tuple[str, ...] = ()
     image_size: tuple[int, int] = (0, 0)
+    uses_route = False
+
+    def plan(self, observation: Observation) -> Plan:
+        """See `Policy.plan`."""
+        plans = self.plan_batch(ObservationBatch.of(observation))
+        return Plan(plans.xyz[0], plans.rotation[0])
+
+    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+        """See `BatchPolicy.plan_batch`."""
+        raise NotImplementedError
 
 
-class ConstantVelocityPolicy(_CameralessPolicy):
+class ConstantVelocityPolicy(_BatchPolicy):
     """Goes straight on at the present speed."""
 
     name = "constant_velocity"
 
-    def plan(self, observation: Observation) -> Plan:
-        """See `Policy.plan`."""
-        return _straight(_speed(observation) * FUTURE_TIMES)
+    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+        """See `BatchPolicy.plan_batch`."""
+        return _straight(_speed(observations)[:, None] * FUTURE_TIMES)
 
 
-class StandingPolicy(_CameralessPolicy):
+class StandingPolicy(_BatchPolicy):
     """Brakes to a standstill and stays."""
 
     name = "standing"
     braking = 4.0
     """Deceleration, m/s^2."""
 
-    def plan(self, observation: Observation) -> Plan:
-        """See `Policy.plan`."""
-        speed = max(_speed(observation), 0.0)
+    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+        """See `BatchPolicy.plan_batch`."""
+        speed = np.maximum(_speed(observations), 0.0)[:, None]
         time = np.minimum(FUTURE_TIMES, speed / self.braking)
         return _straight(speed * time - 0.5 * self.braking * time**2)
 
 
-class RouteFollowingPolicy(_CameralessPolicy):
+class RouteFollowingPolicy(_BatchPolicy):
     """Follows the route at the present speed; knows of nothing else."""
 
     name = "route"
+    uses_route = True
     return_distance = 8.0
     """Metres over which an offset from the route fades to 1/e."""
 
-    def plan(self, observation: Observation) -> Plan:
-        """See `Policy.plan`.
+    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+        """See `BatchPolicy.plan_batch`.
 
         Raises:
             InputError: no route is known.
         """
-        route = observation.route_xy
-        if len(route) < 2:
+        route = observations.route_xy
+        if route.shape[1] < 2 or np.isnan(route[:, :2]).any():
             raise InputError("policy route: the scene gives no route ahead; choose another policy or scene")
-        travelled = max(_speed(observation), 0.0) * FUTURE_TIMES
-        offset = np.exp(-travelled / self.return_distance)[:, None] * -route[0]
-        points = _along(route, travelled) + offset
-        return _facing_forward(points)
+        travelled = np.maximum(_speed(observations), 0.0)[:, None] * FUTURE_TIMES
+        offset = np.exp(-travelled / self.return_distance)[..., None] * -route[:, :1]
+        return _facing_forward(_along(route, travelled) + offset)
 
 
-class ReplayPolicy(_CameralessPolicy):
+class ReplayPolicy:
     """Drives back to and along the recording of the scene.
 
     It keeps track of its pose in the world by the observed history, from the recorded pose at which it is first asked;
@@ -90,6 +103,8 @@ class ReplayPolicy(_CameralessPolicy):
     """
 
     name = "replay"
+    cameras: tuple[str, ...] = ()
+    image_size: tuple[int, int] = (0, 0)
 
     def __init__(self, scene: Scene) -> None:
         self._recording = scene.ego
@@ -130,10 +145,10 @@ def _without_argument(policy: Policy, argument: str | None) -> Policy:
     return policy
 
 
-def _speed(observation: Observation) -> float:
-    """Speed along the vehicle now, m/s: one-sided difference, exact while the acceleration is steady."""
-    before, last, now = observation.history_xyz[-3:, 0]
-    return float((3.0 * now - 4.0 * last + before) / (2.0 * STEP_SECONDS))
+def _speed(observations: ObservationBatch) -> Array:
+    """Speed (n,) along the vehicle now, m/s: one-sided difference, exact while the acceleration is steady."""
+    before, last, now = observations.history_xyz[:, -3:, 0].T
+    return (3.0 * now - 4.0 * last + before) / (2.0 * STEP_SECONDS)
 
 
 def _previous_pose(observation: Observation) -> Array:
@@ -152,26 +167,31 @@ def _going_on(recording: Trajectory, timestamps_us: NDArray[np.int64]) -> Array:
     return poses
 
 
-def _straight(distances: Array) -> Plan:
+def _straight(distances: Array) -> PlanBatch:
+    """Plans straight ahead by distances (n, 64)."""
     poses = planar_pose(distances, 0.0, 0.0)
-    return Plan(poses[:, :3, 3], poses[:, :3, :3])
+    return PlanBatch(poses[..., :3, 3], poses[..., :3, :3])
 
 
-def _along(path: Array, distances: Array) -> Array:
-    """Points (n, 2) at these distances along a polyline (m, 2), m >= 2; its last segment goes on."""
-    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
-    starts = np.concatenate([[0.0], np.cumsum(lengths)])
-    points = np.stack([np.interp(distances, starts, column) for column in path.T], axis=-1)
-    beyond = np.maximum(distances - starts[-1], 0.0)
-    return points + beyond[:, None] * (path[-1] - path[-2]) / lengths[-1]
+def _along(paths: Array, distances: Array) -> Array:
+    """Points (n, k, 2) at distances (n, k) along polylines (n, m, 2), which NaN may end; last segments go on."""
+    lengths = np.nan_to_num(np.linalg.norm(np.diff(paths, axis=1), axis=2))
+    starts = np.concatenate([np.zeros((len(paths), 1)), np.cumsum(lengths, axis=1)], axis=1)
+    last = np.max(np.where(lengths > 0.0, np.arange(lengths.shape[1]), 0), axis=1)
+    segment = np.sum(distances[..., None] >= starts[:, None, 1:], axis=2)
+    segment = np.minimum(segment, last[:, None])
+    row = np.arange(len(paths))[:, None]
+    share = (distances - starts[row, segment]) / lengths[row, segment]
+    begin, end = paths[row, segment], paths[row, segment + 1]
+    return begin + share[..., None] * (end - begin)
 
 
-def _facing_forward(points: Array) -> Plan:
-    """The plan through points (64, 2) that faces where it goes; while it does not move it faces as before."""
-    moves = np.diff(np.concatenate([np.zeros((1, 2)), points]), axis=0)
-    moving = np.linalg.norm(moves, axis=1) > 1e-3
-    headings = np.where(moving, np.arctan2(moves[:, 1], moves[:, 0]), 0.0)
-    latest = np.maximum.accumulate(np.where(moving, np.arange(len(moves)), -1))
-    yaw = np.where(latest >= 0, headings[latest], 0.0)
-    poses = planar_pose(points[:, 0], points[:, 1], yaw)
-    return Plan(poses[:, :3, 3], poses[:, :3, :3])
+def _facing_forward(points: Array) -> PlanBatch:
+    """The plans through points (n, 64, 2) that face where they go; while they do not move they face as before."""
+    moves = np.diff(points, axis=1, prepend=0.0)
+    moving = np.hypot(moves[..., 0], moves[..., 1]) > 1e-3
+    headings = np.where(moving, np.arctan2(moves[..., 1], moves[..., 0]), 0.0)
+    latest = np.maximum.accumulate(np.where(moving, np.arange(moves.shape[1]), -1), axis=1)
+    held = np.take_along_axis(headings, np.maximum(latest, 0), axis=1)
+    poses = planar_pose(points[..., 0], points[..., 1], np.where(latest >= 0, held, 0.0))
+    return PlanBatch(poses[..., :3, 3], poses[..., :3, :3])

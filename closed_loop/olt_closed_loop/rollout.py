@@ -2,18 +2,21 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_closed_loop.scene import Agent, Scene
 from olt_closed_loop.vehicle import STATE, STATE_SIZE
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array, planar_pose
 from olt_generator.trajectory import Trajectory
+
+Traffic = Literal["recorded", "idm"]
 
 
 @dataclass(frozen=True)
@@ -24,11 +27,15 @@ class Events:
         policy_errors: calls in which the policy raised; the first ends the rollout.
         plans_refused: plans of a wrong shape or not finite; the last feasible plan was held.
         saturations: steps in which a command reached a limit of the vehicle.
+        solves_failed: steps in which the controller found no command; its last feasible ones were held.
+        solves_late: steps in which it found them after its deadline; its last feasible ones were held.
     """
 
     policy_errors: int = 0
     plans_refused: int = 0
     saturations: int = 0
+    solves_failed: int = 0
+    solves_late: int = 0
 
 
 @dataclass(frozen=True)
@@ -51,6 +58,8 @@ class Rollout:
         rendered_images: number of images rendered for each camera; empty when none was.
         left_out: what was not computed, and why.
         timings: seconds spent by kind of work; the only part that differs between equal runs.
+        traffic: whether the agents replayed the recording ("recorded") or reacted to the ego ("idm").
+        reacted: the agents that came to differ from the recording, as they moved.
     """
 
     scene: str
@@ -69,6 +78,13 @@ class Rollout:
     rendered_images: dict[str, int] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
     timings: dict[str, float] = field(default_factory=dict)
+    traffic: Traffic = "recorded"
+    reacted: tuple[Agent, ...] = ()
+
+    def driven_scene(self, scene: Scene) -> Scene:
+        """The scene with its agents as they moved in this rollout."""
+        reacted = {agent.id: agent for agent in self.reacted}
+        return replace(scene, agents=tuple(reacted.get(agent.id, agent) for agent in scene.agents))
 
     @property
     def trajectory(self) -> Trajectory:
@@ -95,6 +111,11 @@ class Rollout:
             "rendered_images": self.rendered_images,
             "left_out": list(self.left_out),
             "timings": self.timings,
+            "traffic": self.traffic,
+            "reacted": [
+                {**vars(agent), "timestamps_us": agent.timestamps_us.tolist(), "poses": agent.poses.tolist()}
+                for agent in self.reacted
+            ],
         }
 
     @classmethod
@@ -115,9 +136,18 @@ class Rollout:
                 "plans": np.array(values["plans"], dtype=np.float64).reshape(len(values["plan_times_us"]), -1, 3),
             }
             events, left_out = Events(**values["events"]), tuple(values["left_out"])
-            return cls(**{**values, **arrays, "events": events, "left_out": left_out})
+            reacted = tuple(_read_agent(agent) for agent in values["reacted"])
+            return cls(**{**values, **arrays, "events": events, "left_out": left_out, "reacted": reacted})
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(f"rollout: field missing or of another form ({error}); simulate it again") from error
+
+
+def _read_agent(values: dict[str, Any]) -> Agent:
+    arrays = {
+        "timestamps_us": np.array(values["timestamps_us"], dtype=np.int64),
+        "poses": np.array(values["poses"], dtype=np.float64),
+    }
+    return Agent(**{**values, **arrays})
 
 
 def save_rollouts(path: Path, rollouts: Sequence[Rollout]) -> None:

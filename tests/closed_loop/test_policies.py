@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from olt_closed_loop.batch_policy import ObservationBatch
 from olt_closed_loop.policies import (
     ConstantVelocityPolicy,
     ReplayPolicy,
@@ -68,6 +69,28 @@ def test_route_following_starts_where_it_is_and_returns_to_the_route():
 def test_route_following_needs_a_route():
     with pytest.raises(InputError, match="no route"):
         RouteFollowingPolicy().plan(make_observation())
+
+
+@settings(max_examples=20)
+@given(
+    speeds=st.lists(st.floats(0.0, 40.0), min_size=2, max_size=5),
+    lengths=st.lists(st.integers(2, 20), min_size=5, max_size=5),
+)
+@pytest.mark.parametrize("policy", [ConstantVelocityPolicy(), StandingPolicy(), RouteFollowingPolicy()])
+def test_each_row_of_a_batch_is_answered_as_alone(policy, speeds, lengths):
+    rows = []
+    for speed, length in zip(speeds, lengths, strict=False):
+        route = np.full((20, 2), np.nan)
+        route[:length] = np.stack([4.21 * np.arange(length), 0.1 * speed * np.sin(np.arange(length))], axis=-1)
+        rows.append(ObservationBatch.of(make_observation(speed, route)))
+    names = ("history_xyz", "history_rotation", "route_xy", "time_us", "seeds")
+    together = policy.plan_batch(
+        ObservationBatch(*(np.concatenate([getattr(row, name) for row in rows]) for name in names))
+    )
+    for index, row in enumerate(rows):
+        alone = policy.plan_batch(row)
+        np.testing.assert_array_equal(together.xyz[index], alone.xyz[0])
+        np.testing.assert_array_equal(together.rotation[index], alone.rotation[0])
 
 
 def test_replay_answers_with_the_recorded_future(straight_scene):

@@ -7,13 +7,14 @@ import pytest
 from olt_closed_loop.policies import ConstantVelocityPolicy, ReplayPolicy, RouteFollowingPolicy, StandingPolicy
 from olt_closed_loop.rollout import Rollout, load_rollouts, save_rollouts
 from olt_closed_loop.scoring import score_rollout
-from olt_closed_loop.simulation import SimulationSettings, replay, simulate, stand
+from olt_closed_loop.simulation import DriveRequest, replay, simulate, simulate_batch, stand
+from olt_closed_loop.simulation_settings import SimulationSettings
 from olt_closed_loop.vehicle import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy import Plan
-from olt_toolkit.rig import FRONT_TELE, FRONT_WIDE
+from olt_toolkit.rig import DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE
 
 
 class Recorder:
@@ -150,6 +151,127 @@ def test_the_seed_decides_everything(straight_scene):
 
     assert json.dumps(drive(3)) == json.dumps(drive(3))
     assert drive(3)["states"] != drive(4)["states"]
+
+
+def without_timings(rollout):
+    return {**rollout.to_dict(), "timings": None}
+
+
+@pytest.mark.parametrize("policy", [ConstantVelocityPolicy(), RouteFollowingPolicy(), StandingPolicy(), Noisy()])
+def test_a_rollout_is_the_same_alone_and_in_any_batch(straight_scene, moved_scene, policy):
+    short = curved_scene(straight_scene(duration=3.0))
+    small = replace(DEFAULT_VEHICLE, wheelbase=2.5)
+    far = replace(moved_scene(straight_scene(duration=4.0, speed=17.0), 5e6, -3e5, 2.0), vehicle=small)
+    requests = [DriveRequest(scene, seed) for seed, scene in enumerate([short, far, straight_scene(duration=3.5)])]
+    together = simulate_batch(requests, policy)
+    for request, rollout in zip(requests, together, strict=True):
+        assert without_timings(rollout) == without_timings(simulate(request.scene, policy, seed=request.seed))
+    assert [len(rollout.states) for rollout in together] == [31, 41, 36]
+
+
+def test_a_drive_without_a_route_fails_alone(straight_scene):
+    without = replace(straight_scene(), route=np.zeros((0, 3)))
+    requests = [DriveRequest(straight_scene()), DriveRequest(without)]
+    whole, failed = simulate_batch(requests, RouteFollowingPolicy())
+    assert whole.failure is None and len(whole.states) == 81
+    assert "no route ahead" in failed.failure and failed.events.policy_errors == 1
+
+
+def test_leaving_out_the_route_changes_nothing(straight_scene):
+    lean, full = (
+        simulate(straight_scene(), ConstantVelocityPolicy(), SimulationSettings(skip=skip)) for skip in (True, False)
+    )
+    np.testing.assert_array_equal(lean.states, full.states)
+    np.testing.assert_array_equal(lean.plans, full.plans)
+    assert any("route" in note for note in lean.left_out)
+    assert not any("route" in note for note in full.left_out)
+
+
+class Braking(Recorder):
+    """Goes on at constant velocity until it is asked at 3.0 s or later, and plans to stand where it is from then on."""
+
+    def answer(self, plan, _call):
+        late = self.observations[-1].time_us >= 3_000_000
+        return Plan(np.zeros_like(plan.xyz), plan.rotation) if late else plan
+
+
+@pytest.mark.parametrize("delay_us", [0, 100_000, 500_000, 1_400_000])
+def test_a_plan_is_in_force_after_the_planner_delay(straight_scene, delay_us):
+    policy = Braking()
+    rollout = simulate(straight_scene(), policy, SimulationSettings(planner_delay_us=delay_us))
+    assert policy.observations[0].time_us == 1_700_000 - delay_us
+    assert policy.observations[-1].time_us == 7_900_000 - delay_us
+    braked = rollout.controls[:, 1] < -1.0
+    assert rollout.timestamps_us[np.argmax(braked)] == 3_000_000 + delay_us
+
+
+def test_a_planner_delay_shifts_the_pictures_too(straight_scene):
+    policy, sensors = Watcher(), CountingSensors()
+    settings = SimulationSettings(duration_us=2_500_000, planner_delay_us=400_000)
+    simulate(straight_scene(), policy, settings, renderer=sensors)
+    assert sensors.times == [100_000 * step for step in range(10, 21)]
+    assert policy.observations[0].images[0, :, 0, 0, 0].tolist() == [10, 11, 12, 13]
+
+
+@pytest.mark.parametrize("delay_us", [-100_000, 50_000, 1_500_000])
+def test_unusable_planner_delays_are_refused(delay_us):
+    with pytest.raises(InputError, match="planner delay"):
+        SimulationSettings(planner_delay_us=delay_us)
+
+
+IDM = SimulationSettings(traffic="idm")
+
+
+def test_a_follower_brakes_for_an_ego_that_stops_where_the_recording_did_not(straight_scene, moving_agent):
+    scene = straight_scene((moving_agent("follower", (-20.0, 0.0), (10.0, 0.0)),))
+    recorded = simulate(scene, StandingPolicy())
+    assert score_rollout(scene, recorded).collided
+    reactive = simulate(scene, StandingPolicy(), IDM)
+    assert reactive.traffic == "idm" and [agent.id for agent in reactive.reacted] == ["follower"]
+    (follower,) = reactive.reacted
+    np.testing.assert_array_equal(follower.timestamps_us, 100_000 * np.arange(81))
+    steps = np.diff(follower.poses[:, 0])
+    assert np.all(steps >= 0.0) and np.all(steps <= 1.0 + 1e-9)
+    assert np.diff(steps).min() > -0.1 * 0.8 - 1e-9
+    np.testing.assert_array_equal(follower.poses[:17], scene.agents[0].poses[:17])
+    ego_rear = reactive.states[-1, STATE.x] + DEFAULT_VEHICLE.rear_axle_to_bbox_center - DEFAULT_VEHICLE.length / 2
+    assert 0.5 < ego_rear - (follower.poses[-1, 0] + 2.25) < 4.0
+    assert not score_rollout(reactive.driven_scene(scene), reactive).collided
+
+
+def test_a_queue_stops_behind_its_first_car(straight_scene, moving_agent):
+    queue = [moving_agent(f"car {i}", (-20.0 - 12.0 * i, 0.0), (10.0, 0.0), duration=14.0) for i in range(4)]
+    rollout = simulate(straight_scene(tuple(queue), duration=14.0), StandingPolicy(), IDM)
+    assert {agent.id for agent in rollout.reacted} == {"car 0", "car 1", "car 2", "car 3"}
+    fronts = np.stack([agent.poses[-100:, 0] for agent in sorted(rollout.reacted, key=lambda agent: agent.id)])
+    assert np.all(fronts[:-1] - fronts[1:] > 4.5)
+
+
+def test_who_has_a_free_way_replays_the_recording(straight_scene, moving_agent):
+    agents = (
+        moving_agent("ahead", (40.0, 0.0), (10.0, 0.0)),
+        moving_agent("beside", (-10.0, 3.5), (10.0, 0.0)),
+        moving_agent("oncoming", (150.0, 5.0), (-10.0, 0.0), yaw=np.pi),
+        moving_agent("parked", (30.0, -3.0)),
+    )
+    scene = straight_scene(agents)
+    recorded, reactive = (simulate(scene, ConstantVelocityPolicy(), s) for s in (SimulationSettings(), IDM))
+    assert reactive.reacted == () and reactive.driven_scene(scene).agents == agents
+    np.testing.assert_array_equal(recorded.states, reactive.states)
+
+
+def test_reactive_traffic_is_not_for_policies_with_cameras(straight_scene):
+    with pytest.raises(InputError, match="reactive"):
+        simulate(straight_scene(), Watcher(), IDM, renderer=CountingSensors())
+
+
+def test_reacting_agents_survive_a_file(straight_scene, moving_agent, tmp_path):
+    scene = straight_scene((moving_agent("follower", (-20.0, 0.0), (10.0, 0.0)),))
+    rollout = simulate(scene, StandingPolicy(), IDM)
+    save_rollouts(tmp_path / "rollouts.json", [rollout])
+    (loaded,) = load_rollouts(tmp_path / "rollouts.json")
+    assert loaded.to_dict() == rollout.to_dict()
+    np.testing.assert_array_equal(loaded.reacted[0].poses, rollout.reacted[0].poses)
 
 
 def curved_scene(scene):
