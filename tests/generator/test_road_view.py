@@ -43,6 +43,14 @@ def test_road_has_the_colours_of_its_places():
     assert not image[~seen].any()
 
 
+def test_a_large_view_shows_the_same_road():
+    large = SIDE.resized(480, 270)
+    image, seen = RoadView(FRONT, large, T_RIG_SIDE).look_up([source(-8.0)])
+    truth = stripes(large, T_RIG_SIDE, T_RIG_SIDE)
+    assert seen.sum() > 32_767
+    assert np.abs(image[seen].astype(int) - truth[seen]).max() <= 8
+
+
 def test_the_nearest_frame_wins_in_any_order():
     near, far = source(-6.0), source(-14.0)
     far = Source(np.full_like(far.image, 255), far.distance, far.T_target_camera)

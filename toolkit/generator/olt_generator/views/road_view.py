@@ -40,14 +40,19 @@ class RoadView:
         for source in sources:
             column, row, distance = self._find(source)
             better = distance < nearest
-            if better.any():
-                nearest[better] = distance[better]
-                places = column[better, None], row[better, None]
-                found = cv2.remap(source.image, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-                colours[better] = found[:, 0]
+            nearest[better] = distance[better]
+            places = self._laid_out(column), self._laid_out(row)
+            found = cv2.remap(source.image, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            colours[better] = found[self._road][better]
         image, seen = np.zeros((*self._road.shape, 3), np.uint8), np.zeros(self._road.shape, np.bool_)
         image[self._road], seen[self._road] = colours, np.isfinite(nearest)
         return image, seen
+
+    def _laid_out(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Values (k,) of the points as a picture (h, w): OpenCV takes no maps of more than 32,767 rows."""
+        picture = np.zeros(self._road.shape, np.float32)
+        picture[self._road] = values
+        return picture
 
     def _find(self, source: Source) -> tuple[NDArray[np.float32], NDArray[np.float32], Array]:
         """Where a source shows the points, columns and rows (k,), and from how far (k,), inf where it does not."""
