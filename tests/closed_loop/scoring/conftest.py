@@ -75,7 +75,7 @@ def turned(values: dict[str, Any], yaw: float, x: float = 0.0, y: float = 0.0) -
     rotation = np.array([[cos, sin], [-sin, cos]])
 
     def move(rows: list[list[float]], has_yaw: bool) -> list[list[float]]:
-        moved = np.array(rows, dtype=np.float64)
+        moved = np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 3)
         moved[:, :2] = moved[:, :2] @ rotation + [x, y]
         if has_yaw:
             moved[:, 2] = np.angle(np.exp(1j * (moved[:, 2] + yaw)))
