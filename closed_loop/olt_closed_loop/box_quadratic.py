@@ -32,7 +32,10 @@ def minimise_in_box(hessian: Array, gradient: Array, low: Array, high: Array) ->
 
 def _newton_step(hessian: Array, slope: Array, free: np.ndarray) -> Array:
     step = np.zeros_like(slope)
-    step[free] = -np.linalg.solve(hessian[np.ix_(free, free)], slope[free])
+    if free.all():
+        step[:] = np.linalg.solve(hessian, -slope)
+    else:
+        step[free] = np.linalg.solve(hessian[np.ix_(free, free)], -slope[free])
     return step
 
 

@@ -39,7 +39,6 @@ class ControlSettings:
     Attributes:
         method: how the cost is minimised; see the module.
         horizon: steps of 0.1 s that are looked ahead.
-        substeps: parts into which the prediction divides each step.
         rounds: how often `lqr` and `linear` linearise and solve in a call.
         cost: what is minimised.
         deadline_seconds: a solve that takes longer is late. None: never late, and equal drives stay equal.
@@ -50,7 +49,6 @@ class ControlSettings:
 
     method: ControlMethod = "linear"
     horizon: int = 20
-    substeps: int = 2
     rounds: int = 1
     cost: TrackingCost = field(default_factory=TrackingCost)
     deadline_seconds: float | None = None
@@ -166,9 +164,9 @@ class _TimedCommands:
 
 def _make_solver(parameters: VehicleParameters, settings: ControlSettings) -> Solver:
     if settings.method == "nonlinear":
-        return NonlinearSolver(parameters, settings.cost, settings.horizon, settings.substeps)
+        return NonlinearSolver(parameters, settings.cost, settings.horizon)
     limited = settings.method == "linear"
-    return LinearSolver(parameters, settings.cost, settings.horizon, settings.substeps, settings.rounds, limited)
+    return LinearSolver(parameters, settings.cost, settings.horizon, settings.rounds, limited)
 
 
 def _in_rig(poses: Array, state: Array) -> Array:

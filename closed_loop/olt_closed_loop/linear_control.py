@@ -18,13 +18,15 @@ import numpy as np
 
 from olt_closed_loop.box_quadratic import minimise_in_box
 from olt_closed_loop.buffered import BufferedFunction
-from olt_closed_loop.prediction import predicted_step
+from olt_closed_loop.prediction import linearised_step, predicted_step
 from olt_closed_loop.solver import SolveFailed
 from olt_closed_loop.tracking_cost import ACTUATORS, TrackingCost
 from olt_closed_loop.vehicle import CONTROL_SIZE, STATE, VehicleParameters
 from olt_generator.poses import Array
 
 _STEP_LENGTHS = (1.0, 0.5, 0.25, 0.125)
+_NEGLIGIBLE = 1e-9
+"""A rise of the cost that is taken for rounding; an error of one scale costs 1."""
 
 
 class LinearSolver:
@@ -33,120 +35,106 @@ class LinearSolver:
     Args:
         parameters: of the vehicle.
         cost: what to minimise.
-        horizon, substeps: steps of 0.1 s looked ahead, and parts into which the prediction divides each.
+        horizon: steps of 0.1 s looked ahead.
         rounds: how often the problem is linearised and solved in a call.
         limited: whether the solution knows the limits of the commands (linear MPC) or is cut at them (LQR).
     """
 
     def __init__(
-        self, parameters: VehicleParameters, cost: TrackingCost, horizon: int, substeps: int, rounds: int, limited: bool
+        self, parameters: VehicleParameters, cost: TrackingCost, horizon: int, rounds: int, limited: bool
     ) -> None:
         self._horizon, self._rounds, self._limited = horizon, rounds, limited
         self._low, self._high = (np.tile(limit, horizon) for limit in parameters.control_limits)
-        linearised, total_cost = _horizon_functions(parameters, cost, horizon, substeps)
-        self._predict, self._cost = BufferedFunction(linearised), BufferedFunction(total_cost)
-        self._changes, self._change_of_start = _change_matrices(cost, horizon)
-        self._change_hessian = self._changes.T @ self._changes
+        predicted, linearised = _horizon_functions(parameters, cost, horizon)
+        self._predict, self._linearise = BufferedFunction(predicted), BufferedFunction(linearised)
+        self._change_scales = np.array(cost.change_scales)
+        changes_by_commands = _difference_matrix(horizon) / np.tile(self._change_scales, horizon)[:, None]
+        self._change_hessian = changes_by_commands.T @ changes_by_commands
 
     def solve(self, start: Array, controls: Array, target: Array) -> Array:
         """See `olt_closed_loop.solver.Solver`."""
         for _ in range(self._rounds):
-            hessian, gradient = self._quadratic(start, controls, target)
-            step = self._solve_quadratic(hessian, gradient, controls)
-            controls = self._improved(start, controls, step, target)
+            controls = self._round(start, controls, target)
         return controls
 
-    def _quadratic(self, start: Array, controls: Array, target: Array) -> tuple[Array, Array]:
-        """Half the Gauss-Newton Hessian (2 n, 2 n) and gradient (2 n,) of the cost by the commands."""
-        _, by_state, by_control, errors, by_pose = self._predict(start, controls, target)
-        sensitivity = _sensitivities(_per_stage(by_state, self._horizon), _per_stage(by_control, self._horizon))
-        jacobian = (_per_stage(by_pose, self._horizon) @ sensitivity).reshape(3 * self._horizon, -1)
-        changes = self._changes @ controls.ravel() - self._change_of_start @ start[ACTUATORS]
-        hessian: Array = jacobian.T @ jacobian + self._change_hessian
-        gradient: Array = jacobian.T @ errors.ravel() + self._changes.T @ changes
-        return hessian, gradient
+    def _round(self, start: Array, controls: Array, target: Array) -> Array:
+        """Better commands: those of the linearised problem, or as far towards them as the true cost falls."""
+        errors, jacobian = self._linearised_errors(start, controls, target)
+        changes = self._command_changes(start, controls)
+        cost = float(np.vdot(errors, errors) + np.vdot(changes, changes))
+        if not np.isfinite(cost):
+            raise SolveFailed("the predicted drive is not finite")
+        hessian = jacobian.T @ jacobian + self._change_hessian
+        step = self._minimise(hessian, jacobian.T @ errors + self._change_gradient(changes), controls)
+        for length in _STEP_LENGTHS:
+            moved = controls + length * step
+            if self._cost(start, moved, target) <= cost + _NEGLIGIBLE:
+                return moved
+        return controls
 
-    def _solve_quadratic(self, hessian: Array, gradient: Array, controls: Array) -> Array:
+    def _linearised_errors(self, start: Array, controls: Array, target: Array) -> tuple[Array, Array]:
+        """Scaled errors (3 n,) of the predicted poses and their derivatives (3 n, 2 n) by the commands."""
+        horizon = self._horizon
+        _, by_state, by_control, errors, by_pose = self._linearise(start, controls, target)
+        sensitivity = _sensitivities(by_state.reshape(horizon, -1, len(start)), by_control.reshape(horizon, -1, 2))
+        return errors.ravel(), (by_pose.reshape(horizon, 3, 3) @ sensitivity).reshape(3 * horizon, -1)
+
+    def _command_changes(self, start: Array, controls: Array) -> Array:
+        """Scaled changes (n, 2) of the commands."""
+        return np.diff(controls, axis=0, prepend=start[None, ACTUATORS]) / self._change_scales
+
+    def _change_gradient(self, changes: Array) -> Array:
+        """Half the derivative (2 n,) of the changes' cost by the commands."""
+        return (-np.diff(changes, axis=0, append=0.0) / self._change_scales).ravel()
+
+    def _cost(self, start: Array, controls: Array, target: Array) -> float:
+        _, errors = self._predict(start, controls, target)
+        changes = self._command_changes(start, controls)
+        return float(np.vdot(errors, errors) + np.vdot(changes, changes))
+
+    def _minimise(self, hessian: Array, gradient: Array, controls: Array) -> Array:
+        """The step (horizon, 2) to the minimum of the quadratic, within the limits of the commands."""
         low, high = self._low - controls.ravel(), self._high - controls.ravel()
         box = (low, high) if self._limited else (np.full_like(low, -np.inf), np.full_like(high, np.inf))
         return np.clip(minimise_in_box(hessian, gradient, *box), low, high).reshape(controls.shape)
 
-    def _improved(self, start: Array, controls: Array, step: Array, target: Array) -> Array:
-        """The commands moved along the step as far as the true cost falls; unmoved where it does not."""
-        (before,) = self._cost(start, controls, target)
-        if not np.isfinite(before):
-            raise SolveFailed("the predicted drive is not finite")
-        for length in _STEP_LENGTHS:
-            moved = controls + length * step
-            (after,) = self._cost(start, moved, target)
-            if after < before:
-                return moved
-        return controls
-
 
 @lru_cache(maxsize=8)
 def _horizon_functions(
-    parameters: VehicleParameters, cost: TrackingCost, horizon: int, substeps: int
+    parameters: VehicleParameters, cost: TrackingCost, horizon: int
 ) -> tuple[ca.Function, ca.Function]:
-    """The linearised horizon and the cost of it, built once in a process."""
-    step = predicted_step(parameters, substeps)
-    return _linearised_stage(step, cost).mapaccum("horizon", horizon), _total_cost(step, cost, horizon)
+    """(start, controls, targets) -> states and errors, and the same with derivatives; built once in a process.
+
+    Derivatives are transposed, so that CasADi's storage by columns is numpy's by rows.
+    """
+    predicted, linearised = predicted_step(parameters), linearised_step(parameters)
+    state, control = ca.SX.sym("state", predicted.size1_in(0)), ca.SX.sym("control", CONTROL_SIZE)
+    target, pose = ca.SX.sym("target", STATE.speed), ca.SX.sym("pose", STATE.speed)
+    errors = cost.pose_errors(pose, target)
+    judged = ca.Function("judged", [pose, target], [errors, ca.densify(ca.jacobian(errors, pose)).T])
+    arguments = [state, control, target]
+    following = predicted(state, control)
+    plain = [following, judged(following[: STATE.speed], target)[0]]
+    following, by_state, by_control = linearised(state, control)
+    full = [following, ca.densify(by_state).T, ca.densify(by_control).T, *judged(following[: STATE.speed], target)]
+    return (
+        ca.Function("stage", arguments, plain).mapaccum("predicted_horizon", horizon),
+        ca.Function("stage", arguments, full).mapaccum("linearised_horizon", horizon),
+    )
 
 
-def _linearised_stage(step: ca.Function, cost: TrackingCost) -> ca.Function:
-    """(state, control, target) -> next state, its derivatives, the errors there and their derivative by the pose."""
-    state, control, target = ca.SX.sym("state", step.size1_in(0)), ca.SX.sym("control", 2), ca.SX.sym("target", 3)
-    following = step(state, control)
-    reached = ca.SX.sym("reached", step.size1_in(0))
-    errors = cost.pose_errors(reached, target)
-    by_pose = ca.substitute(ca.jacobian(errors, reached)[:, : STATE.speed], reached, following)
-    outputs = [
-        following,
-        ca.densify(ca.jacobian(following, state)),
-        ca.densify(ca.jacobian(following, control)),
-        ca.substitute(errors, reached, following),
-        ca.densify(by_pose),
-    ]
-    return ca.Function("stage", [state, control, target], ca.cse(outputs))
-
-
-def _total_cost(step: ca.Function, cost: TrackingCost, horizon: int) -> ca.Function:
-    """(state, controls, targets) -> the cost."""
-    state, control, target = ca.SX.sym("state", step.size1_in(0)), ca.SX.sym("control", 2), ca.SX.sym("target", 3)
-    following = step(state, control)
-    stage = ca.Function("stage", [state, control, target], [following, ca.sumsqr(cost.pose_errors(following, target))])
-    start = ca.MX.sym("start", step.size1_in(0))
-    controls, targets = ca.MX.sym("controls", CONTROL_SIZE, horizon), ca.MX.sym("targets", 3, horizon)
-    _, errors = stage.mapaccum("horizon", horizon)(start, controls, targets)
-    previous = ca.horzcat(start[ACTUATORS], controls[:, :-1])
-    changes = _changes_function(cost).map(horizon)(controls, previous)
-    return ca.Function("cost", [start, controls, targets], [ca.sum2(errors) + ca.sumsqr(changes)])
-
-
-def _changes_function(cost: TrackingCost) -> ca.Function:
-    control, previous = ca.SX.sym("control", CONTROL_SIZE), ca.SX.sym("previous", CONTROL_SIZE)
-    return ca.Function("changes", [control, previous], [cost.command_changes(control, previous)])
-
-
-def _change_matrices(cost: TrackingCost, horizon: int) -> tuple[Array, Array]:
-    """(2 n, 2 n) from commands in a row, and (2 n, 2) from the actuators, to the scaled changes (their difference)."""
-    scale = np.tile(1.0 / np.array([cost.steering_change, cost.acceleration_change]), horizon)[:, None]
+def _difference_matrix(horizon: int) -> Array:
+    """(2 n, 2 n): commands in a row -> their changes from step to step, the first against nothing."""
     size = CONTROL_SIZE * horizon
-    return scale * (np.eye(size) - np.eye(size, k=-CONTROL_SIZE)), scale * np.eye(size, CONTROL_SIZE)
-
-
-def _per_stage(stacked: Array, horizon: int) -> Array:
-    """(n, rows, columns) of matrices that CasADi laid side by side."""
-    return stacked.reshape(horizon, -1, stacked.shape[-1]).swapaxes(1, 2)
+    return np.eye(size) - np.eye(size, k=-CONTROL_SIZE)
 
 
 def _sensitivities(by_state: Array, by_control: Array) -> Array:
-    """Derivatives (n, 3, 2 n) of all predicted poses by all commands, from those of each step."""
+    """Derivatives (n, 3, 2 n) of all predicted poses by all commands, from those (n, s, s), (n, s, 2) of each step."""
     horizon, size = by_state.shape[:2]
-    result = np.zeros((horizon, STATE.speed, CONTROL_SIZE * horizon))
-    current = np.zeros((size, CONTROL_SIZE * horizon))
-    for index in range(horizon):
-        current = by_state[index] @ current
-        current[:, CONTROL_SIZE * index : CONTROL_SIZE * (index + 1)] = by_control[index]
-        result[index] = current[: STATE.speed]
-    return result
+    result = np.zeros((horizon, size, CONTROL_SIZE * horizon))
+    result[0, :, :CONTROL_SIZE] = by_control[0]
+    for index in range(1, horizon):
+        np.matmul(by_state[index], result[index - 1], out=result[index])
+        result[index, :, CONTROL_SIZE * index : CONTROL_SIZE * (index + 1)] = by_control[index]
+    return result[:, : STATE.speed]

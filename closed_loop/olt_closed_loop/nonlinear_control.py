@@ -15,20 +15,21 @@ from olt_closed_loop.buffered import BufferedFunction
 from olt_closed_loop.prediction import predicted_step
 from olt_closed_loop.solver import SolveFailed
 from olt_closed_loop.tracking_cost import ACTUATORS, TrackingCost
-from olt_closed_loop.vehicle import CONTROL_SIZE, VehicleParameters
+from olt_closed_loop.vehicle import CONTROL_SIZE, STATE, VehicleParameters
 from olt_generator.poses import Array
 
-_MAX_ITERATIONS = 50
+_MAX_ITERATIONS = 30
+_TOLERANCE = 1e-6
 
 
 class NonlinearSolver:
-    """Solves the nonlinear tracking problem; arguments as those of `olt_closed_loop.linear_control.LinearSolver`."""
+    """Solves the nonlinear tracking problem; arguments as of `olt_closed_loop.linear_control.LinearSolver`."""
 
-    def __init__(self, parameters: VehicleParameters, cost: TrackingCost, horizon: int, substeps: int) -> None:
-        step = predicted_step(parameters, substeps)
+    def __init__(self, parameters: VehicleParameters, cost: TrackingCost, horizon: int) -> None:
+        step = predicted_step(parameters)
         self._horizon, self._state_size = horizon, step.size1_in(0)
         self._predict = BufferedFunction(step.mapaccum("horizon", horizon))
-        self._program = _program(parameters, cost, horizon, substeps)
+        self._program = _program(parameters, cost, horizon)
         limits, ties = parameters.control_limits, np.zeros(self._state_size + CONTROL_SIZE)
         self._low, self._high = (_constraint_limits(limit, ties, horizon) for limit in limits)
 
@@ -58,9 +59,9 @@ def _constraint_limits(limit: Array, ties: Array, horizon: int) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _program(parameters: VehicleParameters, cost: TrackingCost, horizon: int, substeps: int) -> ca.Function:
+def _program(parameters: VehicleParameters, cost: TrackingCost, horizon: int) -> ca.Function:
     """The nonlinear program of (start, targets), unknowns and constraints in the order of the steps."""
-    step = predicted_step(parameters, substeps)
+    step = predicted_step(parameters)
     size = step.size1_in(0)
     start, targets = ca.SX.sym("start", size), ca.SX.sym("targets", 3, horizon)
     states = [ca.SX.sym(f"state_{index}", size + CONTROL_SIZE) for index in range(horizon + 1)]
@@ -74,7 +75,7 @@ def _program(parameters: VehicleParameters, cost: TrackingCost, horizon: int, su
         constraints += [*ties, control]
         equalities += [True] * len(ties) * (size + CONTROL_SIZE) + [False] * CONTROL_SIZE
         total += ca.sumsqr(cost.command_changes(control, state[size:]))
-        total += ca.sumsqr(cost.pose_errors(following[:size], targets[:, index]))
+        total += ca.sumsqr(cost.pose_errors(following[: STATE.speed], targets[:, index]))
     problem = {
         "x": ca.vertcat(*unknowns, states[-1]),
         "p": ca.vertcat(start, ca.vec(targets)),
@@ -87,5 +88,6 @@ def _program(parameters: VehicleParameters, cost: TrackingCost, horizon: int, su
         "print_time": False,
         "fatrop.print_level": 0,
         "fatrop.max_iter": _MAX_ITERATIONS,
+        "fatrop.tol": _TOLERANCE,
     }
     return ca.nlpsol("tracking", "fatrop", problem, options)

@@ -33,13 +33,18 @@ class TrackingCost:
     steering_change: float = 0.05
     acceleration_change: float = 1.0
 
-    def pose_errors(self, state: ca.SX, target: ca.SX) -> ca.SX:
-        """Scaled errors (3,) along, across and in yaw of a state to its target pose (x, y, yaw)."""
-        x, y, yaw = ca.vertsplit(state[: STATE.speed] - target)
+    @property
+    def change_scales(self) -> tuple[float, float]:
+        """The scales of the two commands' changes."""
+        return self.steering_change, self.acceleration_change
+
+    def pose_errors(self, pose: ca.SX, target: ca.SX) -> ca.SX:
+        """Scaled errors (3,) along, across and in yaw of a pose (x, y, yaw) to its target."""
+        x, y, yaw = ca.vertsplit(pose - target)
         cos, sin = ca.cos(target[STATE.yaw]), ca.sin(target[STATE.yaw])
         along, across = cos * x + sin * y, cos * y - sin * x
         return ca.vertcat(along / self.position_scale, across / self.position_scale, yaw / self.yaw_scale)
 
     def command_changes(self, control: ca.SX, previous: ca.SX) -> ca.SX:
         """Scaled changes (2,) of the commands."""
-        return (control - previous) / ca.DM([self.steering_change, self.acceleration_change])
+        return (control - previous) / ca.DM(self.change_scales)
