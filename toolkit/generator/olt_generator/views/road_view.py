@@ -59,7 +59,8 @@ class RoadView:
         rotation, translation = source.T_target_camera[:3, :3], source.T_target_camera[:3, 3]
         points = (self._points - translation) @ rotation
         pixels, inside = self._camera.project(points)
-        column, row = np.where(inside[:, None], pixels, 0.0).astype(np.float32).T
+        last = (self._camera.width - 1, self._camera.height - 1)
+        column, row = np.where(inside[:, None], pixels, 0.0).clip(0.0, last).astype(np.float32).T
         distance = np.linalg.norm(points, axis=1)
         surface = source.distance[np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)]
         with np.errstate(invalid="ignore"):
