@@ -19,46 +19,144 @@ class ScoreDefinition(StrEnum):
     alpasim = "alpasim"
 
 
+class TrafficModel(StrEnum):
+    """How agents move: as recorded, or braking for the ego (`olt_closed_loop.reactive_agents`)."""
+
+    recorded = "recorded"
+    idm = "idm"
+
+
 @app.command()
 def run(
-    scene: Annotated[list[str], typer.Option(help="A USD stage, or CATEGORY:SEED; may be given several times.")],
     policy: Annotated[str, typer.Option(help="NAME or NAME:PATH, for example route or toy:CHECKPOINT.")],
+    scenes: Annotated[
+        list[str] | None, typer.Argument(help="USD stages, recorded drives (file or folder), or CATEGORY:SEED.")
+    ] = None,
+    scene: Annotated[list[str] | None, typer.Option(help="The same as an argument.")] = None,
     rollouts: Annotated[int, typer.Option(help="Drives of each scene.")] = 2,
     seed: Annotated[int, typer.Option(help="Seed of the first drive; the next has the next number.")] = 0,
+    duration: Annotated[float, typer.Option(help="Seconds of a drive, 1.7 s of warm-up included.")] = 20.0,
+    planner_delay: Annotated[float, typer.Option(help="Seconds from asking for a plan until it is in force.")] = 0.0,
+    traffic: Annotated[TrafficModel, typer.Option(help="How agents move.")] = TrafficModel.recorded,
+    definition: Annotated[ScoreDefinition, typer.Option(help="How the score is defined.")] = ScoreDefinition.strict,
+    skip: Annotated[bool, typer.Option(help="Leave out what cannot change the result.")] = True,
     workers: Annotated[int | None, typer.Option(help="Processes; by default one for each processor.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for rollouts.json and scores.json.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Drive scenes with a policy and print AS and CR by category."""
-    from olt_closed_loop.evaluation import pass_gate, run_closed_loop, save_results
+    """Drive scenes with a policy and print AS and CR by category; the gate must hold on every scene."""
+    from olt_closed_loop.evaluation import count_left_out, find_scenes, run_closed_loop, save_results
     from olt_closed_loop.score_table import summarize_scores
+    from olt_closed_loop.simulation_settings import SimulationSettings
     from olt_toolkit.console import make_progress, print_json, print_line
     from olt_toolkit.workers import default_workers
 
-    pass_gate(scene)
+    settings = SimulationSettings(
+        duration_us=round(duration * 1e6),
+        planner_delay_us=round(planner_delay * 1e6),
+        traffic=traffic.value,
+        skip=skip,
+    )
+    sources = find_scenes([*(scenes or []), *(scene or [])])
+    if not sources:
+        raise typer.BadParameter("give a scene: a USD stage, a recorded drive, or CATEGORY:SEED")
     with make_progress() as progress:
-        total = len(scene) * rollouts
+        total = len(sources) * rollouts
         task = progress.add_task("closed loop", total=total)
         results = run_closed_loop(
-            scene,
+            sources,
             policy,
             rollouts,
             seed,
+            settings,
             workers=workers or default_workers(),
             on_progress=lambda share: progress.update(task, completed=round(share * total)),
+            definition=definition.value,
         )
     scores = [score for _, score in results]
     table = summarize_scores(scores)
+    left_out = count_left_out(results)
     if out:
         save_results(out, results)
     if as_json:
-        print_json({"policy": policy, "table": table.to_dict(), "scores": [score.to_dict() for score in scores]})
+        print_json(
+            {
+                "policy": policy,
+                "traffic": traffic.value,
+                "table": table.to_dict(),
+                "scores": [score.to_dict() for score in scores],
+                "left_out": left_out,
+            }
+        )
     else:
-        _print_scores(policy, table)
-        failures = sorted({f"{score.scene}: not valid: {score.reason}" for score in scores if not score.valid})
-        for line in failures + sorted({note for score in scores for note in score.left_out}):
+        _print_scores(f"{policy}, {traffic.value} traffic", table)
+        for line in sorted({f"{score.scene}: not valid: {score.reason}" for score in scores if not score.valid}):
             print_line(line)
+        for note, count in left_out.items():
+            print_line(f"left out in {count} of {len(results)} rollouts: {note}")
     if table.overall.valid < table.overall.rollouts:
+        raise typer.Exit(1)
+
+
+@app.command()
+def gate(
+    scenes: Annotated[list[str], typer.Argument(help="USD stages, recorded drives, or CATEGORY:SEED.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Check on scenes that drives of known worth get what they are worth."""
+    from olt_closed_loop.evaluation import find_scenes, load_scene
+    from olt_closed_loop.gate import check_gate
+    from olt_toolkit.console import make_progress, print_json, print_table
+
+    sources = find_scenes(scenes)
+    with make_progress() as progress:
+        results = [check_gate(load_scene(source)) for source in progress.track(sources, description="gate")]
+    if as_json:
+        print_json({"passed": all(result.passed for result in results), "gate": [r.to_dict() for r in results]})
+    else:
+        answers = {True: "yes", False: "NO", None: "cannot be asked"}
+        rows = [(r.scene, check.name, answers[check.passed], check.finding) for r in results for check in r.checks]
+        print_table("Gate", ["scene", "check", "holds", "found"], rows)
+    if not all(result.passed for result in results):
+        raise typer.Exit(1)
+
+
+@app.command(name="scene")
+def convert_scene(
+    recording: Annotated[str, typer.Argument(help="A recorded drive (file or folder), or CATEGORY:SEED.")],
+    out: Annotated[Path, typer.Option(help="Stage to write, .usda or .usdc; its looks are written beside it.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Write a recorded drive as a scene, and say what was assumed and whether the gate holds on it."""
+    from olt_closed_loop.evaluation import load_scene
+    from olt_closed_loop.gate import check_gate
+    from olt_closed_loop.stage import write_scene
+    from olt_toolkit.console import make_progress, print_json, print_table
+
+    if out.suffix not in (".usda", ".usdc"):
+        raise typer.BadParameter(f"{out}: give a file ending in .usda or .usdc")
+    with make_progress() as progress:
+        task = progress.add_task("scene", total=3)
+        loaded = load_scene(recording)
+        progress.advance(task)
+        result = check_gate(loaded)
+        progress.advance(task)
+        write_scene(loaded, out)
+        progress.advance(task)
+    figures = {
+        "name": loaded.name,
+        "seconds": float(loaded.ego.times[-1]),
+        "metres": loaded.ego.path_length,
+        "agents": len(loaded.agents),
+        "lanes": len(loaded.lanes),
+    }
+    if as_json:
+        print_json({**figures, "assumptions": list(loaded.assumptions), "gate": result.to_dict(), "stage": str(out)})
+    else:
+        rows = [*figures.items(), *(("assumed", text) for text in loaded.assumptions)]
+        rows += [(f"gate: {check.name}", check.finding) for check in result.checks]
+        print_table(str(out), ["figure", "value"], rows)
+    if not result.passed:
         raise typer.Exit(1)
 
 

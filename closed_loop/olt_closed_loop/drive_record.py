@@ -98,7 +98,7 @@ def record_drive_in_scene(scene: Scene, rollout: Rollout) -> DriveRecord:
         timestamps_us=rollout.timestamps_us,
         poses=np.stack([x, y, rollout.heights, yaw], axis=-1),
         box=EgoBox(vehicle.length, vehicle.width, vehicle.height, vehicle.rear_axle_to_bbox_center),
-        agents=scene.agents,
+        agents=rollout.driven_scene(scene).agents,
         recorded_us=scene.ego.timestamps_us,
         recorded_poses=np.column_stack([T_world_rig[:, :3, 3], yaw_of(T_world_rig)]),
         lanes=tuple(LaneLines(lane.center, lane.left, lane.right) for lane in scene.lanes),

@@ -8,7 +8,8 @@ import numpy as np
 from olt_closed_loop.rollout import Rollout
 from olt_closed_loop.scene import Agent, Scene
 from olt_closed_loop.scoring import SHORT_RECORDING, RolloutScore, recorded_length, score_rollout
-from olt_closed_loop.simulation import SimulationSettings, replay, stand
+from olt_closed_loop.simulation import replay, stand
+from olt_closed_loop.simulation_settings import SimulationSettings
 from olt_closed_loop.vehicle import STATE
 
 WALL_LENGTH, WALL_WIDTH, WALL_HEIGHT = 0.5, 8.0, 2.0
@@ -91,6 +92,22 @@ def _wall(scene: Scene, replayed: Rollout) -> Agent:
 
 
 def _describe(score: RolloutScore) -> str:
-    return f"score {score.score:.4f}, progress {score.progress:.4f}, {len(score.collisions)} collisions" + (
-        f" ({score.reason})" if score.reason else ""
-    )
+    """The score and, where it is not perfect, what happened when, so that the scene can be repaired."""
+    happened = [
+        f"{hit.side} contact with {hit.label} {hit.agent_id} at {_seconds(hit.time_us)}" for hit in score.collisions
+    ]
+    if score.offroad_us is not None:
+        happened.append(f"off the road at {_seconds(score.offroad_us)}")
+    if score.left_path_us is not None:
+        happened.append(f"off the recorded path at {_seconds(score.left_path_us)}")
+    if score.reason:
+        happened.append(score.reason)
+    return ", ".join([f"score {_figure(score.score)}", f"progress {_figure(score.progress)}", *happened])
+
+
+def _figure(value: float | None) -> str:
+    return "not measured" if value is None else f"{value:.4f}"
+
+
+def _seconds(time_us: int) -> str:
+    return f"{time_us * 1e-6:.2f} s"

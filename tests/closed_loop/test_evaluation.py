@@ -7,9 +7,10 @@ from typer.testing import CliRunner
 
 from olt_closed_loop import policies
 from olt_closed_loop.commands import app
-from olt_closed_loop.evaluation import load_scene, pass_gate, run_closed_loop, save_results
+from olt_closed_loop.evaluation import count_left_out, load_scene, pass_gate, run_closed_loop, save_results
 from olt_closed_loop.rollout import load_rollouts
-from olt_closed_loop.simulation import SimulationSettings
+from olt_closed_loop.simulation_settings import SimulationSettings
+from olt_closed_loop.stage import write_scene
 from olt_generator.errors import InputError
 
 SHORT = SimulationSettings(duration_us=4_000_000)
@@ -38,6 +39,34 @@ def test_results_do_not_depend_on_the_number_of_workers(straight_scene):
     alone = run_closed_loop(scenes, "constant_velocity", settings=SHORT, workers=1)
     together = run_closed_loop(scenes, "constant_velocity", settings=SHORT, workers=2)
     assert without_timings(alone) == without_timings(together)
+
+
+def test_everything_on_gives_the_same_numbers(straight_scene, moving_agent):
+    agents = (moving_agent("far", (0.0, 300.0)), moving_agent("ahead", (60.0, 0.0), (9.0, 0.0)))
+    scene = straight_scene(agents)
+    for policy in ("constant_velocity", "standing", "route"):
+        (lean, quick), (full, slow) = (
+            run_closed_loop([scene], policy, 1, settings=replace(SHORT, skip=skip))[0] for skip in (True, False)
+        )
+        assert replace(lean, timings={}, left_out=()).to_dict() == replace(full, timings={}, left_out=()).to_dict()
+        assert replace(quick, left_out=()) == replace(slow, left_out=())
+        assert count_left_out([(lean, quick)])
+
+
+def test_scores_are_refused_while_the_gate_fails(straight_scene, moving_agent):
+    blocked = straight_scene((moving_agent("in the way", (30.0, 0.0)),))
+    with pytest.raises(InputError, match=r"gate fails on scene straight .*in the way at 2\.37 s.*scores would mean"):
+        run_closed_loop([blocked], "constant_velocity", settings=SHORT)
+
+
+def test_reactive_traffic_is_scored_as_it_moved(straight_scene, moving_agent):
+    scene = straight_scene((moving_agent("follower", (-20.0, 0.0), (10.0, 0.0)),))
+    hit, spared = (
+        run_closed_loop([scene], "standing", 1, settings=SimulationSettings(traffic=traffic))[0]
+        for traffic in ("recorded", "idm")
+    )
+    assert hit[1].collided and not spared[1].collided
+    assert spared[0].traffic == "idm"
 
 
 def test_results_are_written_whole(straight_scene, tmp_path):
@@ -75,6 +104,37 @@ def test_the_command_prints_a_table_and_writes_files(tmp_path):
     printed = json.loads(result.stdout)
     assert printed["table"]["rows"][-1]["category"] == "overall"
     assert (tmp_path / "scores.json").is_file()
+
+
+def test_traffic_and_planner_delay_are_options(tmp_path):
+    arguments = ["run", "nominal:0", "--policy", "standing", "--rollouts", "1", "--workers", "1", "--json"]
+    options = ["--traffic", "idm", "--planner-delay", "0.3", "--duration", "4", "--definition", "alpasim"]
+    result = CliRunner().invoke(app, [*arguments, *options, "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    printed = json.loads(result.stdout)
+    assert (printed["traffic"], printed["table"]["definition"]) == ("idm", "alpasim")
+    (rollout,) = load_rollouts(tmp_path / "rollouts.json")
+    assert rollout.traffic == "idm" and len(rollout.states) == 41
+    assert rollout.plan_times_us[0] == rollout.handover_us - 300_000
+
+
+def test_the_gate_command_fails_where_the_gate_does(straight_scene, moving_agent, tmp_path):
+    good = write_scene(straight_scene(), tmp_path / "good.usda")
+    blocked = write_scene(straight_scene((moving_agent("in the way", (30.0, 0.0)),)), tmp_path / "blocked.usda")
+    passed = CliRunner().invoke(app, ["gate", str(good), "--json"])
+    assert passed.exit_code == 0 and json.loads(passed.stdout)["passed"]
+    failed = CliRunner().invoke(app, ["gate", str(good), str(blocked)])
+    assert failed.exit_code == 1 and "front contact with automobile in the way" in " ".join(failed.stdout.split())
+
+
+def test_the_scene_command_converts_and_reports_the_gate(tmp_path):
+    stage = tmp_path / "scene.usdc"
+    result = CliRunner().invoke(app, ["scene", "nominal:1", "--out", str(stage), "--json"])
+    assert result.exit_code == 0, result.output
+    printed = json.loads(result.stdout)
+    assert printed["gate"]["passed"] and printed["assumptions"] == []
+    assert load_scene(str(stage)).name == printed["name"]
+    assert CliRunner().invoke(app, ["scene", "nominal:1", "--out", str(tmp_path / "scene.obj")]).exit_code != 0
 
 
 class _Broken:
