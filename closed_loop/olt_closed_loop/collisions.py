@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from olt_closed_loop.contacts import first_contacts
-from olt_closed_loop.moving_boxes import MovingBox, agent_box, corners, separations
+from olt_closed_loop.moving_boxes import MovingBox, corners, separations
 from olt_closed_loop.scene import Agent
 from olt_generator.poses import Array
 
@@ -63,21 +63,29 @@ def within_reach(ego: MovingBox, agent: MovingBox, start_us: int, end_us: int) -
 
 
 def find_collisions(
-    ego: MovingBox, agents: Sequence[Agent], start_us: int, end_us: int, skip_unreachable: bool = True
+    ego: MovingBox,
+    agents: Sequence[Agent],
+    boxes: Sequence[MovingBox],
+    start_us: int,
+    end_us: int,
+    skip_unreachable: bool = True,
 ) -> tuple[tuple[Collision, ...], tuple[str, ...]]:
     """First contact with each agent, in order of time.
 
     Args:
         ego: the ego's box, sampled from `start_us` to `end_us` at least.
-        agents: whom to test.
+        agents, boxes: whom to test, and their boxes.
         start_us, end_us: when to test, both included.
         skip_unreachable: whether agents that cannot be reached are left out.
 
     Returns:
         The collisions, and the ids of the agents that were left out.
     """
-    boxes = [(agent, agent_box(agent)) for agent in agents]
-    tested = [(agent, box) for agent, box in boxes if not skip_unreachable or within_reach(ego, box, start_us, end_us)]
+    tested = [
+        (agent, box)
+        for agent, box in zip(agents, boxes, strict=True)
+        if not skip_unreachable or within_reach(ego, box, start_us, end_us)
+    ]
     contacts = first_contacts(ego, [box for _, box in tested], start_us, end_us)
     collisions = [
         _describe(ego, box, agent, start_us, start_us + int(np.ceil(after_us)))

@@ -102,9 +102,9 @@ def _common_pieces(ego: MovingBox, others: Sequence[MovingBox], start_us: int, e
         low, high = max(start_us, int(box.timestamps_us[0])), min(end_us, int(box.timestamps_us[-1]))
         if low > high:
             continue
-        samples = np.union1d(ego.timestamps_us, box.timestamps_us)
-        times = np.union1d(samples[(samples > low) & (samples < high)], [low, high]).astype(np.int64)
-        times = np.repeat(times, 2) if len(times) == 1 else times
+        together = np.array_equal(ego.timestamps_us, box.timestamps_us)
+        samples = box.timestamps_us if together else np.union1d(ego.timestamps_us, box.timestamps_us)
+        times = np.concatenate([[low], samples[(samples > low) & (samples < high)], [high]])
         after, ours, theirs = (times - start_us).astype(np.float64), ego.at(times), box.at(times)
         other = np.full(len(times) - 1, index)
         groups.append(_Pieces(other, after[:-1], after[1:], ours[:-1], ours[1:], theirs[:-1], theirs[1:]))

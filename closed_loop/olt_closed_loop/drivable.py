@@ -22,6 +22,7 @@ TOLERANCE = 1e-3
 LANE_WIDTH = 3.7
 """Width in metres of a lane whose borders are not known; AlpaSim's."""
 SAMPLE_US = 20_000
+_EVERY = 5
 
 Flags = NDArray[np.bool_]
 Polygons = NDArray[np.object_]
@@ -40,31 +41,20 @@ class Road:
     area: BaseGeometry
     edges: BaseGeometry | None
 
-    def leaves(self, poses: Array, half_size: Array, skip: bool = True) -> Flags:
-        """Which of the boxes at poses (n, 4) are partly or wholly off the road.
-
-        Args:
-            poses: where the boxes are.
-            half_size: half their length, width, height.
-            skip: whether boxes whose whole surroundings are inside the area are not looked at; this changes nothing.
-        """
-        outside = np.zeros(len(poses), dtype=bool)
-        tested = self._near_border(poses, half_size) if skip else np.ones(len(poses), dtype=bool)
-        points = corners(poses[tested], half_size) - self.origin
+    def leaves(self, poses: Array, half_size: Array) -> Flags:
+        """Which of the boxes at poses (n, 4) are partly or wholly off the road."""
+        points = corners(poses, half_size) - self.origin
         boxes = np.asarray(shapely.polygons(points))
-        uncovered = ~shapely.covers(self.area, boxes)
+        uncovered = ~np.asarray(shapely.covers(self.area, boxes))
         if self.edges is not None:
             uncovered[uncovered] = _beyond(self.edges, self.area, boxes[uncovered], points[uncovered])
-        outside[tested] = uncovered
-        return outside
+        return uncovered
 
-    def _near_border(self, poses: Array, half_size: Array) -> Flags:
-        """Which boxes are not wholly inside by the distance of their centre to the border alone."""
-        centers = shapely.points(poses[:, :2] - self.origin)
-        border = shapely.boundary(self.area)
-        shapely.prepare(border)
-        near = np.asarray(shapely.dwithin(border, centers, float(np.hypot(*half_size[:2]))))
-        return near | ~np.asarray(shapely.contains(self.area, centers))
+    def may_be_left(self, poses: Array, distance: float) -> Flags:
+        """Around which of the positions (n, 2 or more) the area does not cover everything within a distance."""
+        x, y = (poses[:, :2] - self.origin).T
+        surroundings = shapely.box(x - distance, y - distance, x + distance, y + distance)
+        return ~np.asarray(shapely.covers(self.area, surroundings))
 
 
 def road_of(record: DriveRecord) -> Road | None:
@@ -74,7 +64,7 @@ def road_of(record: DriveRecord) -> Road | None:
         return Road(origin, _union([shapely.Polygon(outline[:, :2] - origin) for outline in record.drivable]), None)
     if not (record.lanes and record.road_edges):
         return None
-    edges = shapely.union_all([shapely.LineString(edge[:, :2] - origin) for edge in record.road_edges])
+    edges = shapely.MultiLineString([edge[:, :2] - origin for edge in record.road_edges])
     shapely.prepare(edges)
     return Road(origin, _union([lane_area(lane, origin) for lane in record.lanes]), edges)
 
@@ -89,18 +79,24 @@ def lane_area(lane: LaneLines, origin: Array) -> BaseGeometry:
 def first_departure(road: Road, ego: MovingBox, start_us: int, end_us: int, skip: bool = True) -> int | None:
     """The first time from `start_us` to `end_us` at which some part of the ego's box is off the road, or None.
 
-    It is looked for every 20 ms and then narrowed to a microsecond.
+    It is looked for every 20 ms and then narrowed to a microsecond. `skip` leaves out the times at which the whole
+    surroundings of the ego are inside the area; this changes nothing.
     """
-
-    def off_road(times: NDArray[np.int64]) -> Flags:
-        return road.leaves(ego.at(times), ego.half_size, skip)
-
     times = np.append(np.arange(start_us, end_us, SAMPLE_US, dtype=np.int64), end_us)
-    outside = off_road(times)
-    if not outside.any():
+    tested = _near_border(road, ego, times) if skip else np.ones(len(times), dtype=bool)
+    outside = np.flatnonzero(tested)[road.leaves(ego.at(times[tested]), ego.half_size)]
+    if len(outside) == 0:
         return None
-    first = int(np.argmax(outside))
-    return _narrow(off_road, int(times[max(first - 1, 0)]), int(times[first]))
+    before_us, after_us = int(times[max(outside[0] - 1, 0)]), int(times[outside[0]])
+    return _narrow(lambda moments: road.leaves(ego.at(moments), ego.half_size), before_us, after_us)
+
+
+def _near_border(road: Road, ego: MovingBox, times: NDArray[np.int64]) -> Flags:
+    """At which times (n,) the ego may be off the road, judged from every fifth and what it can drive in between."""
+    ways = np.linalg.norm(np.diff(ego.poses[:, :2], axis=0), axis=1)
+    fastest = float((ways / np.diff(ego.timestamps_us)).max(initial=0.0))
+    reach = ego.radius + fastest * _EVERY * SAMPLE_US
+    return np.repeat(road.may_be_left(ego.at(times[::_EVERY], columns=2), reach), _EVERY)[: len(times)]
 
 
 def _narrow(holds: Callable[[NDArray[np.int64]], Flags], before_us: int, after_us: int) -> int:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from olt_closed_loop.drivable import lane_area
 from olt_closed_loop.drive_record import DriveRecord
@@ -24,7 +25,6 @@ YAW_RATE, YAW_ACCELERATION, LONGITUDINAL_JERK, JERK = 0.95, 1.93, 4.13, 8.37
 COLLISION_HORIZON = 10.0
 """Seconds up to which the time to a collision is looked for."""
 WRONG_WAY = np.deg2rad(120.0)
-_LOOK = 0.01
 
 
 @dataclass(frozen=True)
@@ -126,11 +126,16 @@ def _slopes(values: Array, seconds: Array) -> tuple[Array, Array]:
 
 def _nearness(ego: MovingBox, others: Sequence[MovingBox], times: NDArray[np.int64]) -> tuple[float | None, float]:
     """Smallest distance to anybody and smallest time to a collision at the times (n,)."""
-    pairs = [_pairs(ego, box, times) for box in others]
-    pairs = [pair for pair in pairs if pair is not None]
+    own, own_velocity = ego.at(times), _velocities(ego, times)
+    pairs = [
+        (own[there], box.at(times[there]), _velocities(box, times[there]) - own_velocity[there], box.half_size)
+        for box, there in ((box, box.covers(times)) for box in others)
+        if there.any()
+    ]
     if not pairs:
         return None, COLLISION_HORIZON
-    ours, theirs, halves, velocities = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    ours, theirs, velocities = (np.concatenate([pair[part] for pair in pairs]) for part in range(3))
+    halves = np.repeat([pair[3] for pair in pairs], [len(pair[0]) for pair in pairs], axis=0)
     gaps, offsets = separations(ours, ego.half_size, theirs, halves)
     ttc = times_to_collision(gaps, offsets, _along_axes(velocities, ours[:, 3], theirs[:, 3]))
     lowest = gaps.max(axis=1)
@@ -139,15 +144,6 @@ def _nearness(ego: MovingBox, others: Sequence[MovingBox], times: NDArray[np.int
     close = np.flatnonzero(lowest <= best)
     distances = box_distances(ours, ego.half_size, theirs, halves, at=close)
     return float(min(best, distances.min(initial=best))), float(min(ttc.min(), COLLISION_HORIZON))
-
-
-def _pairs(ego: MovingBox, box: MovingBox, times: NDArray[np.int64]) -> tuple[Array, Array, Array, Array] | None:
-    """Poses (k, 4) of both, half sizes (k, 3) and relative velocities (k, 3) at the times when the other exists."""
-    shared = times[box.covers(times)]
-    if len(shared) == 0:
-        return None
-    velocity = _velocities(box, shared) - _velocities(ego, shared)
-    return ego.at(shared), box.at(shared), np.broadcast_to(box.half_size, (len(shared), 3)), velocity
 
 
 def _velocities(box: MovingBox, times: NDArray[np.int64]) -> Array:
@@ -200,9 +196,9 @@ def _drives_wrong_way(record: DriveRecord, ego: MovingBox, times: NDArray[np.int
         return None
     poses = ego.at(times)
     origin = poses[0, :2]
-    centers = np.asarray(shapely.points(poses[:, :2] - origin))
+    centers = poses[:, :2] - origin
     areas = [shapely.make_valid(lane_area(lane, origin)) for lane in record.lanes]
-    samples, lanes = shapely.STRtree(areas).query(centers, predicate="within")
+    samples, lanes = shapely.STRtree(areas).query(shapely.points(centers), predicate="within")
     proper = np.zeros(len(times), dtype=bool)
     for lane in np.unique(lanes):
         inside = samples[lanes == lane]
@@ -214,10 +210,8 @@ def _drives_wrong_way(record: DriveRecord, ego: MovingBox, times: NDArray[np.int
     return bool((on_lane & ~proper).any())
 
 
-def _lane_direction(center: Array, points: NDArray[np.object_]) -> Array:
-    """Directions (n,) of a centre line beside points (n,)."""
-    line = shapely.LineString(center)
-    along = shapely.line_locate_point(line, points)
-    ahead = shapely.get_coordinates(shapely.line_interpolate_point(line, np.minimum(along + _LOOK, line.length)))
-    behind = shapely.get_coordinates(shapely.line_interpolate_point(line, np.maximum(along - _LOOK, 0.0)))
-    return np.arctan2(*(ahead - behind).T[::-1])
+def _lane_direction(center: Array, points: Array) -> Array:
+    """Directions (n,) of a centre line (m, 2) at its vertices nearest to points (n, 2)."""
+    _, nearest = KDTree(center).query(points)
+    ahead = center[np.minimum(nearest + 1, len(center) - 1)] - center[np.maximum(nearest - 1, 0)]
+    return np.arctan2(ahead[:, 1], ahead[:, 0])

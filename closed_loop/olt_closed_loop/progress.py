@@ -1,5 +1,8 @@
 """Position along a path, as an arc length that only grows and cannot jump to another passage of the same place."""
 
+import math
+from bisect import bisect_left, bisect_right
+
 import numpy as np
 
 from olt_generator.poses import Array
@@ -18,9 +21,12 @@ class PathTracker:
         """Start at the beginning of `path` (n, 2), n >= 1, metres."""
         moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > 0.0
         self._points = path[np.concatenate([[True], moved])]
-        self._directions = np.diff(self._points, axis=0)
-        self._lengths = np.linalg.norm(self._directions, axis=1)
-        self._starts = np.concatenate([[0.0], np.cumsum(self._lengths)])
+        directions = np.diff(self._points, axis=0)
+        lengths = np.linalg.norm(directions, axis=1)
+        self._starts = np.concatenate([[0.0], np.cumsum(lengths)])
+        self._vertices: list[list[float]] = self._points.tolist()
+        self._units: list[list[float]] = (directions / lengths[:, None]).tolist()
+        self._arc_lengths: list[float] = self._starts.tolist()
         self._last_point = self._points[0]
         self.arc_length = 0.0
         self.distance = 0.0
@@ -37,7 +43,7 @@ class PathTracker:
 
     def advance(self, point: Array) -> float:
         """Move on to `point` (2,); returns the new arc length in metres."""
-        reach = LOOK_AHEAD + 2.0 * float(np.linalg.norm(point - self._last_point))
+        reach = LOOK_AHEAD + 2.0 * math.dist(point, self._last_point)
         self._search(point, self.arc_length, min(self.arc_length + reach, self.length))
         return self.arc_length
 
@@ -48,19 +54,24 @@ class PathTracker:
         return np.stack([np.interp(asked, self._starts, column) for column in self._points.T], axis=-1)
 
     def _search(self, point: Array, low: float, high: float) -> None:
-        """Take the nearest point among the arc lengths from `low` to `high`."""
+        """Take the nearest point among the arc lengths from `low` to `high`.
+
+        A plain loop: the few segments within reach of one step are too short an array for numpy to pay.
+        """
         self._last_point = point
-        first = max(int(np.searchsorted(self._starts, low, side="right")) - 1, 0)
-        last = int(np.searchsorted(self._starts, high, side="left"))
-        part = slice(min(first, last), last)
-        if part.start == part.stop:  # at the very end, or a path of one point
-            self.arc_length, self.distance = low, float(np.linalg.norm(point - self._points[last]))
-            return
-        offsets = point - self._points[part]
-        along = np.einsum("ij,ij->i", offsets, self._directions[part]) / self._lengths[part]
-        along = np.clip(along, 0.0, self._lengths[part])
-        arc_lengths = np.clip(self._starts[part] + along, low, high)
-        along = (arc_lengths - self._starts[part]) / self._lengths[part]
-        distances = np.linalg.norm(offsets - along[:, None] * self._directions[part], axis=1)
-        nearest = int(np.argmin(distances))
-        self.arc_length, self.distance = float(arc_lengths[nearest]), float(distances[nearest])
+        x, y = point.tolist()
+        first = max(bisect_right(self._arc_lengths, low) - 1, 0)
+        last = bisect_left(self._arc_lengths, high)
+        # At the very end, or on a path of one point, there is no segment left.
+        self.arc_length, self.distance = low, math.dist((x, y), self._vertices[last])
+        nearest = math.inf
+        for index in range(first, last):
+            (start_x, start_y), (unit_x, unit_y) = self._vertices[index], self._units[index]
+            start = self._arc_lengths[index]
+            along = (x - start_x) * unit_x + (y - start_y) * unit_y
+            arc_length = min(max(start + along, start, low), self._arc_lengths[index + 1], high)
+            along = arc_length - start
+            distance = math.hypot(x - start_x - along * unit_x, y - start_y - along * unit_y)
+            if distance < nearest:
+                nearest = distance
+                self.arc_length, self.distance = arc_length, distance

@@ -148,11 +148,12 @@ def _unscorable(rollout: Rollout) -> str | None:
 
 def _strict(record: DriveRecord, skip: bool) -> dict[str, Any]:
     ego, road = ego_box(record), road_of(record)
+    boxes = [agent_box(agent) for agent in record.agents]
     span = _scored_span(record)
-    collisions, unreachable = find_collisions(ego, record.agents, *span, skip_unreachable=skip)
+    collisions, unreachable = find_collisions(ego, record.agents, boxes, *span, skip_unreachable=skip)
     offroad_us = first_departure(road, ego, *span, skip=skip) if road else None
     progress, left_path_us = _progress(record)
-    metrics = measure_driving(record, ego, [agent_box(agent) for agent in record.agents])
+    metrics = measure_driving(record, ego, boxes)
     at_fault = sum(collision.at_fault for collision in collisions)
     left_road = int(offroad_us is not None)
     reason = "collision_at_fault" if at_fault else "offroad" if left_road else None

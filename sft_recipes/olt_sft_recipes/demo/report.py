@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.collisions import agent_box
+from olt_closed_loop.moving_boxes import agent_box
 from olt_closed_loop.rollout import Rollout, load_rollouts
 from olt_closed_loop.scene import Agent, Scene
 from olt_closed_loop.stage import read_scene
