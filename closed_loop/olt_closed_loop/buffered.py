@@ -16,6 +16,7 @@ class BufferedFunction:
     """
 
     def __init__(self, function: ca.Function) -> None:
+        self.name = function.name()
         self._inputs = [np.zeros(_shape(function.size_in(i))) for i in range(function.n_in())]
         self._outputs = [np.zeros(_shape(function.size_out(i))) for i in range(function.n_out())]
         self._buffer: Any  # CasADi's type stubs ask for a size that the call itself takes from the array
@@ -25,7 +26,7 @@ class BufferedFunction:
         for index, array in enumerate(self._outputs):
             self._buffer.set_res(index, array.data)
 
-    def __call__(self, *arguments: Array) -> list[Array]:
+    def __call__(self, *arguments: Array | float) -> list[Array]:
         """Evaluate; the results are copies."""
         for buffer, argument in zip(self._inputs, arguments, strict=True):
             buffer[...] = argument

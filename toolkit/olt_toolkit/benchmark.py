@@ -21,6 +21,19 @@ class Setting:
 
 
 @dataclass(frozen=True)
+class Grid:
+    """What a component does over its stiff and extreme cases.
+
+    Attributes:
+        rows: one JSON-able object for each case, with its outcome.
+        summary: lines that say how the cases came out.
+    """
+
+    rows: Sequence[dict[str, Any]]
+    summary: Sequence[str]
+
+
+@dataclass(frozen=True)
 class Benchmark:
     """Settings of one component, measured against a reference that does not use them.
 
@@ -31,6 +44,7 @@ class Benchmark:
         reference: what the error is measured against, in one sentence.
         settings: builds the settings; called in the measuring process too, so it must give the same ones each time.
         measure_error: the error of what a setting's call returned; called once per setting.
+        grid: drives the stiff and extreme cases, or None where the component has none.
     """
 
     name: str
@@ -40,3 +54,4 @@ class Benchmark:
     reference: str
     settings: Callable[[], Sequence[Setting]]
     measure_error: Callable[[Any], float]
+    grid: Callable[[], Grid] | None = None

@@ -1,111 +1,176 @@
 """Vehicle integration: how far each integrator is from the exact motion, and what a step of it costs."""
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from olt_closed_loop.integrators import DEFAULT_METHOD, DEFAULT_SUBSTEPS, Method, make_stepper
-from olt_closed_loop.vehicle import STATE, VehicleParameters
+from olt_closed_loop.benchmarks.vehicle_grid import vehicle_grid
+from olt_closed_loop.integrators import Method, make_stepper
+from olt_closed_loop.vehicle import MODELS, STATE, Model, VehicleParameters, with_rolling_tyres
+from olt_closed_loop.vehicle_presets import DRY_FRICTION, alpasim_vehicle
 from olt_generator.poses import Array
 from olt_toolkit.benchmark import Benchmark, Setting
 from olt_toolkit.rig import DEFAULT_VEHICLE
 
-STEP = 0.1
-STEPS = 20
-PARAMETERS = VehicleParameters.from_dimensions(DEFAULT_VEHICLE)
-
-_INTEGRATORS: dict[str, tuple[Method, int]] = {
-    "Euler 10 ms": ("euler", 10),
-    "midpoint 10 ms": ("midpoint", 10),
-    "RK4 100 ms": ("rk4", 1),
-    "RK4 50 ms": ("rk4", 2),
-    "RK4 25 ms": ("rk4", 4),
-    "RK4 10 ms": ("rk4", 10),
-    "CVODES 1e-10": ("cvodes", 1),
+HOLD = 0.2
+"""Seconds for which a control is held, and after which positions are compared."""
+HOLDS = 10
+VEHICLES: dict[Model, VehicleParameters] = {
+    "kinematic": VehicleParameters.from_dimensions(DEFAULT_VEHICLE),
+    "linear": alpasim_vehicle(),
+    "saturating": alpasim_vehicle(DRY_FRICTION),
 }
 
 
-def manoeuvres() -> tuple[Array, Array]:
-    """First states (n, 6) and held controls (n, 20, 2) of the grid: steering steps, braking, slalom, moving off."""
-    time = STEP * np.arange(STEPS)
+@dataclass(frozen=True)
+class Integration:
+    """A way of integrating that the benchmark measures."""
+
+    model: Model
+    method: Method
+    substeps: int | None
+    step: float
+
+    @property
+    def name(self) -> str:
+        """What it is called in the table."""
+        substeps = "" if self.substeps is None else f" x {self.substeps}"
+        return f"{self.model}, {self.method}{substeps}, step {1e3 * self.step:g} ms"
+
+
+def integrations() -> Iterator[Integration]:
+    """Everything that is measured."""
+    for model in MODELS:
+        for step in (0.02, 0.1, 0.2):
+            yield Integration(model, "auto", None, step)
+        for substeps in (None, 4, 10, 20):
+            yield Integration(model, "rk4", substeps, 0.1)
+        for substeps in (10, 40):
+            yield Integration(model, "midpoint", substeps, 0.1)
+        for elements in (2, 8):
+            yield Integration(model, "radau", elements, 0.1)
+        yield Integration(model, "cvodes", None, 0.1)
+
+
+def manoeuvres(model: Model) -> tuple[Array, Array]:
+    """First states (n, s) and held controls (n, 10, 2): steering steps, braking in a bend, slalom, moving off."""
+    time = HOLD * np.arange(HOLDS)
     rows: list[tuple[float, Array, Array]] = [
-        (speed, np.full(STEPS, 0.3), np.zeros(STEPS)) for speed in (10.0, 20.0, 30.0, 40.0)
+        (speed, np.full(HOLDS, 0.3), np.zeros(HOLDS)) for speed in (10.0, 20.0, 30.0, 40.0)
     ]
-    rows.append((10.0, np.full(STEPS, 0.1), np.full(STEPS, -8.0)))
-    rows.append((15.0, 0.1 * np.sin(np.pi * time), np.zeros(STEPS)))
-    rows.append((0.0, np.full(STEPS, 0.2), np.full(STEPS, 3.0)))
+    rows.append((10.0, np.full(HOLDS, 0.1), np.full(HOLDS, -8.0)))
+    rows.append((15.0, 0.1 * np.sin(np.pi * time), np.zeros(HOLDS)))
+    rows.append((0.0, np.full(HOLDS, 0.2), np.full(HOLDS, 3.0)))
     states = np.zeros((len(rows), 6))
     states[:, STATE.speed] = [speed for speed, _, _ in rows]
-    return states, np.stack([np.stack([steering, acceleration], axis=-1) for _, steering, acceleration in rows])
+    controls = np.stack([np.stack([steering, acceleration], axis=-1) for _, steering, acceleration in rows])
+    return with_rolling_tyres(states, VEHICLES[model]), controls
 
 
-def exact_derivative(_time: float, state: Array, control: Array) -> Array:
-    """The equations of `olt_closed_loop.vehicle`, written a second time without CasADi."""
-    _x, _y, yaw, speed, steering, acceleration = state
-    command = np.clip(control, *PARAMETERS.control_limits)
-    fade = np.tanh(speed / PARAMETERS.standing_speed) if acceleration < 0.0 else 1.0
-    return np.array(
-        [
-            speed * np.cos(yaw),
-            speed * np.sin(yaw),
-            speed * np.tan(steering) / PARAMETERS.wheelbase,
-            acceleration * fade,
-            (command[0] - steering) / PARAMETERS.steering_lag,
-            (command[1] - acceleration) / PARAMETERS.acceleration_lag,
-        ]
-    )
+def drive(integration: Integration) -> Array:
+    """Positions (n, 10, 2) after every hold."""
+    states, controls = manoeuvres(integration.model)
+    stepper = make_stepper(VEHICLES[integration.model], integration.method, integration.substeps, integration.step)
+    return _drive(stepper, states, controls, round(HOLD / integration.step))
 
 
-@lru_cache(maxsize=1)
-def reference_positions() -> Array:
-    """Positions (n, 20, 2) after every step, by DOP853 at 1e-12, started anew where the control changes."""
-    states, controls = manoeuvres()
+def _drive(stepper: Callable[[Array, Array], Array], states: Array, controls: Array, steps: int) -> Array:
     positions = np.zeros((*controls.shape[:2], 2))
     for row, (state, held) in enumerate(zip(states, controls, strict=True)):
         for index, control in enumerate(held):
-            solution = solve_ivp(
-                exact_derivative, (0.0, STEP), state, method="DOP853", rtol=1e-12, atol=1e-12, args=(control,)
-            )
-            state = solution.y[:, -1]
+            for _ in range(steps):
+                state = stepper(state, control)
             positions[row, index] = state[:2]
     return positions
 
 
-def _prepare(method: Method, substeps: int) -> Callable[[], Array]:
-    states, controls = manoeuvres()
-    stepper = make_stepper(PARAMETERS, method, substeps, STEP)
+@lru_cache(maxsize=3)
+def reference_positions(model: Model) -> Array:
+    """Positions (n, 10, 2) after every hold, by DOP853 at 1e-12, started anew where the control changes."""
+    states, controls = manoeuvres(model)
+    vehicle = VEHICLES[model]
 
-    def drive() -> Array:
-        positions = np.zeros((*controls.shape[:2], 2))
-        for row, (state, held) in enumerate(zip(states, controls, strict=True)):
-            for index, control in enumerate(held):
-                state = stepper(state, control)
-                positions[row, index] = state[:2]
-        return positions
+    def advance(state: Array, control: Array) -> Array:
+        def derivative(time: float, now: Array) -> Array:
+            return exact_derivative(time, now, control, vehicle)
 
-    return drive
+        return solve_ivp(derivative, (0.0, HOLD), state, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+
+    return _drive(advance, states, controls, 1)
+
+
+def exact_derivative(_time: float, state: Array, control: Array, vehicle: VehicleParameters) -> Array:
+    """The equations of `olt_closed_loop.vehicle` in the forward gear, written a second time without CasADi."""
+    yaw, speed, steering, acceleration = state[2:6]
+    command = np.clip(control, *vehicle.control_limits)
+    fade = speed / (speed**4 + vehicle.standing_speed**4) ** 0.25 if acceleration < 0.0 else 1.0
+    pull = acceleration * fade
+    lags = np.array([vehicle.steering_lag, vehicle.acceleration_lag])
+    actuators = (command - state[4:6]) / lags
+    if vehicle.tyres is None:
+        yaw_rate = speed * np.tan(steering) / vehicle.wheelbase
+        return np.array([speed * np.cos(yaw), speed * np.sin(yaw), yaw_rate, pull, *actuators])
+    lateral, yaw_rate = state[6:8]
+    body = _body_derivative(vehicle, np.array([speed, lateral]), yaw_rate, steering, pull)
+    velocity = _rotation(yaw) @ [speed, lateral]
+    return np.array([*velocity, yaw_rate, body[0], *actuators, body[1], body[2]])
+
+
+def _body_derivative(
+    vehicle: VehicleParameters, velocity: Array, yaw_rate: float, steering: float, pull: float
+) -> Array:
+    """Derivatives of the rear axle's velocity in the body's axes and of the yaw rate, from the forces of both axles."""
+    tyres = vehicle.tyres
+    assert tyres is not None
+    places = np.array([vehicle.wheelbase - tyres.rear_axle_to_centre, -tyres.rear_axle_to_centre])
+    force, torque = np.zeros(2), 0.0
+    for place, angle, stiffness in zip(
+        places, (steering, 0.0), (tyres.front_stiffness, tyres.rear_stiffness), strict=True
+    ):
+        load_share = (vehicle.wheelbase - abs(place)) / vehicle.wheelbase
+        wheel = _rotation(-angle) @ (velocity + np.array([0.0, yaw_rate * (place - places[1])]))
+        slip = wheel[1] / (wheel[0] ** 4 + tyres.slip_speed**4) ** 0.25
+        asked = np.array([tyres.mass * pull * load_share, -stiffness * slip])
+        ratio = np.linalg.norm(asked) / (tyres.friction * tyres.mass * 9.81 * load_share)
+        given = _rotation(angle) @ asked / (1.0 + ratio**4) ** 0.25
+        force += given
+        torque += place * given[1]
+    yaw_acceleration = torque / tyres.yaw_inertia
+    # Of the rear axle: the centre's acceleration, moved back by a rigid body and seen in turning axes.
+    forward = force[0] / tyres.mass + yaw_rate**2 * tyres.rear_axle_to_centre + yaw_rate * velocity[1]
+    sideways = force[1] / tyres.mass - yaw_acceleration * tyres.rear_axle_to_centre - yaw_rate * velocity[0]
+    return np.array([forward, sideways, yaw_acceleration])
+
+
+def _rotation(angle: float) -> Array:
+    return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+
+
+def _prepare(integration: Integration) -> Callable[[], tuple[int, Array]]:
+    drive(integration)  # compiles
+    return lambda: (MODELS.index(integration.model), drive(integration))
 
 
 def _settings() -> Sequence[Setting]:
-    default = (DEFAULT_METHOD, DEFAULT_SUBSTEPS)
-    return [
-        Setting(name, lambda choice=choice: _prepare(*choice), default=choice == default)
-        for name, choice in _INTEGRATORS.items()
-    ]
+    default = Integration("kinematic", "auto", None, 0.1)
+    return [Setting(each.name, partial(_prepare, each), default=each == default) for each in integrations()]
 
 
-def _measure_error(positions: Array) -> float:
-    return float(np.linalg.norm(positions - reference_positions(), axis=-1).max())
+def _measure_error(result: tuple[int, Array]) -> float:
+    model, positions = result
+    return float(np.linalg.norm(positions - reference_positions(MODELS[model]), axis=-1).max())
 
 
 BENCHMARK = Benchmark(
     name="vehicle",
-    title="Kinematic bicycle, 140 steps of 0.1 s: 7 manoeuvres of 2 s",
+    title="Vehicle models, 7 manoeuvres of 2 s: 140 steps of 0.1 s",
     error_name="largest position error",
     error_unit="m",
     reference="the same equations written in numpy, integrated by DOP853 (scipy) at tolerance 1e-12",
     settings=_settings,
     measure_error=_measure_error,
+    grid=vehicle_grid,
 )

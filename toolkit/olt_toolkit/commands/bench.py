@@ -40,7 +40,7 @@ def _run_one(name: str, out: Path, repeats: int) -> dict[str, Any]:
     from olt_toolkit.benchmark_runner import load_benchmark, plot_benchmark, run_benchmark
     from olt_toolkit.console import make_progress
 
-    load_benchmark(name)  # an unknown name fails before the bar is drawn
+    grid = load_benchmark(name).grid  # an unknown name fails before the bar is drawn
     with make_progress() as progress:
         task = progress.add_task(f"bench {name}", total=100)
         report = run_benchmark(name, repeats, lambda share: progress.update(task, completed=round(100 * share)))
@@ -48,6 +48,11 @@ def _run_one(name: str, out: Path, repeats: int) -> dict[str, Any]:
         path.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
     with write_whole(out / f"{name}.png") as path:
         plot_benchmark(report, path)
+    if grid is not None:
+        cases = grid()
+        report["grid"] = list(cases.summary)
+        with write_whole(out / f"{name}_grid.json") as path:
+            path.write_text(json.dumps(list(cases.rows), indent=1, allow_nan=False) + "\n")
     return report
 
 
@@ -76,4 +81,6 @@ def _print_report(report: dict[str, Any], out: Path) -> None:
     print_table(report["title"], columns, rows)
     print_line(f"reference: {report['reference']}")
     print_line(f"machine: {report['machine']['processor']}, {report['machine']['cores']} cores")
+    if "grid" in report:
+        print_line("\n".join([*report["grid"], f"cases: {out / report['benchmark']}_grid.json"]))
     print_line(f"plot: {out / report['benchmark']}.png")

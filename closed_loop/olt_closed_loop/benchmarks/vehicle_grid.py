@@ -1,0 +1,186 @@
+"""Where the vehicle models and `auto` are stable, accurate or refused: a grid of stiff and extreme cases.
+
+Each cell drives one second from straight travel under a steering step; the reference is CVODES at 1e-12. Special cases
+follow: emergency braking to standstill, a held brake, reversing, far coordinates, a control of NaN.
+"""
+
+import itertools
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import astuple, dataclass, fields, replace
+
+import numpy as np
+
+from olt_closed_loop.implicit import cvodes_function
+from olt_closed_loop.integrators import make_batch_stepper, make_stepper
+from olt_closed_loop.vehicle import STATE, VehicleParameters
+from olt_closed_loop.vehicle_presets import DRY_FRICTION, alpasim_vehicle
+from olt_generator.errors import InputError
+from olt_generator.poses import Array
+from olt_toolkit.benchmark import Grid
+
+SPEEDS = (0.0, 1.0, 5.0, 10.0, 20.0, 40.0, 60.0)
+FRICTIONS = (0.05, 0.3, 0.7, 1.2)
+STIFFNESSES = (0.2, 1.0, 2.5, 10.0)
+MASSES = (0.3, 1.0, 3.0)
+STEPS = (0.005, 0.025, 0.1, 0.2)
+STEERINGS = (0.1, 0.3, 0.6)
+SECONDS = 1.0
+ACCURATE, STABLE = 1e-5, 1e-2
+"""Metres of position error after a second, below which a cell is called so."""
+FAR = 5e6
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One drive of the grid; stiffness and mass are factors on AlpaSim's."""
+
+    speed: float
+    friction: float
+    stiffness: float
+    mass: float
+    step: float
+    steering: float
+
+    @property
+    def vehicle(self) -> VehicleParameters:
+        """AlpaSim's car with these factors."""
+        vehicle = alpasim_vehicle(self.friction)
+        assert vehicle.tyres is not None
+        tyres = replace(
+            vehicle.tyres,
+            mass=self.mass * vehicle.tyres.mass,
+            yaw_inertia=self.mass * vehicle.tyres.yaw_inertia,
+            front_stiffness=self.stiffness * vehicle.tyres.front_stiffness,
+            rear_stiffness=self.stiffness * vehicle.tyres.rear_stiffness,
+        )
+        return replace(vehicle, tyres=tyres)
+
+
+def grid_cells() -> list[Cell]:
+    """All cells."""
+    axes = (SPEEDS, FRICTIONS, STIFFNESSES, MASSES, STEPS, STEERINGS)
+    return [Cell(*values) for values in itertools.product(*axes)]
+
+
+def cell_errors(cells: Sequence[Cell]) -> Array:
+    """Position errors (n,) of `auto` after a second, metres."""
+    errors = np.zeros(len(cells))
+    reference = reference_states(cells)
+    for step in {cell.step for cell in cells}:
+        chosen = [index for index, cell in enumerate(cells) if cell.step == step]
+        ends = _drive([cells[index] for index in chosen], step)
+        errors[chosen] = np.linalg.norm((ends - reference[chosen])[:, :2], axis=1)
+    return errors
+
+
+def reference_states(cells: Sequence[Cell]) -> Array:
+    """States (n, 8) after a second, by CVODES at 1e-12."""
+    exact = cvodes_function("saturating", 1e-12)
+    known: dict[Cell, Array] = {}
+    for cell in {replace(cell, step=0.0) for cell in cells}:
+        states, controls = _start([cell])
+        known[cell] = exact(states[0], controls[0], cell.vehicle.numbers, SECONDS).full().ravel()
+    return np.stack([known[replace(cell, step=0.0)] for cell in cells])
+
+
+def _drive(cells: Sequence[Cell], step: float) -> Array:
+    stepper = make_batch_stepper([cell.vehicle for cell in cells], len(cells), step=step)
+    states, controls = _start(cells)
+    for _ in range(round(SECONDS / step)):
+        states = stepper(states, controls)
+    return states
+
+
+def _start(cells: Sequence[Cell]) -> tuple[Array, Array]:
+    states, controls = np.zeros((len(cells), 8)), np.zeros((len(cells), 2))
+    states[:, STATE.speed] = [cell.speed for cell in cells]
+    controls[:, 0] = [cell.steering for cell in cells]
+    return states, controls
+
+
+def classify(error: float) -> str:
+    """`accurate`, `stable` or `unstable`."""
+    if error <= ACCURATE:
+        return "accurate"
+    return "stable" if error <= STABLE else "unstable"
+
+
+@dataclass(frozen=True)
+class SpecialCase:
+    """A manoeuvre with a number that must stay at or below its limit; no number where it has to be refused."""
+
+    name: str
+    measure: Callable[[], float]
+    limit: float
+
+
+def special_cases() -> list[SpecialCase]:
+    """Braking to standstill, a held brake, reversing, far coordinates, and a control of NaN."""
+    return [
+        SpecialCase(
+            "braking from 60 m/s: speed left after 15 s (m/s)", lambda: _last(60.0, -8.0, 15.0)[STATE.speed], 1e-9
+        ),
+        SpecialCase("braking: lowest speed (m/s, negated)", lambda: -_drive_alone(20.0, -8.0, 5.0)[:, 3].min(), 0.0),
+        SpecialCase(
+            "held brake, 60 s: distance moved (m)", lambda: float(np.abs(_last(0.0, -2.0, 60.0)[:3]).max()), 0.0
+        ),
+        SpecialCase("reversing for 5 s: speed (m/s)", lambda: _last(0.0, -1.0, 5.0, reverse=True)[STATE.speed], -4.0),
+        SpecialCase("coordinates at 5e6 m: distance to the same drive at 0 (m)", _far_difference, 1e-7),
+        SpecialCase("control of NaN: refused", lambda: _last(10.0, np.nan, 1.0)[STATE.speed], -np.inf),
+    ]
+
+
+def _drive_alone(
+    speed: float, acceleration: float, seconds: float, reverse: bool = False, offset: float = 0.0
+) -> Array:
+    """States (n, 8), the steering commanded to 0.2 rad."""
+    vehicle = replace(alpasim_vehicle(DRY_FRICTION), reverse_gear=reverse)
+    stepper = make_stepper(vehicle)
+    states = [np.array([offset, offset, 0.0, speed, 0.0, 0.0, 0.0, 0.0])]
+    for _ in range(round(seconds / 0.1)):
+        states.append(stepper(states[-1], np.array([0.2, acceleration])))
+    return np.stack(states)
+
+
+def _last(speed: float, acceleration: float, seconds: float, reverse: bool = False) -> Array:
+    return _drive_alone(speed, acceleration, seconds, reverse)[-1]
+
+
+def _far_difference() -> float:
+    near, far = (_drive_alone(15.0, 0.0, 10.0, offset=offset)[:, :2] - offset for offset in (0.0, FAR))
+    return float(np.abs(near - far).max())
+
+
+def special_row(case: SpecialCase) -> dict[str, object]:
+    """Name, number and outcome of a case."""
+    try:
+        value = float(case.measure())
+    except InputError:
+        return {"case": case.name, "value": None, "outcome": "refused"}
+    return {"case": case.name, "value": value, "outcome": "as it should" if value <= case.limit else "wrong"}
+
+
+def vehicle_grid() -> Grid:
+    """Drive every cell and every special case."""
+    cells = grid_cells()
+    errors = cell_errors(cells)
+    names = [field.name for field in fields(Cell)]
+    rows: list[dict[str, object]] = [
+        {**dict(zip(names, astuple(cell), strict=True)), "error_m": float(error), "outcome": classify(error)}
+        for cell, error in zip(cells, errors, strict=True)
+    ]
+    specials = [special_row(case) for case in special_cases()]
+    return Grid([*rows, *specials], _summary(cells, errors) + [" | ".join(map(str, row.values())) for row in specials])
+
+
+def _summary(cells: Sequence[Cell], errors: Array) -> list[str]:
+    lines = [f"{len(cells)} cells of {SECONDS:g} s: accurate within {ACCURATE:g} m, stable within {STABLE:g} m"]
+    for friction in FRICTIONS:
+        chosen = [error for cell, error in zip(cells, errors, strict=True) if cell.friction == friction]
+        counts = Counter(map(classify, chosen))
+        told = ", ".join(f"{counts[outcome]} {outcome}" for outcome in ("accurate", "stable", "unstable"))
+        lines.append(
+            f"friction {friction:g}: {told}; median error {np.median(chosen):.1e} m, largest {max(chosen):.1e} m"
+        )
+    return lines
