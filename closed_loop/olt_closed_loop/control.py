@@ -42,8 +42,8 @@ class ControlSettings:
         rounds: how often `lqr` and `linear` linearise and solve in a call.
         cost: what is minimised.
         deadline_seconds: a solve that takes longer is late. None: never late, and equal drives stay equal.
-        standing_distance, standing_speed: a plan that moves less than this many metres within the horizon, at a
-            vehicle slower than this many m/s, is a plan to stand.
+        standing_distance, standing_speed: a plan that stays within this many metres of a vehicle over the horizon,
+            the vehicle being slower than this many m/s, is a plan to stand.
         holding_brake: deceleration with which a vehicle is held at the end, m/s^2.
     """
 
@@ -52,7 +52,7 @@ class ControlSettings:
     rounds: int = 1
     cost: TrackingCost = field(default_factory=TrackingCost)
     deadline_seconds: float | None = None
-    standing_distance: float = 0.05
+    standing_distance: float = 0.1
     standing_speed: float = 0.3
     holding_brake: float = 2.0
 
@@ -79,7 +79,7 @@ class TrackingController:
         self._parameters = parameters
         self._settings = settings or ControlSettings()
         self._solver = _make_solver(parameters, self._settings)
-        self._brake = -self._settings.holding_brake
+        self._brake = self._settings.holding_brake * (1.0 if parameters.reverse_gear else -1.0)
         self._feasible: _TimedCommands | None = None
         self.events = ControlEvents()
 
@@ -98,19 +98,23 @@ class TrackingController:
             raise InputError(f"vehicle state at {time_us} us is not finite; nothing can be tracked from there")
         horizon_us = time_us + STEP_US * np.arange(self._settings.horizon + 1, dtype=np.int64)
         target = _in_rig(plan.at(horizon_us), state)
-        if self._stands(target, state):
+        slow = abs(state[STATE.speed]) < self._settings.standing_speed
+        if slow and np.abs(target[:, : STATE.yaw]).max() < self._settings.standing_distance:
             self._feasible = None
             return np.array([state[STATE.steering], self._brake])
-        feasible = self._feasible or _TimedCommands(time_us, self._suggested_commands(target))
+        suggested = _TimedCommands(time_us, self._suggested_commands(target, state[STATE.speed]))
+        feasible = self._feasible or suggested
+        # Held brakes have no slope from which to find out that releasing them would help.
+        guess = (suggested if slow else feasible).guess(time_us)
         start = np.concatenate([np.zeros(STATE.speed), state[STATE.speed :]])
-        return self._solve(start, target[1:], feasible, time_us)
+        return self._solve(start, guess, target[1:], feasible, time_us)
 
-    def _solve(self, start: Array, target: Array, feasible: "_TimedCommands", time_us: int) -> Array:
+    def _solve(self, start: Array, guess: Array, target: Array, feasible: "_TimedCommands", time_us: int) -> Array:
         """The first command of a new solution or, where that fails or is late, the present one of the feasible."""
         held = feasible.at(time_us, self._brake)
         began = time.perf_counter()
         try:
-            commands = self._solver.solve(start, feasible.guess(time_us), target)
+            commands = self._solver.solve(start, guess, target)
         except SolveFailed:
             self._feasible = feasible
             self._count(failed=1)
@@ -127,19 +131,15 @@ class TrackingController:
         events = self.events
         self.events = ControlEvents(events.solves + 1, events.failed + failed, events.late + late)
 
-    def _stands(self, target: Array, state: Array) -> bool:
-        moved = np.abs(np.diff(target[:, :2], axis=0)).sum()
-        return bool(
-            moved < self._settings.standing_distance and abs(state[STATE.speed]) < self._settings.standing_speed
-        )
-
-    def _suggested_commands(self, target: Array) -> Array:
-        """Commands (horizon, 2) that roughly drive the target poses (horizon + 1, 3)."""
+    def _suggested_commands(self, target: Array, present_speed: float) -> Array:
+        """Commands (horizon, 2) to start from: the plan's steering, and the even acceleration that covers its way."""
         moved = np.diff(target, axis=0)
         heading = target[:-1, 2] + 0.5 * moved[:, 2]
         speed = (moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)) / STEP_SECONDS
         steering = steering_for(moved[:, 2] / STEP_SECONDS, speed, self._parameters.wheelbase)
-        acceleration = np.gradient(speed, STEP_SECONDS)
+        duration = len(moved) * STEP_SECONDS
+        way = target[0, 0] + speed.mean() * duration
+        acceleration = np.full_like(steering, 2.0 * (way - present_speed * duration) / duration**2)
         return np.clip(np.stack([steering, acceleration], axis=-1), *self._parameters.control_limits)
 
 

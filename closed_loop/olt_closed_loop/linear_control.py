@@ -81,11 +81,14 @@ class LinearSolver:
 
     def _command_changes(self, start: Array, controls: Array) -> Array:
         """Scaled changes (n, 2) of the commands."""
-        return np.diff(controls, axis=0, prepend=start[None, ACTUATORS]) / self._change_scales
+        previous = np.concatenate([start[None, ACTUATORS], controls[:-1]])
+        return (controls - previous) / self._change_scales
 
     def _change_gradient(self, changes: Array) -> Array:
         """Half the derivative (2 n,) of the changes' cost by the commands."""
-        return (-np.diff(changes, axis=0, append=0.0) / self._change_scales).ravel()
+        slopes = changes / self._change_scales
+        slopes[:-1] -= slopes[1:].copy()
+        return slopes.ravel()
 
     def _cost(self, start: Array, controls: Array, target: Array) -> float:
         _, errors = self._predict(start, controls, target)

@@ -30,7 +30,7 @@ class TrackingCost:
 
     position_scale: float = 0.1
     yaw_scale: float = 0.1
-    steering_change: float = 0.05
+    steering_change: float = 0.1
     acceleration_change: float = 1.0
 
     @property

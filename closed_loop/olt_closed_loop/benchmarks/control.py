@@ -1,0 +1,121 @@
+"""Tracking control: how far each way of control is from AlpaSim's references, and what its solves cost."""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from olt_closed_loop.benchmarks.alpasim_vehicle import REAR_TO_GRAVITY, drive_step
+from olt_closed_loop.benchmarks.control_references import Reference, alpasim_references
+from olt_closed_loop.control import ControlSettings, TrackingController
+from olt_closed_loop.vehicle import VehicleParameters
+from olt_closed_loop.vehicle_presets import alpasim_vehicle
+from olt_generator.poses import Array
+from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.policy import STEP_SECONDS, STEP_US
+from olt_toolkit.rig import DEFAULT_VEHICLE
+
+STEPS = 100
+TIMED_DRIVES = 10
+"""Of the 70 different drives, spread evenly: 1000 calls are timed."""
+KINEMATIC = VehicleParameters.from_dimensions(DEFAULT_VEHICLE)
+WITH_TYRES = alpasim_vehicle()
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """How a set of drives went.
+
+    Attributes:
+        errors: (drives, 100) distances in metres of the rig to its reference at the end of every step.
+        copies: (drives,) how often each counts.
+        seen: (100, drives, states) states that the controllers were given.
+        seconds: (100, drives) what each call took.
+        failed: solves without a solution.
+    """
+
+    errors: Array
+    copies: Array
+    seen: Array
+    seconds: Array
+    failed: int
+
+    @property
+    def rms(self) -> float:
+        """Root mean square of the errors over all copies, metres."""
+        return float(np.sqrt(np.average(np.square(self.errors).mean(axis=1), weights=self.copies)))
+
+
+def track(references: Sequence[Reference], parameters: VehicleParameters, settings: ControlSettings) -> Tracking:
+    """Drive AlpaSim's vehicle along references with controllers that take it for one of `parameters`."""
+    controllers = [TrackingController(parameters, settings) for _ in references]
+    states = np.zeros((len(references), 8))
+    states[:, 3] = [reference.speed for reference in references]
+    errors, seen, seconds = np.zeros((len(references), STEPS)), [], np.zeros((STEPS, len(references)))
+    for step in range(STEPS):
+        seen.append(_seen(states, parameters))
+        controls = np.zeros((len(references), 2))
+        for row, (reference, controller) in enumerate(zip(references, controllers, strict=True)):
+            plan, began = reference.plan(step), time.perf_counter()
+            controls[row] = controller.control(seen[-1][row], plan, step * STEP_US)
+            seconds[step, row] = time.perf_counter() - began
+        states = drive_step(states, controls, STEP_SECONDS)
+        wanted = np.stack([reference.poses[step + 1] for reference in references])
+        errors[:, step] = np.linalg.norm(states[:, :2] - wanted[:, :2], axis=1)
+    copies = np.array([reference.copies for reference in references], dtype=np.float64)
+    failed = sum(controller.events.failed for controller in controllers)
+    return Tracking(errors, copies, np.stack(seen), seconds, failed)
+
+
+def _seen(states: Array, parameters: VehicleParameters) -> Array:
+    """States of AlpaSim's vehicle (n, 8) in the order of `olt_closed_loop.vehicle`, as many numbers as it needs."""
+    x, y, yaw, forward, left, yaw_rate, steering, acceleration = states.T
+    rear_left = left - REAR_TO_GRAVITY * yaw_rate
+    ordered = [x, y, yaw, forward, steering, acceleration, rear_left, yaw_rate]
+    return np.stack(ordered[: parameters.state_size], axis=-1)
+
+
+WAYS: dict[str, tuple[VehicleParameters, ControlSettings]] = {
+    "LQR": (WITH_TYRES, ControlSettings(method="lqr")),
+    "linear MPC, 1 s ahead": (WITH_TYRES, ControlSettings(horizon=10)),
+    "linear MPC, 1.5 s ahead": (WITH_TYRES, ControlSettings(horizon=15)),
+    "linear MPC, 2 s ahead": (WITH_TYRES, ControlSettings()),
+    "linear MPC, 4 s ahead": (WITH_TYRES, ControlSettings(horizon=40)),
+    "linear MPC, 3 rounds": (WITH_TYRES, ControlSettings(rounds=3)),
+    "linear MPC, blind to tyres": (KINEMATIC, ControlSettings()),
+    "nonlinear MPC, 1 s ahead": (WITH_TYRES, ControlSettings(method="nonlinear", horizon=10)),
+    "nonlinear MPC, 2 s ahead": (WITH_TYRES, ControlSettings(method="nonlinear")),
+}
+
+
+def _prepare(parameters: VehicleParameters, settings: ControlSettings) -> Callable[[], Tracking]:
+    """All drives, once; the call that is timed makes every seventh drive's solves again, from what was seen there."""
+    references = alpasim_references()
+    tracking = track(references, parameters, settings)
+    timed = range(0, len(references), len(references) // TIMED_DRIVES)
+
+    def solve_again() -> Tracking:
+        for row in timed:
+            controller = TrackingController(parameters, settings)
+            for step in range(STEPS):
+                controller.control(tracking.seen[step, row], references[row].plan(step), step * STEP_US)
+        return tracking
+
+    return solve_again
+
+
+def _settings() -> Sequence[Setting]:
+    default = (WITH_TYRES, ControlSettings())
+    return [Setting(name, lambda way=way: _prepare(*way), default=way == default) for name, way in WAYS.items()]
+
+
+BENCHMARK = Benchmark(
+    name="control",
+    title="Tracking of AlpaSim's 120 references of 10 s on AlpaSim's vehicle; time of 1000 calls",
+    error_name="position error, root mean square",
+    error_unit="m",
+    reference="the references themselves; the vehicle is AlpaSim's, written a second time in numpy",
+    settings=_settings,
+    measure_error=lambda tracking: tracking.rms,
+)
