@@ -26,6 +26,13 @@ class TrafficModel(StrEnum):
     idm = "idm"
 
 
+class VehicleModel(StrEnum):
+    """How the ego moves (`olt_closed_loop.simulation_settings`)."""
+
+    kinematic = "kinematic"
+    tyres = "tyres"
+
+
 @app.command()
 def run(
     policy: Annotated[str, typer.Option(help="NAME or NAME:PATH, for example route or toy:CHECKPOINT.")],
@@ -38,6 +45,7 @@ def run(
     duration: Annotated[float, typer.Option(help="Seconds of a drive, 1.7 s of warm-up included.")] = 20.0,
     planner_delay: Annotated[float, typer.Option(help="Seconds from asking for a plan until it is in force.")] = 0.0,
     traffic: Annotated[TrafficModel, typer.Option(help="How agents move.")] = TrafficModel.recorded,
+    vehicle: Annotated[VehicleModel, typer.Option(help="How the ego moves.")] = VehicleModel.kinematic,
     definition: Annotated[ScoreDefinition, typer.Option(help="How the score is defined.")] = ScoreDefinition.strict,
     skip: Annotated[bool, typer.Option(help="Leave out what cannot change the result.")] = True,
     workers: Annotated[int | None, typer.Option(help="Processes; by default one for each processor.")] = None,
@@ -55,6 +63,7 @@ def run(
         duration_us=round(duration * 1e6),
         planner_delay_us=round(planner_delay * 1e6),
         traffic=traffic.value,
+        vehicle=vehicle.value,
         skip=skip,
     )
     sources = find_scenes([*(scenes or []), *(scene or [])])
@@ -83,6 +92,7 @@ def run(
             {
                 "policy": policy,
                 "traffic": traffic.value,
+                "vehicle": vehicle.value,
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],
                 "left_out": left_out,

@@ -146,7 +146,7 @@ class _Batch:
 def _drive(batch: _Batch) -> list[Result]:
     policy = _load_policy(batch.policy)
     scenes = [load_scene(source) for source, _ in batch.drives]
-    pass_gate(list({scene.name: scene for scene in scenes}.values()), batch.settings)
+    pass_gate(list({id(scene): scene for scene in scenes}.values()), batch.settings)
     drives = [(scene, seed) for scene, (_, seed) in zip(scenes, batch.drives, strict=True)]
     if policy.cameras:  # one after another, so that one scene's textures are held at a time
         rollouts = [simulate(scene, policy, batch.settings, seed, _make_sensors(scene)) for scene, seed in drives]

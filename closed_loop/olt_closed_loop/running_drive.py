@@ -17,7 +17,7 @@ from olt_closed_loop.recorded_motion import recorded_motion
 from olt_closed_loop.rollout import Events, Rollout
 from olt_closed_loop.scene import Scene
 from olt_closed_loop.simulation_settings import SimulationSettings, step_times
-from olt_closed_loop.vehicle import STATE, STATE_SIZE, VehicleParameters
+from olt_closed_loop.vehicle import STATE, STATE_SIZE, with_rolling_tyres
 from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import derive_seed
 from olt_toolkit.policy import FUTURE_STEPS, HISTORY_STEPS, IMAGE_FRAMES, STEP_SECONDS, Plan, Policy
@@ -46,7 +46,7 @@ class RunningDrive:
         seed: seeds the rollout.
         parameters: of the vehicle.
         times: (n,) int64 times of the steps, microseconds.
-        state: (6,) of the vehicle now.
+        state: of the vehicle now, in its model's size.
         events: counted so far.
         failure: why the drive cannot go on, or None.
     """
@@ -66,7 +66,7 @@ class RunningDrive:
             InputError: the recording is too short.
         """
         self.seed, self.times = seed, step_times(scene, settings)
-        self.parameters = VehicleParameters.from_dimensions(scene.vehicle)
+        self.parameters = settings.vehicle_of(scene)
         self.events: Counter[str] = Counter()
         self.failure: str | None = None
         self._scene, self._policy, self._settings, self._sensors = scene, policy, settings, sensors
@@ -84,10 +84,11 @@ class RunningDrive:
     def _follow_recording(self) -> None:
         recorded = recorded_motion(self._scene, self.times[: self._driven + 1])
         count = len(recorded.states)
-        self._states = np.full((len(self.times), STATE_SIZE), np.nan)
+        self._states = np.full((len(self.times), self.parameters.state_size), np.nan)
         self._heights = np.full(len(self.times), np.nan)
         self._controls = np.full((len(self.times) - 1, 2), np.nan)
-        self._states[:count], self._heights[:count] = recorded.states, recorded.heights
+        self._states[:count] = with_rolling_tyres(recorded.states, self.parameters)
+        self._heights[:count] = recorded.heights
         x, y, yaw, speed = recorded.states[0, : STATE.steering]
         back = STEP_SECONDS * speed * np.arange(-_BEFORE, 0)
         z = np.full(_BEFORE, recorded.heights[0])
@@ -221,7 +222,7 @@ class RunningDrive:
             seed=self.seed,
             handover_us=int(self.times[self._settings.handover]),
             timestamps_us=self.times[:count],
-            states=self._states[:count],
+            states=self._states[:count, :STATE_SIZE],
             heights=self._heights[:count],
             controls=self._controls[: count - 1],
             plan_times_us=np.array([plan.timestamps_us[0] for plan in self._plans], dtype=np.int64),

@@ -1,6 +1,7 @@
 """How scenes are driven, and when."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,8 +10,12 @@ from olt_closed_loop.control import ControlSettings
 from olt_closed_loop.integrators import DEFAULT_METHOD, DEFAULT_SUBSTEPS, Method
 from olt_closed_loop.rollout import Traffic
 from olt_closed_loop.scene import Scene
+from olt_closed_loop.vehicle import VehicleParameters
+from olt_closed_loop.vehicle_presets import vehicle_with_tyres
 from olt_generator.errors import InputError
 from olt_toolkit.policy import IMAGE_FRAMES, STEP_US
+
+VehicleKind = Literal["kinematic", "tyres"]
 
 
 @dataclass(frozen=True)
@@ -24,6 +29,7 @@ class SimulationSettings:
         planner_delay_us: how long after it was asked for a plan is in force, a multiple of 0.1 s; the first is asked
             for within the warm-up.
         traffic: "recorded", or "idm" for vehicles that brake for the ego (`olt_closed_loop.reactive_agents`).
+        vehicle: "kinematic", or "tyres" for tyres that slip and saturate (`olt_closed_loop.vehicle_presets`).
         method, substeps: integrator of the vehicle (`olt_closed_loop.integrators`).
         control: how plans are tracked.
         skip: whether what cannot change the result is left out; the result is the same without, only slower.
@@ -33,6 +39,7 @@ class SimulationSettings:
     duration_us: int = 20_000_000
     planner_delay_us: int = 0
     traffic: Traffic = "recorded"
+    vehicle: VehicleKind = "kinematic"
     method: Method = DEFAULT_METHOD
     substeps: int | None = DEFAULT_SUBSTEPS
     control: ControlSettings = field(default_factory=ControlSettings)
@@ -48,6 +55,12 @@ class SimulationSettings:
                 f"planner delay of {self.planner_delay_us} us: give a multiple of 100000 us, at most {longest_us} us "
                 "with this warm-up"
             )
+
+    def vehicle_of(self, scene: Scene) -> VehicleParameters:
+        """The vehicle that drives a scene."""
+        if self.vehicle == "tyres":
+            return vehicle_with_tyres(scene.vehicle)
+        return VehicleParameters.from_dimensions(scene.vehicle)
 
     @property
     def handover(self) -> int:

@@ -219,6 +219,20 @@ def test_unusable_planner_delays_are_refused(delay_us):
         SimulationSettings(planner_delay_us=delay_us)
 
 
+@pytest.mark.parametrize("method", ["auto", "rk4"])
+def test_a_vehicle_with_tyres_follows_a_winding_road_too(straight_scene, method):
+    scene = curved_scene(straight_scene())
+    settings = SimulationSettings(vehicle="tyres", method=method)
+    slipping, rolling = (simulate(scene, RouteFollowingPolicy(), s) for s in (settings, SimulationSettings()))
+    apart = np.linalg.norm(slipping.states[:, :2] - rolling.states[:, :2], axis=1)
+    assert slipping.states.shape == rolling.states.shape
+    assert 1e-4 < apart.max() < 0.5
+    requests = [DriveRequest(scene), DriveRequest(straight_scene(duration=3.0))]
+    together = simulate_batch(requests, RouteFollowingPolicy(), settings)
+    np.testing.assert_array_equal(together[0].states, slipping.states)
+    assert any("tyre" in note for note in rolling.left_out)
+
+
 IDM = SimulationSettings(traffic="idm")
 
 
