@@ -7,9 +7,10 @@ The cheapest of the family that moves the vehicle within `tolerance` metres of t
 - Saturation is left out (linear tyres) where its share (`olt_closed_loop.tyres`) could not.
 - Sub-steps are as many as stability asks for (rate times sub-step below 2; the limit of Runge-Kutta 4 is 2.8) and as
   the error asks for. For a method of order q with sub-steps of h it is h^q times the sum of three terms: swaying
-  (1 + v) rate slipping, with the steering still to come and the present slip; bending v step (yaw rate)^q; and pulling,
-  the change of acceleration over lag^(q - 2). The forms follow the leading errors; the constants bound what was
-  measured over the grid of `olt_closed_loop.benchmarks.vehicle_grid`. The cheaper method is taken.
+  (1 + v) rate slipping, with the steering still to come and the present slip; bending (v yaw rate + acceleration) step
+  (yaw rate)^(q - 1); and pulling, the change of acceleration over lag^(q - 2). The forms follow the leading errors; the
+  constants bound what was measured over the grid of `olt_closed_loop.benchmarks.vehicle_grid`. The cheaper method is
+  taken.
 - Where tyres may slide the error has no such bound. There the drive doubles the sub-steps until two results agree.
 """
 
@@ -45,8 +46,8 @@ class _ErrorConstants:
 
 
 ERROR_CONSTANTS: dict[ExplicitMethod, _ErrorConstants] = {
-    "midpoint": _ErrorConstants(swaying=0.05, bending=1.0 / 12.0, pulling=0.2),
-    "rk4": _ErrorConstants(swaying=0.4, bending=1.0 / 720.0, pulling=0.02),
+    "midpoint": _ErrorConstants(swaying=0.05, bending=0.25, pulling=0.2),
+    "rk4": _ErrorConstants(swaying=0.4, bending=0.005, pulling=0.02),
 }
 ORDERS: dict[ExplicitMethod, int] = {"midpoint": 2, "rk4": 4}
 SLIDING = 0.4
@@ -225,7 +226,8 @@ class _Moment:
         constants = ERROR_CONSTANTS[method]
         slipping = self.steering_change + self.front_slip() + self.rear_slip()
         swaying = constants.swaying * (1.0 + speed) * rate * slipping
-        bending = constants.bending * speed * self.step * self.turning_rate() ** order
+        bent = speed * self.turning_rate() + self.pull
+        bending = constants.bending * bent * self.step * self.turning_rate() ** (order - 1)
         pulling = constants.pulling * self.pull_change() / self.vehicle.acceleration_lag ** (order - 2)
         stable = rate * self.step / STABLE_RATE_TIMES_LENGTH
         accurate = self.step * ((swaying + bending + pulling) / tolerance) ** (1.0 / order)
