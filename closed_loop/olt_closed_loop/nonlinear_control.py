@@ -4,6 +4,9 @@ Multiple shooting: the states at all steps are unknowns beside the commands, tie
 (Vanroye, Sathya, De Schutter, Decre, IROS 2023) solves the linear systems by a Riccati recursion over the steps, which
 CasADi finds when unknowns and constraints are ordered by step. The cost knows changes of commands, so the command
 before is carried along as part of the state.
+
+Its exact second derivatives do not settle where the equations have a kink, as brakes have at standstill. What fatrop
+gives up is solved in Gauss-Newton rounds (`olt_closed_loop.linear_control`), the same cost from the same guess.
 """
 
 from functools import lru_cache
@@ -12,14 +15,15 @@ import casadi as ca
 import numpy as np
 
 from olt_closed_loop.buffered import BufferedFunction
+from olt_closed_loop.linear_control import LinearSolver
 from olt_closed_loop.prediction import predicted_step
-from olt_closed_loop.solver import SolveFailed
 from olt_closed_loop.tracking_cost import ACTUATORS, TrackingCost
 from olt_closed_loop.vehicle import CONTROL_SIZE, STATE, VehicleParameters
 from olt_generator.poses import Array
 
-_MAX_ITERATIONS = 30
+_MAX_ITERATIONS = 15
 _TOLERANCE = 1e-6
+_ROUNDS = 4
 
 
 class NonlinearSolver:
@@ -30,6 +34,7 @@ class NonlinearSolver:
         self._horizon, self._state_size = horizon, step.size1_in(0)
         self._predict = BufferedFunction(step.mapaccum("horizon", horizon))
         self._program = _program(parameters, cost, horizon)
+        self._gauss_newton = LinearSolver(parameters, cost, horizon, rounds=_ROUNDS, limited=True)
         limits, ties = parameters.control_limits, np.zeros(self._state_size + CONTROL_SIZE)
         self._low, self._high = (_constraint_limits(limit, ties, horizon) for limit in limits)
 
@@ -38,9 +43,8 @@ class NonlinearSolver:
         solution = self._program(
             x0=self._guess(start, controls), p=np.concatenate([start, target.ravel()]), lbg=self._low, ubg=self._high
         )
-        statistics = self._program.stats()
-        if not statistics["success"]:
-            raise SolveFailed(f"fatrop stopped after {statistics['iter_count']} steps without a solution")
+        if not self._program.stats()["success"]:
+            return self._gauss_newton.solve(start, controls, target)
         stages = np.asarray(solution["x"]).ravel()[: -self._state_size - CONTROL_SIZE].reshape(self._horizon, -1)
         return stages[:, -CONTROL_SIZE:]
 

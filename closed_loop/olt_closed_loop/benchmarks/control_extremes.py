@@ -97,7 +97,7 @@ def cases() -> Iterator[Case]:
     yield Case("plans 1 s old", curve(15.0), 15.0, age=1.0)
     yield Case("every solve late", curve(15.0), 15.0, deadline=0.0)
     yield Case("NaN in the plan", lambda time: straight(15.0)(np.where(time > 6.0, np.nan, time)), 15.0)
-    yield Case("faster than 60 m/s", straight(75.0), 60.0)
+    yield Case("a plan at 75 m/s", straight(75.0), 60.0)
 
 
 def straight(speed: float) -> Path:
