@@ -183,8 +183,10 @@ def _leader(way: Array, agent: Agent, obstacle: _Obstacle) -> tuple[float, float
     along, across = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
     half_length, half_width = obstacle.half_extents(way[:, 2])
     touched = (np.abs(across) < half_width + 0.5 * agent.width) & (np.abs(along) < half_length + 0.5 * _SPACING)
+    if not touched.any():
+        return None
     index = int(np.argmax(touched))
-    if not touched.any() or (index == 0 and along[0] <= 0.0):
+    if index == 0 and along[0] <= 0.0:
         return None
     gap = index * _SPACING + along[index] - half_length[index] - 0.5 * agent.length
     return float(gap), float(obstacle.velocity @ [cos[index], sin[index]])

@@ -274,6 +274,13 @@ def test_who_has_a_free_way_replays_the_recording(straight_scene, moving_agent):
     np.testing.assert_array_equal(recorded.states, reactive.states)
 
 
+def test_an_agent_at_the_end_of_its_way_stands_on(straight_scene, moving_agent):
+    car = moving_agent("car", (-30.0, 3.5), (10.0, 0.0))
+    arrived = replace(car, poses=car.poses[np.minimum(np.arange(81), 40)])
+    rollout = simulate(straight_scene((arrived,)), StandingPolicy(), IDM)
+    assert rollout.reacted == ()
+
+
 def test_reactive_traffic_is_not_for_policies_with_cameras(straight_scene):
     with pytest.raises(InputError, match="reactive"):
         simulate(straight_scene(), Watcher(), IDM, renderer=CountingSensors())

@@ -8,6 +8,7 @@ from olt_closed_loop.policies import make_policy
 from olt_closed_loop.scene_sources import find_recordings, read_recording
 from olt_closed_loop.scoring import score_rollout
 from olt_closed_loop.simulation import simulate
+from olt_closed_loop.simulation_settings import SimulationSettings
 from olt_closed_loop.stage import read_scene, write_scene
 
 AGENTS = {
@@ -65,6 +66,13 @@ def test_baseline_policies_drive_it(scene, policy):
     assert score.valid and 0.0 <= score.score <= 1.0
     assert rollout.events.plans_refused == 0
     assert len(rollout.timestamps_us) == min(200, int(scene.ego.times[-1] * 10 + 1e-6)) + 1
+
+
+def test_nobody_drives_into_a_standing_ego_that_they_can_see(scene):
+    settings = SimulationSettings(traffic="idm")
+    rollout = simulate(scene, make_policy("standing"), settings)
+    score = score_rollout(scene, rollout)
+    assert score.valid and not any(hit.side == "rear" for hit in score.collisions)
 
 
 def test_routes_lead_the_way_that_was_driven(scene):
