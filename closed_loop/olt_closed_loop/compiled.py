@@ -208,7 +208,7 @@ int drive(long long int count, double step, const double *states, const double *
 
 @lru_cache(maxsize=32)
 def compile_program(program: StepProgram) -> ctypes.CDLL | None:
-    """The program as a loaded library, or None where no C compiler works; it is built once a process."""
+    """The program as a loaded library, or None where it cannot be built or loaded; built once a process."""
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return None
@@ -218,7 +218,12 @@ def compile_program(program: StepProgram) -> ctypes.CDLL | None:
         # Without contraction into fused operations the numbers are those of the interpreter.
         flags = ["-O2", "-ffp-contract=off", "-shared", "-fPIC"]
         built = subprocess.run([compiler, *flags, str(source), "-o", str(library), "-lm"], capture_output=True)
-        return None if built.returncode else ctypes.CDLL(str(library))
+        if built.returncode:
+            return None
+        try:
+            return ctypes.CDLL(str(library))
+        except OSError:  # temporary folders that may hold no programs
+            return None
 
 
 def _generate_functions(program: StepProgram) -> str:

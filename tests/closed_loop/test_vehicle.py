@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from olt_closed_loop.integrators import make_stepper
+from olt_closed_loop.integrators import make_batch_stepper, make_stepper
 from olt_closed_loop.vehicle import (
     STATE,
     VehicleParameters,
@@ -125,6 +125,20 @@ def test_left_and_right_are_mirror_images(vehicle):
     left, right = (drive(make_state(speed=15.0), [side * 0.1, -1.0], 2.0, vehicle) for side in (1.0, -1.0))
     np.testing.assert_allclose(left[:, STATE.y], -right[:, STATE.y], atol=1e-9)
     np.testing.assert_allclose(left[:, STATE.speed], right[:, STATE.speed], atol=1e-9)
+
+
+def test_motion_is_smooth_in_the_first_speed():
+    def bends(spacing):
+        speeds = np.arange(-2.0, 60.0, spacing)
+        states = np.zeros((len(speeds), 8))
+        states[:, STATE.speed] = speeds
+        stepper = make_batch_stepper(VEHICLES["saturating"], len(speeds))
+        for _ in range(5):
+            states = stepper(states, np.tile([0.02, -1.0], (len(speeds), 1)))
+        return np.abs(np.diff(states, n=2, axis=0)).max()
+
+    # Second differences of what is smooth shrink to a quarter; across a switch that jumps they would stay.
+    assert bends(0.05) < 0.3 * bends(0.1)
 
 
 def test_slow_tyres_follow_the_kinematic_path():
