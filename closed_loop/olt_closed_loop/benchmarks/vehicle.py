@@ -46,12 +46,10 @@ def integrations() -> Iterator[Integration]:
     for model in MODELS:
         for step in (0.02, 0.1, 0.2):
             yield Integration(model, "auto", None, step)
-        for substeps in (None, 4, 10, 20):
+        for substeps in (None, 4, 10):
             yield Integration(model, "rk4", substeps, 0.1)
-        for substeps in (10, 40):
-            yield Integration(model, "midpoint", substeps, 0.1)
-        for elements in (2, 8):
-            yield Integration(model, "radau", elements, 0.1)
+        yield Integration(model, "midpoint", 40, 0.1)
+        yield Integration(model, "radau", 4, 0.1)
         yield Integration(model, "cvodes", None, 0.1)
 
 
@@ -72,9 +70,13 @@ def manoeuvres(model: Model) -> tuple[Array, Array]:
 
 def drive(integration: Integration) -> Array:
     """Positions (n, 10, 2) after every hold."""
+    return _prepare_drive(integration)()
+
+
+def _prepare_drive(integration: Integration) -> Callable[[], Array]:
     states, controls = manoeuvres(integration.model)
     stepper = make_stepper(VEHICLES[integration.model], integration.method, integration.substeps, integration.step)
-    return _drive(stepper, states, controls, round(HOLD / integration.step))
+    return lambda: _drive(stepper, states, controls, round(HOLD / integration.step))
 
 
 def _drive(stepper: Callable[[Array, Array], Array], states: Array, controls: Array, steps: int) -> Array:
@@ -150,8 +152,8 @@ def _rotation(angle: float) -> Array:
 
 
 def _prepare(integration: Integration) -> Callable[[], tuple[int, Array]]:
-    drive(integration)  # compiles
-    return lambda: (MODELS.index(integration.model), drive(integration))
+    call = _prepare_drive(integration)
+    return lambda: (MODELS.index(integration.model), call())
 
 
 def _settings() -> Sequence[Setting]:
