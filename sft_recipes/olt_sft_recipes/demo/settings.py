@@ -13,7 +13,7 @@ TRAINING_SEEDS, VALIDATION_SEEDS, EVALUATION_SEEDS, INPUT_SEED = 0, 1000, 2000, 
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """Sizes of the main job; the defaults keep it under five minutes on two cores.
+    """Sizes of the main job; with the defaults it takes about seven minutes on two cores.
 
     Attributes:
         seed: the one seed from which every other follows.
