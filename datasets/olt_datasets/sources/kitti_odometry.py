@@ -9,11 +9,10 @@ tree the poses lie elsewhere: link them into the sequence as `poses.txt`, or lea
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.kitti_raw import IMAGE_SUFFIXES, PASSAT
+from olt_datasets.sources.kitti import PASSAT, decode_image, list_images, usual_travel
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, aim_camera, camera_pose_in_rig, invert
@@ -25,7 +24,6 @@ from olt_toolkit.recording import OpenOptions, Recording
 # place it 1.08 m ahead and 0.32 m to the left of the IMU, which sits close to the rear axle.
 CAMERA_POSITION = (1.08, 0.32, 1.65)
 FRAME_RATE = 9.65
-MIN_TRAVEL_STEP = 0.2
 
 
 class KittiOdometrySource:
@@ -39,7 +37,7 @@ class KittiOdometrySource:
 
     def open(self, path: Path, options: OpenOptions) -> Recording:
         """See `Source.open`; field of view and height are those of KITTI's car, whatever the options say."""
-        files = sorted(file for file in (path / "image_0").iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+        files = list_images(path / "image_0")
         if not files:
             raise InputError(f"{path / 'image_0'}: holds no images; copy the sequence again")
         timestamps_us, assumed = _read_times(path, len(files))
@@ -76,13 +74,11 @@ def _read_images(files: list[Path], width: int) -> tuple[NDArray[np.uint8], tupl
     """Images (n, H, W, 3) RGB, shrunk to `width`, and their width and height as they are stored."""
     images, sizes = [], set()
     for file in files:
-        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-        if image is None:
-            raise InputError(f"{file}: cannot be decoded as an image; copy it again")
+        image = decode_image(file)
         sizes.add((image.shape[1], image.shape[0]))
         if len(sizes) > 1:
             raise InputError(f"{file}: is {image.shape[1]} x {image.shape[0]} pixels, unlike the images before it")
-        images.append(shrink(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), width))
+        images.append(shrink(image, width))
     return np.stack(images), sizes.pop()
 
 
@@ -109,13 +105,10 @@ def _read_poses(path: Path, count: int) -> Array | None:
 
 def _mount(T_start_camera: Array | None) -> Array:
     """Mounting whose pitch and yaw are those for which the vehicle travels along rig x."""
-    if T_start_camera is not None and len(T_start_camera) > 1:
-        steps = (invert(T_start_camera[:-1]) @ T_start_camera[1:])[:, :3, 3]
-        length = np.linalg.norm(steps, axis=1)
-        moving = length > MIN_TRAVEL_STEP
-        if moving.any():
-            return aim_camera(CAMERA_POSITION, 0.0, np.median(steps[moving] / length[moving, None], axis=0))
-    return camera_pose_in_rig(CAMERA_POSITION, 0.0, 0.0, 0.0)
+    travel = None if T_start_camera is None else usual_travel(T_start_camera)
+    if travel is None:
+        return camera_pose_in_rig(CAMERA_POSITION, 0.0, 0.0, 0.0)
+    return aim_camera(CAMERA_POSITION, 0.0, travel)
 
 
 def _read_rows(path: Path, count: int) -> Array:

@@ -13,29 +13,21 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from olt_datasets.sources.kitti import PASSAT, decode_image, list_images, usual_travel
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, make_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
 from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import VehicleDimensions
 
 IMU_HEIGHT = 0.93
 EARTH_RADIUS = 6378137.0
 CAMERA_FILE, VELODYNE_FILE, IMU_FILE = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt"
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
-# VW Passat B6 estate, KITTI's car; the rear overhang places the centre of the box.
-PASSAT = VehicleDimensions(
-    length=4.774, width=1.820, height=1.517, rear_axle_to_bbox_center=1.36, wheelbase=2.709, track_width=1.551
-)
-# Steps of the GPS/IMU shorter than this say nothing about the direction of travel.
-MIN_TRAVEL_STEP = 0.2
 OXTS_FIELDS = 30
 
 
@@ -187,12 +179,10 @@ def _read_oxts(folder: Path, count: int) -> Array:
 
 def _align_rig(T_world_imu: Array) -> Array:
     """Pose (4, 4) of the IMU in the rig: above the origin, turned such that the vehicle travels along rig x."""
-    steps = (invert(T_world_imu[:-1]) @ T_world_imu[1:])[:, :3, 3]
-    length = np.linalg.norm(steps, axis=1)
-    moving = length > MIN_TRAVEL_STEP
+    travel = usual_travel(T_world_imu)
     yaw = pitch = 0.0
-    if moving.any():
-        x, y, z = np.median(steps[moving] / length[moving, None], axis=0)
+    if travel is not None:
+        x, y, z = travel
         yaw, pitch = np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y))
     R_imu_rig = Rotation.from_euler("ZY", [yaw, pitch]).as_matrix()
     return make_pose(R_imu_rig.T, [0.0, 0.0, IMU_HEIGHT])
@@ -209,20 +199,18 @@ def _extended(trajectory: Trajectory) -> Trajectory:
 
 def _read_images(folder: Path, count: int, wanted: int, width: int, size: Array) -> NDArray[np.uint8]:
     """The first `wanted` images (n, H, W, 3) RGB, shrunk to `width`."""
-    files = sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+    files = list_images(folder)
     if len(files) != count:
         raise InputError(f"{folder}: {len(files)} images for {count} timestamps; copy the drive again")
     images = []
     for file in files[:wanted]:
-        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-        if image is None:
-            raise InputError(f"{file}: cannot be decoded as an image; copy it again")
+        image = decode_image(file)
         if image.shape[1::-1] != tuple(size.astype(int)):
             raise InputError(
                 f"{file}: is {image.shape[1]} x {image.shape[0]} pixels, S_rect_02 of the calibration says "
                 f"{size[0]:.0f} x {size[1]:.0f}; use images and calibration of the same date"
             )
-        images.append(shrink(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), width))
+        images.append(shrink(image, width))
     return np.stack(images)
 
 
