@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array, csc_array, csr_array
 from scipy.sparse.linalg import splu
-from scipy.spatial.transform import Rotation
 
 from olt_generator.poses import Array, invert, make_pose
+from olt_generator.twists import cross_matrix, rotation_from_vector, vector_from_rotation
 
 CONVERGED = 1e-5
 # Distances from the first camera in which tracks are believed: nearer than 1 m is the own vehicle, farther than
@@ -146,8 +146,8 @@ def _linearise(poses: Array, nearness: Array, tracks: Tracks, ray_sigma: float) 
     to_camera = np.swapaxes(poses[tracks.frame, :3, :3], -1, -2)
     anchor_to_camera = to_camera @ poses[tracks.anchor[tracks.point], :3, :3]
     by_position = s[..., None] * (across @ to_camera)
-    by_frame = np.concatenate([across @ _cross_matrix(p), -by_position], axis=-1)
-    turn_of_anchor = anchor_to_camera @ _cross_matrix(tracks.anchor_ray[tracks.point])
+    by_frame = np.concatenate([across @ cross_matrix(p), -by_position], axis=-1)
+    turn_of_anchor = anchor_to_camera @ cross_matrix(tracks.anchor_ray[tracks.point])
     by_anchor = np.concatenate([-across @ turn_of_anchor, by_position], axis=-1)
     return residual, by_frame, by_anchor, np.einsum("mij,mj->mi", across, baseline)
 
@@ -168,7 +168,7 @@ def _prior_equations(poses: Array, priors: StepPriors) -> tuple[Array, csr_array
     R_key = poses[:-1, :3, :3]
     found = invert(poses[:-1]) @ poses[1:]
     expected = priors.T_key_next
-    turn = Rotation.from_matrix(np.swapaxes(expected[:, :3, :3], -1, -2) @ found[:, :3, :3]).as_rotvec()
+    turn = vector_from_rotation(np.swapaxes(expected[:, :3, :3], -1, -2) @ found[:, :3, :3])
     weigh = _displacement_weights(expected[:, :3, 3], priors)
     missed = _apply(weigh, found[:, :3, 3] - expected[:, :3, 3])
     residual = np.concatenate([turn / priors.rotation_sigma[:, None], missed], axis=1)
@@ -176,7 +176,7 @@ def _prior_equations(poses: Array, priors: StepPriors) -> tuple[Array, csr_array
     blocks = np.zeros((steps, 6, 12))
     blocks[:, :3, :3] = -np.swapaxes(found[:, :3, :3], -1, -2) / priors.rotation_sigma[:, None, None]
     blocks[:, :3, 6:9] = np.eye(3) / priors.rotation_sigma[:, None, None]
-    blocks[:, 3:, :3] = weigh @ _cross_matrix(found[:, :3, 3])
+    blocks[:, 3:, :3] = weigh @ cross_matrix(found[:, :3, 3])
     blocks[:, 3:, 9:] = weigh @ np.swapaxes(R_key, -1, -2)
     blocks[:, 3:, 3:6] = -blocks[:, 3:, 9:]
     rows = np.broadcast_to(np.arange(6 * steps).reshape(steps, 6, 1), blocks.shape)
@@ -194,7 +194,7 @@ def _displacement_weights(displacement: Array, priors: StepPriors) -> Array:
 
 
 def _moved(poses: Array, step: Array) -> Array:
-    turned = poses[:, :3, :3] @ Rotation.from_rotvec(step[:, :3]).as_matrix()
+    turned = poses[:, :3, :3] @ rotation_from_vector(step[:, :3])
     return make_pose(turned, poses[:, :3, 3] + step[:, 3:])
 
 
@@ -203,14 +203,7 @@ def _tangents(rays: Array) -> Array:
     away = np.where(np.abs(rays[:, :1]) < 0.7, np.eye(3)[:1], np.eye(3)[1:2])
     first = np.cross(rays, away).astype(np.float64)
     first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, _apply(_cross_matrix(rays), first)], axis=1)
-
-
-def _cross_matrix(vectors: Array) -> Array:
-    """Matrices (m, 3, 3) with [v]_x w = v x w."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
+    return np.stack([first, _apply(cross_matrix(rays), first)], axis=1)
 
 
 def _apply(matrices: Array, vectors: Array) -> Array:
