@@ -1,5 +1,6 @@
 """Policies that need no cameras: baselines, and proofs that the loop is closed."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from importlib.metadata import entry_points
 
@@ -32,7 +33,7 @@ def make_policy(spec: str) -> Policy:
     return loader(argument or None)
 
 
-class _BatchPolicy:
+class _BatchPolicy(ABC):
     """What the policies below share: no cameras, and one answer for one and for many rollouts."""
 
     cameras: tuple[str, ...] = ()
@@ -44,9 +45,9 @@ class _BatchPolicy:
         plans = self.plan_batch(ObservationBatch.of(observation))
         return Plan(plans.xyz[0], plans.rotation[0])
 
+    @abstractmethod
     def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
         """See `BatchPolicy.plan_batch`."""
-        raise NotImplementedError
 
 
 class ConstantVelocityPolicy(_BatchPolicy):
