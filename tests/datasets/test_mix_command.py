@@ -5,7 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from olt_datasets.clip_table import read_clip_tables
-from olt_datasets.commands import app
+from olt_datasets.commands.mix import app
 from olt_datasets.mixture import compose_mixture
 from olt_datasets.plan import read_plan
 from olt_datasets.recipe import builtin_recipe

@@ -1,0 +1,1 @@
+"""The commands of this package: `olt mix` and `olt data`."""

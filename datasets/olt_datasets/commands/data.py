@@ -1,0 +1,17 @@
+"""`olt data`: index data sets, split them, build their clips and export them."""
+
+import typer
+
+app = typer.Typer(
+    add_completion=False, no_args_is_help=True, help="Index, split, check, build and export driving data sets."
+)
+
+
+@app.command()
+def sources() -> None:
+    """List the data sets that can be read, with licence and access."""
+    from olt_datasets.drives import readers
+    from olt_toolkit.console import print_table
+
+    rows = [(name, reader.licence.name, reader.licence.access) for name, reader in readers().items()]
+    print_table("Data sets", ("source", "licence", "access"), rows)
