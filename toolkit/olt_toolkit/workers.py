@@ -1,10 +1,11 @@
-"""Work on several processes, each with one thread per numerical library."""
+"""Work on several processes, or on the machines of a Ray cluster, each worker with one thread per numerical library."""
 
 import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from enum import StrEnum
 from multiprocessing import get_context
 from typing import TypeVar
 
@@ -13,6 +14,13 @@ from olt_toolkit.threads import THREAD_VARIABLES
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+
+
+class Engine(StrEnum):
+    """Where parallel work is done: in processes of this machine, or on a Ray cluster."""
+
+    LOCAL = "local"
+    RAY = "ray"
 
 
 def default_workers() -> int:
@@ -30,12 +38,23 @@ def use_one_thread() -> None:
 
 
 def map_parallel(
-    function: Callable[[Item], Result], items: Sequence[Item], workers: int, on_progress: Progress = silent
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    workers: int,
+    on_progress: Progress = silent,
+    engine: Engine = Engine.LOCAL,
 ) -> list[Result]:
     """Apply `function` to all items on up to `workers` processes; results keep the order of the items.
 
     The first failure stops the rest and is raised. `function` and the items must be picklable.
+
+    Raises:
+        InputError: Ray is asked for and cannot be used.
     """
+    if engine is Engine.RAY:
+        from olt_toolkit.ray_engine import map_on_ray
+
+        return map_on_ray(function, items, workers, on_progress)
     if workers <= 1 or len(items) <= 1:
         return list(_map_here(function, items, on_progress))
     results: dict[int, Result] = {}
