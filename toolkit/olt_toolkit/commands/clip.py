@@ -21,8 +21,10 @@ from olt_toolkit.commands.clip_options import (
     WidthOption,
     make_open_options,
 )
+from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.commands.trajectory import trajectory
 from olt_toolkit.source_choice import DepthChoice, PoseChoice, SourceChoice
+from olt_toolkit.workers import Engine
 
 if TYPE_CHECKING:
     from olt_toolkit.clip_builder import BuiltClip
@@ -52,7 +54,8 @@ def build(
     depth_weights: DepthWeightsOption = None,
     device: DeviceOption = "cpu",
     seed: Annotated[int, typer.Option(help="Seed of the clip.")] = 0,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes for a folder; all processors.")] = None,
+    workers: WorkersOption = None,
+    engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a recording that fails.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -74,7 +77,7 @@ def build(
     elif name is not None:
         raise InputError(f"--name {name!r}: clips of a folder take the names of their recordings; leave --name out")
     else:
-        _build_all(job, find_recordings(recording), workers, as_json)
+        _build_all(job, find_recordings(recording), workers, engine, as_json)
 
 
 @app.command(help="Make single views of a recording, or further views of a stored clip, as video files.")
@@ -213,7 +216,7 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
     print_json(summary) if as_json else print_build(summary)
 
 
-def _build_all(job: "BuildJob", recordings: list[Path], workers: int | None, as_json: bool) -> None:
+def _build_all(job: "BuildJob", recordings: list[Path], workers: int | None, engine: Engine, as_json: bool) -> None:
     from dataclasses import asdict, replace
 
     from olt_generator.errors import InputError
@@ -229,6 +232,7 @@ def _build_all(job: "BuildJob", recordings: list[Path], workers: int | None, as_
             jobs,
             workers or default_workers(),
             lambda share: progress.update(task, completed=round(share * len(jobs))),
+            engine,
         )
     if as_json:
         print_json(
