@@ -14,12 +14,11 @@ import polars as pl
 
 from olt_generator.errors import InputError
 from olt_toolkit.clip import ClipKind, Split
-from olt_toolkit.clip_table import CLIP_TABLE, TABLE_VERSION
+from olt_toolkit.clip_table import CLIP_TABLE, OPTIONAL_COLUMNS, VERSION_KEY, check_table_version
 from olt_toolkit.clip_table import SCHEMA as STORED_SCHEMA
 
 # The provenance of every view stays in the store; no mixture depends on it.
 SCHEMA = pl.DataFrame(STORED_SCHEMA.empty_table()).drop("views").schema
-OPTIONAL_VALUES = ("no_sample_reason",)
 
 # What decides which samples a mixture holds; the checksum of a table is taken over these.
 DECIDING_COLUMNS = ("clip_id", "scene_id", "source", "kind", "category", "factors", "split", "sample_t0_us")
@@ -78,10 +77,7 @@ def _read_clip_table(folder: Path) -> pl.DataFrame:
 
 
 def _check_schema(path: Path) -> None:
-    version = pl.read_parquet_metadata(path).get("table_version")
-    known = TABLE_VERSION.decode()
-    if version != known:
-        raise InputError(f"{path}: table_version is {version!r}, this release reads {known!r}; build the clips again")
+    check_table_version(pl.read_parquet_metadata(path).get(VERSION_KEY.decode()), path)
     found = pl.read_parquet_schema(path)
     for name, dtype in SCHEMA.items():
         if name not in found:
@@ -92,7 +88,7 @@ def _check_schema(path: Path) -> None:
 
 def _check_values(table: pl.DataFrame, path: Path) -> None:
     for name, dtype in SCHEMA.items():
-        if name not in OPTIONAL_VALUES and _has_empty_cells(table[name], dtype):
+        if name not in OPTIONAL_COLUMNS and _has_empty_cells(table[name], dtype):
             raise InputError(f"{path}: column {name} has empty cells; every clip needs a value")
     _check_words(table["kind"], get_args(ClipKind), path)
     _check_words(table["split"], get_args(Split), path)

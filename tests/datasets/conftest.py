@@ -16,6 +16,7 @@ from olt_toolkit.clip import (
     ClipInfo,
     ClipKind,
     EgoMotion,
+    Origin,
     Split,
     ViewProvenance,
     make_clip_id,
@@ -38,12 +39,15 @@ def _make_clip(
     split: Split = "train",
     scene_id: str | None = None,
     samples: int = 1,
+    origin: Origin | None = None,
+    fingerprint: tuple[int, ...] | None = None,
 ) -> ClipInfo:
     return ClipInfo(
         clip_id=f"00000000-0000-5000-8000-{number:012d}",
         name=f"drive {number}",
         scene_id=scene_id or f"scene_{number}",
         source=source,
+        origin=origin or Origin(f"drive {number}", 0, 20_000_000),
         kind=kind,
         category=category,
         factors=factors,
@@ -52,12 +56,15 @@ def _make_clip(
         sample_t0_us=tuple(5_000_000 + 100_000 * index for index in range(samples)),
         no_sample_reason=None if samples else "too short",
         created_with="0.1.0",
+        checksum=f"{number:032x}",
+        fingerprint=fingerprint,
         views={},
     )
 
 
 def _make_table(*clips: ClipInfo, store: str = "/store") -> pl.DataFrame:
-    rows = [{name: getattr(clip, name) for name in SCHEMA} | {"store": store} for clip in clips]
+    rows = [{**vars(clip), **vars(clip.origin), "store": store} for clip in clips]
+    rows = [{name: row[name] for name in (*SCHEMA, "store")} for row in rows]
     return pl.DataFrame(rows, schema={**SCHEMA, "store": pl.String})
 
 
@@ -109,6 +116,7 @@ def real_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
         name="straight",
         scene_id="straight",
         source="test",
+        origin=Origin("straight", 0, 8_900_000),
         kind="GT",
         category="nominal",
         factors=(),

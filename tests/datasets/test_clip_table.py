@@ -16,6 +16,10 @@ def rewrite(store, change):
     pq.write_table(change(pq.read_table(path)), path)
 
 
+def with_version(version):
+    return lambda table: table.replace_schema_metadata({"table_version": version})
+
+
 def with_column(name, values):
     def change(table):
         index = table.schema.get_field_index(name)
@@ -60,8 +64,9 @@ def test_checksum_follows_what_decides_a_mixture_only(make_table, make_clip):
     ("change", "message"),
     [
         (lambda table: table.drop_columns(["scene_id"]), "column scene_id is missing"),
-        (lambda table: table.replace_schema_metadata({"table_version": "1"}), "table_version is '1'"),
-        (lambda table: table.replace_schema_metadata(None), "table_version is None"),
+        (with_version("2"), "table_version is 2, this release reads 3; build the clips again"),
+        (with_version("4"), "table_version is 4, this release reads 3; install a newer release"),
+        (lambda table: table.replace_schema_metadata(None), "table_version is None; this is no clip table"),
         (with_column("duration_us", pa.array([1.0, 2.0])), "column duration_us is Float64, not Int64"),
         (with_column("sample_t0_us", pa.array([["1"], ["2"]])), "column sample_t0_us is List(String)"),
         (with_column("source", pa.array(["a", None])), "column source has empty cells"),

@@ -61,9 +61,19 @@ def test_clip_table_comes_back(store, make_clip):
     assert [each.name for each in store.clips()] == ["bend", "other"]
     assert (info.kind, info.category, info.factors, info.split) == ("GT", "nominal", ("rain",), "train")
     assert info.views == clip.provenance
+    assert info.origin == clip.origin
     assert info.duration_us == 8_900_000
     assert info.sample_t0_us == tuple(range(1_700_000, 2_600_000, 100_000))
     assert info.no_sample_reason is None
+
+
+def test_checksum_follows_the_files(tmp_path, make_clip):
+    store, clip = ClipStore(tmp_path), make_clip()
+    first = store.stage(clip)
+    assert store.stage(clip) == first
+    slower = replace(clip.ego_motion, velocity=0.5 * clip.ego_motion.velocity)
+    assert store.stage(replace(clip, ego_motion=slower)).checksum != first.checksum
+    assert store.stage(replace(clip, category="other")).checksum == first.checksum
 
 
 def test_ego_motion_and_calibration_come_back(store, make_clip):

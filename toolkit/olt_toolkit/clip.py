@@ -23,8 +23,8 @@ from olt_toolkit.rig import VehicleDimensions
 ClipKind = Literal["GT", "Syn", "front_only"]
 """GT: every view is a true image. Syn: some views are synthesized. front_only: the front views and nothing else."""
 
-ViewKind = Literal["observed", "cropped", "rendered", "warped"]
-"""How the images of a view came to be."""
+ViewKind = Literal["observed", "cropped", "mosaic", "rendered", "warped"]
+"""How the images of a view came to be; a mosaic is put together from several cameras, and black where none saw."""
 
 Split = Literal["train", "val", "test"]
 
@@ -128,7 +128,7 @@ class ViewProvenance:
         kind: how the images came to be.
         engine, version: what made them.
         seed: seed of whatever was random; None where nothing was.
-        observed_share: share of pixels taken from what the front camera saw, 0 to 1.
+        observed_share: share of pixels taken from what the vehicle's cameras saw, 0 to 1.
         invented_share: share of pixels that no camera saw, 0 to 1.
         other_times_share: share of pixels taken from what the front camera saw at other times than that of the image,
             0 to 1; a part of `observed_share`.
@@ -144,6 +144,24 @@ class ViewProvenance:
 
 
 @dataclass(frozen=True)
+class Origin:
+    """What a clip was cut from, and when; two clips of one scene show the same where these times overlap.
+
+    Attributes:
+        recording: key of the drive in its data set; the recording's name where it is a single file.
+        start_us, end_us: times of the first and the last front image, counted from the start of the scene.
+        country: ISO 3166 code of two letters; None where it is not told.
+        licence: name of the licence; None where it is not told.
+    """
+
+    recording: str
+    start_us: int
+    end_us: int
+    country: str | None = None
+    licence: str | None = None
+
+
+@dataclass(frozen=True)
 class Clip:
     """One clip, ready to be stored.
 
@@ -152,6 +170,7 @@ class Clip:
         name: what people call the clip.
         scene_id: the scene it shows; clips of one scene belong in one split.
         source: the reader of the recording.
+        origin: what it was cut from, and when.
         kind: whether all views are true images.
         category: long-tail category, or "nominal".
         factors: scene factors that hold.
@@ -166,6 +185,7 @@ class Clip:
     name: str
     scene_id: str
     source: str
+    origin: Origin
     kind: ClipKind
     category: str
     factors: tuple[str, ...]
@@ -185,6 +205,9 @@ class ClipInfo:
         sample_t0_us: times t0, on a grid of 0.1 s, at which the clip gives a policy sample.
         no_sample_reason: why there is no such time; None where there is one.
         created_with: version of the toolkit that wrote the clip.
+        checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
+            the description and the window of its drive where it is only indexed.
+        fingerprint: perceptual hashes of a few front images (`olt_toolkit.image_hash`); None where none was decoded.
         views: provenance by camera name.
 
     The other attributes are those of `Clip`.
@@ -194,6 +217,7 @@ class ClipInfo:
     name: str
     scene_id: str
     source: str
+    origin: Origin
     kind: ClipKind
     category: str
     factors: tuple[str, ...]
@@ -202,6 +226,8 @@ class ClipInfo:
     sample_t0_us: tuple[int, ...]
     no_sample_reason: str | None
     created_with: str
+    checksum: str
+    fingerprint: tuple[int, ...] | None
     views: dict[str, ViewProvenance]
 
 

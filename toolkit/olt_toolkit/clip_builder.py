@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_generator.cameras import fit_camera
 from olt_generator.distance.depth import DistanceEstimate
 from olt_generator.errors import InputError
 from olt_generator.metrics.image_metrics import psnr
@@ -18,7 +19,7 @@ from olt_generator.views.front_view import FrontView
 from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
 from olt_generator.views.moving_objects import find_moving
 from olt_generator.views.view_plan import ViewPlan, plan_views
-from olt_toolkit.clip import CameraStream, Clip, ClipKind, EgoMotion, make_clip_id
+from olt_toolkit.clip import CameraStream, Clip, ClipKind, EgoMotion, Origin, make_clip_id
 from olt_toolkit.clip_views import BuildOptions, View, ViewMaker
 from olt_toolkit.ftheta_fit import fit_ftheta
 from olt_toolkit.images import fit_images
@@ -149,7 +150,8 @@ def _measure_motion(recording: Recording, options: BuildOptions, stages: Stages)
     if options.use_reference_views or options.use_reference_motion:
         if recording.reference is None:
             raise InputError(f"{recording.name}: its true trajectory is not known; let it be estimated")
-        return _Motion(EgoMotion.from_trajectory(recording.reference), recording.reference, recording.T_rig_camera)
+        at_frames = Trajectory(recording.timestamps_us, recording.reference.interpolate(recording.timestamps_us))
+        return _Motion(EgoMotion.from_trajectory(recording.reference), at_frames, recording.T_rig_camera)
     with stages.stage("odometry") as on_progress:
         measured = options.poses.estimate(
             recording.frames, recording.timestamps_us, recording.camera, recording.T_rig_camera, on_progress
@@ -249,6 +251,7 @@ def _assemble(
         name=options.name or recording.name,
         scene_id=options.scene_id or recording.name,
         source=recording.source,
+        origin=options.origin or _whole_recording(recording),
         kind=_clip_kind(options, plan),
         category=options.category,
         factors=options.factors,
@@ -258,6 +261,10 @@ def _assemble(
         vehicle=recording.vehicle,
         provenance={camera: views[camera].provenance for camera in options.cameras},
     )
+
+
+def _whole_recording(recording: Recording) -> Origin:
+    return Origin(recording.name, int(recording.timestamps_us[0]), int(recording.timestamps_us[-1]))
 
 
 def _stream(view: View, timestamps_us: NDArray[np.int64]) -> CameraStream:
@@ -305,8 +312,19 @@ def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, View
     return {
         name: _view_error(view.images, view.observed, recording.views[name])
         for name, view in views.items()
-        if view.observed is not None and name in recording.views
+        if view.observed is not None and _shows_the_same(view, name, recording)
     }
+
+
+def _shows_the_same(view: View, name: str, recording: Recording) -> bool:
+    """Whether the true images are whole, and seen through the lens of the view from its place."""
+    if name not in recording.views or name in recording.observed:
+        return False
+    true = recording.mounted.get(name)
+    if true is None:
+        return True
+    lens = fit_camera(true.camera, view.camera.width, view.camera.height)
+    return lens == view.camera and np.array_equal(true.T_rig_camera, view.T_rig_camera)
 
 
 def _view_error(images: NDArray[np.uint8], observed: NDArray[np.bool_], true_images: NDArray[np.uint8]) -> ViewError:

@@ -1,5 +1,6 @@
 """How one clip's files are written to a folder, and how such folders become chunks of the PhysicalAI-AV tree."""
 
+import hashlib
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +13,7 @@ from olt_generator.video import write_video
 from olt_toolkit import __version__
 from olt_toolkit.clip import Clip, ClipInfo, check_clip_id
 from olt_toolkit.clip_table import CLIP_TABLE, read_clip_table, write_clip_table
+from olt_toolkit.image_hash import fingerprint_images
 from olt_toolkit.pai_layout import (
     CALIBRATIONS,
     CAMERA_INTRINSICS,
@@ -37,13 +39,17 @@ from olt_toolkit.pai_tables import (
     vehicle_table,
 )
 from olt_toolkit.policy_window import Coverage, sample_times
+from olt_toolkit.rig import FRONT_WIDE
 
 # Members of a zip carry one fixed date, so that the same clips give the same bytes.
 _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 
 
-def write_clip_files(folder: Path, clip: Clip) -> None:
+def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
     """Write everything a chunk takes from one clip: zip members, calibration rows and the row of the clip table.
+
+    Returns:
+        The row of the clip table.
 
     Raises:
         InputError: the clip contradicts itself or cannot be held by the layout.
@@ -61,7 +67,9 @@ def write_clip_files(folder: Path, clip: Clip) -> None:
         feature = FEATURES[camera]
         timestamps_table(stream.timestamps_us).to_parquet(folder / feature.member(FRAME_TIMESTAMPS, clip.clip_id))
         write_video(folder / feature.member(VIDEO, clip.clip_id), stream.frames, stream.frame_rate)
-    write_clip_table(folder / CLIP_TABLE, [describe_clip(clip)])
+    info = describe_clip(clip, _checksum_files(folder))
+    write_clip_table(folder / CLIP_TABLE, [info])
+    return info
 
 
 def check_clip(clip: Clip) -> None:
@@ -88,8 +96,8 @@ def check_clip(clip: Clip) -> None:
             raise InputError(f"{where}: {camera} has frames of shape {stream.frames.shape[1:]} for a lens of {size}")
 
 
-def describe_clip(clip: Clip) -> ClipInfo:
-    """The clip's row in the clip table."""
+def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
+    """The clip's row in the clip table, given the checksum of its files."""
     spans = {name: (int(s.timestamps_us[0]), int(s.timestamps_us[-1])) for name, s in clip.streams.items()}
     times, reason = sample_times(Coverage(clip.ego_motion.span_us, spans))
     return ClipInfo(
@@ -97,6 +105,7 @@ def describe_clip(clip: Clip) -> ClipInfo:
         name=clip.name,
         scene_id=clip.scene_id,
         source=clip.source,
+        origin=clip.origin,
         kind=clip.kind,
         category=clip.category,
         factors=clip.factors,
@@ -105,8 +114,19 @@ def describe_clip(clip: Clip) -> ClipInfo:
         sample_t0_us=times,
         no_sample_reason=reason,
         created_with=__version__,
+        checksum=checksum,
+        fingerprint=fingerprint_images(clip.streams[FRONT_WIDE].frames) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,
     )
+
+
+def _checksum_files(folder: Path) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for path in sorted(folder.iterdir()):
+        data = path.read_bytes()
+        digest.update(f"{path.name}\x1f{len(data)}\x1f".encode())
+        digest.update(data)
+    return digest.hexdigest()
 
 
 def pack_chunk(root: Path, chunk: int, folders: Sequence[Path]) -> list[ClipInfo]:
@@ -148,10 +168,10 @@ def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int])
     presence = pd.DataFrame(
         {name: [has_feature(info, name) for info in clips] for name in FEATURES}, index=index, dtype=bool
     )
-    # Columns of the real table; where and when a generated clip was recorded is not known.
+    # Columns of the real table; when a clip was recorded, and by which platform, is not known.
     collection = pd.DataFrame(
         {
-            "country": pd.Series(None, index, "string"),
+            "country": pd.Series([info.origin.country for info in clips], index, "string"),
             "month": pd.Series(None, index, "Int64"),
             "hour_of_day": pd.Series(None, index, "Int64"),
             "platform_class": pd.Series(None, index, "string"),

@@ -20,7 +20,7 @@ from olt_toolkit.pictures import animation_path, write_clip_pictures
 from olt_toolkit.recording import OpenOptions, Recording, is_recording, open_recording
 from olt_toolkit.source_choice import SourceChoice
 from olt_toolkit.stages import OnStage, unnoticed
-from olt_toolkit.workers import map_parallel, use_one_thread
+from olt_toolkit.workers import Engine, map_parallel, use_one_thread
 
 PREVIEWS = "previews"
 # Decoding this much of a recording tells its name and source, which its clip's id is made from.
@@ -84,13 +84,16 @@ def find_recordings(folder: Path) -> list[Path]:
     return found
 
 
-def build_folder(jobs: list[BuildJob], workers: int, on_progress: Progress = silent) -> list[Outcome]:
+def build_folder(
+    jobs: list[BuildJob], workers: int, on_progress: Progress = silent, engine: Engine = Engine.LOCAL
+) -> list[Outcome]:
     """Build the clips of several recordings and commit them to their store.
 
     Args:
         jobs: what to build, all for one store.
         workers: number of processes.
         on_progress: told the share of recordings that are done.
+        engine: where the processes run.
 
     Returns:
         An outcome for each job, in their order.
@@ -99,7 +102,7 @@ def build_folder(jobs: list[BuildJob], workers: int, on_progress: Progress = sil
         InputError: a recording cannot be used and its job does not keep going. Clips staged by then are found by the
             next run.
     """
-    outcomes = map_parallel(_build_or_report, jobs, workers, on_progress)
+    outcomes = map_parallel(_build_or_report, jobs, workers, on_progress, engine)
     store = ClipStore(jobs[0].store)
     store.commit([outcome.clip_id for outcome in outcomes if outcome.clip_id is not None])
     return outcomes
@@ -118,12 +121,12 @@ def stage_clip(
     times_us = next(iter(streams.values())).timestamps_us
     images = {name: stream.frames for name, stream in streams.items()}
     start = time.perf_counter()
-    ClipStore(job.store).stage(built.clip)
+    info = ClipStore(job.store).stage(built.clip)
     staged = time.perf_counter()
     pictures = write_clip_pictures(job.store / PREVIEWS, built.clip.name, images, built.observed, times_us)
     seconds = {"stage": staged - start, "pictures": time.perf_counter() - staged}
     sources = {"poses": str(job.sources.poses), "depth": str(job.sources.depth)}
-    return summarize_build(built) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
+    return summarize_build(built, info) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
 
 
 def _build_or_report(job: BuildJob) -> Outcome:

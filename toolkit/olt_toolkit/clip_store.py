@@ -60,14 +60,17 @@ class ClipStore:
 
     # Writing
 
-    def stage(self, clip: Clip) -> None:
+    def stage(self, clip: Clip) -> ClipInfo:
         """Encode a clip beside the store, ready to be committed. Different clips may be staged at the same time.
+
+        Returns:
+            The clip's row in the clip table.
 
         Raises:
             InputError: the clip contradicts itself, or the layout cannot hold it.
         """
         with write_whole_folder(self._staged(clip.clip_id)) as folder:
-            write_clip_files(folder, clip)
+            return write_clip_files(folder, clip)
 
     def is_staged(self, clip_id: str) -> bool:
         """Whether the clip waits to be committed."""

@@ -9,14 +9,18 @@ from olt_generator.motion.pose_metrics import PoseErrors, measure_smoothness
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clip import ClipInfo, EgoMotion
 from olt_toolkit.clip_builder import BuiltClip
-from olt_toolkit.clip_files import describe_clip
 from olt_toolkit.clip_store import ClipStore
 
 
-def summarize_build(built: BuiltClip) -> dict[str, Any]:
-    """Numbers of a built clip: trajectory and its errors, views and theirs, what was left out, assumed and timed."""
+def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
+    """Numbers of a built clip: trajectory and its errors, views and theirs, what was left out, assumed and timed.
+
+    Args:
+        built: the clip and what it was made from.
+        info: its row in the clip table.
+    """
     return {
-        "clip": summarize_info(describe_clip(built.clip)),
+        "clip": summarize_info(info),
         "trajectory": summarize_motion(built.clip.ego_motion),
         "scale_sigma": built.measured.scale_sigma if built.measured else None,
         "pose_errors": _errors(built.pose_errors),

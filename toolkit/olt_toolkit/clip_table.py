@@ -1,6 +1,7 @@
 """The table of clips, `clips.parquet`: what the PhysicalAI-AV layout has no place for.
 
-One row a clip, in the order in which clips were added. This is the only place that knows its columns.
+One row a clip, in the order in which clips were added. This is the only place that knows its columns. The same table
+under another name lists clips that are indexed and not built.
 """
 
 from collections.abc import Sequence
@@ -13,11 +14,12 @@ import pyarrow.parquet as pq
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_toolkit.clip import ClipInfo, ClipKind, Split, ViewKind, ViewProvenance, check_clip_id
+from olt_toolkit.clip import ClipInfo, ClipKind, Origin, Split, ViewKind, ViewProvenance, check_clip_id
 from olt_toolkit.pai_tables import read_table
 
 CLIP_TABLE = "clips.parquet"
-TABLE_VERSION = b"2"
+TABLE_VERSION = 3
+VERSION_KEY = b"table_version"
 
 _VIEW = pa.struct(
     [
@@ -37,6 +39,11 @@ SCHEMA = pa.schema(
         ("name", pa.string()),
         ("scene_id", pa.string()),
         ("source", pa.string()),
+        ("recording", pa.string()),
+        ("start_us", pa.int64()),
+        ("end_us", pa.int64()),
+        ("country", pa.string()),
+        ("licence", pa.string()),
         ("kind", pa.string()),
         ("category", pa.string()),
         ("factors", pa.list_(pa.string())),
@@ -45,10 +52,13 @@ SCHEMA = pa.schema(
         ("sample_t0_us", pa.list_(pa.int64())),
         ("no_sample_reason", pa.string()),
         ("created_with", pa.string()),
+        ("checksum", pa.string()),
+        ("fingerprint", pa.list_(pa.uint64())),
         ("views", pa.list_(_VIEW)),
     ],
-    metadata={b"table_version": TABLE_VERSION},
+    metadata={VERSION_KEY: str(TABLE_VERSION).encode()},
 )
+OPTIONAL_COLUMNS = frozenset({"no_sample_reason", "country", "licence", "fingerprint"})
 
 
 def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
@@ -65,20 +75,33 @@ def read_clip_table(path: Path) -> list[ClipInfo]:
         InputError: the file is missing, of another version, or holds what no clip can have.
     """
     table = read_table(path, SCHEMA.names, str(path))
-    version = (table.schema.metadata or {}).get(b"table_version")
-    if version != TABLE_VERSION:
-        raise InputError(f"{path}: table_version is {version!r}, {TABLE_VERSION!r} was expected; build the clips again")
+    check_table_version((table.schema.metadata or {}).get(VERSION_KEY), path)
     for name in SCHEMA.names:
         if table.schema.field(name).type != SCHEMA.field(name).type:
             raise InputError(f"{path}: column {name} is {table.schema.field(name).type}, not {SCHEMA.field(name).type}")
-        if table.column(name).null_count and name != "no_sample_reason":
+        if table.column(name).null_count and name not in OPTIONAL_COLUMNS:
             raise InputError(f"{path}: column {name} has missing values")
     return [_info(row, f"{path}: row {index}") for index, row in enumerate(table.to_pylist())]
 
 
+def check_table_version(version: bytes | str | None, path: Path) -> None:
+    """Check the version that the metadata of a table tell.
+
+    Raises:
+        InputError: there is none, or it is not the one that this release reads.
+    """
+    text = version.decode(errors="replace") if isinstance(version, bytes) else version
+    if text is None or not text.isdecimal():
+        raise InputError(f"{path}: table_version is {text!r}; this is no clip table")
+    if int(text) != TABLE_VERSION:
+        advice = "install a newer release" if int(text) > TABLE_VERSION else "build the clips again"
+        raise InputError(f"{path}: table_version is {text}, this release reads {TABLE_VERSION}; {advice}")
+
+
 def _row(info: ClipInfo) -> dict[str, Any]:
-    row = {field.name: getattr(info, field.name) for field in fields(info)}
-    return row | {"views": [{"camera": camera, **asdict(view)} for camera, view in info.views.items()]}
+    row = {field.name: getattr(info, field.name) for field in fields(info) if field.name != "origin"}
+    views = [{"camera": camera, **asdict(view)} for camera, view in info.views.items()]
+    return row | asdict(info.origin) | {"views": views}
 
 
 def _info(row: dict[str, Any], where: str) -> ClipInfo:
@@ -89,7 +112,9 @@ def _info(row: dict[str, Any], where: str) -> ClipInfo:
         _check_word(view["kind"], get_args(ViewKind), f"{where}: view {view['camera']}: kind")
     row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
     row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
-    return ClipInfo(**row)
+    row["fingerprint"] = None if row["fingerprint"] is None else tuple(row["fingerprint"])
+    origin = Origin(**{field.name: row.pop(field.name) for field in fields(Origin)})
+    return ClipInfo(**row, origin=origin)
 
 
 def _check_word(word: str, allowed: tuple[str, ...], where: str) -> None:

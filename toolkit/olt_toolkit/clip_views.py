@@ -17,7 +17,7 @@ from olt_generator.views.lookback import LOOKBACK_LATENTS
 from olt_generator.views.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
 from olt_generator.views.tele import crop_tele, tele_camera
 from olt_toolkit import __version__
-from olt_toolkit.clip import Split, ViewKind, ViewProvenance
+from olt_toolkit.clip import Origin, Split, ViewKind, ViewProvenance
 from olt_toolkit.images import fit_images
 from olt_toolkit.recording import Recording
 from olt_toolkit.rig import FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, Rig, pav_rig
@@ -42,6 +42,7 @@ class BuildOptions:
         image_kind: how the recording's own images came to be, for the provenance.
         name, scene_id: None for the recording's name.
         category, factors, split: see `Clip`.
+        origin: what the recording was cut from; None where it is whole, and nothing more is known of it.
         seed: goes into the clip's id and provenance; nothing in the build is random yet.
     """
 
@@ -60,6 +61,7 @@ class BuildOptions:
     category: str = "nominal"
     factors: tuple[str, ...] = ()
     split: Split = "train"
+    origin: Origin | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -117,10 +119,10 @@ class ViewMaker:
         Raises:
             InputError: its true images are wanted and not there, or the front lens cannot give it.
         """
-        if name == FRONT_WIDE:
-            return self._front()
         if self.options.use_reference_views and name in self.recording.views:
             return self._true_view(name)
+        if name == FRONT_WIDE:
+            return self._front()
         if name == FRONT_TELE:
             return self._tele()
         if self.front is None:
@@ -140,13 +142,21 @@ class ViewMaker:
 
     def _true_view(self, name: str) -> View:
         images = self.recording.views[name]
-        mounted = self.options.rig.fitted(images.shape[2], images.shape[1])[name]
+        size = self.options.width, self.options.height
+        mounted = self.recording.mounted.get(name) or self.options.rig.fitted(images.shape[2], images.shape[1])[name]
         return View(
-            fit_images(images, self.options.width, self.options.height),
-            fit_camera(mounted.camera, self.options.width, self.options.height),
+            fit_images(images, *size),
+            fit_camera(mounted.camera, *size),
             mounted.T_rig_camera,
-            self._as_given(self.options.image_kind),
+            self._true_provenance(name),
         )
+
+    def _true_provenance(self, name: str) -> ViewProvenance:
+        if name not in self.recording.observed:
+            return self._as_given(self.options.image_kind)
+        mask = np.repeat(np.where(self.recording.observed[name], 255, 0).astype(np.uint8)[None, ..., None], 3, axis=-1)
+        share = float(fit_images(mask, self.options.width, self.options.height).mean()) / 255.0
+        return ViewProvenance("mosaic", self.recording.source, __version__, None, share, 1.0 - share)
 
     def _synthesized(self, name: str, front: FrontView, on_progress: Progress) -> View:
         target = self.options.rig.fitted(self.options.width, self.options.height)[name]

@@ -1,7 +1,7 @@
 """Single views of a recording or of a stored clip, written as video files for people and other tools."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,6 @@ from olt_generator.video import write_video
 from olt_generator.views.view_plan import ViewPlan, plan_views
 from olt_toolkit.clip_builder import BuiltClip
 from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.clip_summary import summarize_build
 from olt_toolkit.clip_views import BuildOptions
 from olt_toolkit.pictures import write_clip_pictures
 from olt_toolkit.recording import Recording
@@ -98,20 +97,20 @@ def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
 
 
 def _describe_plan(built: BuiltClip, folder: Path) -> dict[str, Any]:
-    summary = summarize_build(built)
     views = {
-        name: view | {"method": built.plan.methods[name], "file": str(folder / f"{name}.mp4")}
-        for name, view in summary["clip"]["views"].items()
+        name: asdict(view) | {"method": built.plan.methods[name], "file": str(folder / f"{name}.mp4")}
+        for name, view in built.clip.provenance.items()
     }
+    left_out = dict(built.left_out)
     if not _needs_motion(built.plan):
-        summary["left_out"]["motion of the vehicle"] = "no wanted view needs it"
+        left_out["motion of the vehicle"] = "no wanted view needs it"
     return {
-        "recording": summary["clip"]["name"],
+        "recording": built.clip.name,
         "views": views,
         "order": list(built.plan.needed),
-        "left_out": summary["left_out"],
-        "assumptions": summary["assumptions"],
-        "seconds": summary["seconds"],
+        "left_out": left_out,
+        "assumptions": list(built.assumptions),
+        "seconds": dict(built.seconds),
     }
 
 

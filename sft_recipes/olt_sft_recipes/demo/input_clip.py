@@ -30,11 +30,11 @@ def build_input_clip(job: Job) -> dict[str, Any]:
     job.bar.start("front video to four views")
     built = build_clip(recording, options, job.on_progress, lambda part: job.bar.start(f"front video: {part}"))
     store = ClipStore(job.clips)
-    store.stage(built.clip)
+    info = store.stage(built.clip)
     store.commit([built.clip.clip_id])
     _check_read_back(store, built)
     _draw(job, recording, built)
-    return summarize_build(built)
+    return summarize_build(built, info)
 
 
 def open_video(video: Path, settings: DemoSettings) -> Recording:

@@ -1,0 +1,23 @@
+"""Perceptual hashes of images: close for images that look alike, whatever their size and coding.
+
+An image is reduced to 9 x 8 grey levels, and each of 64 bits tells whether brightness falls from one to its right
+neighbour (the difference hash). Hashes compare by the number of bits in which they differ.
+"""
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+FINGERPRINT_IMAGES = 5
+
+
+def fingerprint_images(frames: NDArray[np.uint8]) -> tuple[int, ...]:
+    """Hashes of a few images of a sequence (n, H, W, 3), at the middles of equal parts of it."""
+    middles = (2 * np.arange(FINGERPRINT_IMAGES) + 1) * len(frames) // (2 * FINGERPRINT_IMAGES)
+    return tuple(hash_image(frames[index]) for index in middles)
+
+
+def hash_image(image: NDArray[np.uint8]) -> int:
+    """The 64-bit difference hash of an image (H, W, 3) RGB; 0 for one without any falling edge."""
+    grey = cv2.resize(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), (9, 8), interpolation=cv2.INTER_AREA)
+    return int.from_bytes(np.packbits(grey[:, :-1] > grey[:, 1:]).tobytes(), "big")
