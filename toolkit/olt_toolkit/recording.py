@@ -15,7 +15,7 @@ from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.rig import VehicleDimensions
+from olt_toolkit.rig import POLICY_CAMERAS, MountedCamera, VehicleDimensions
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,11 @@ class Recording:
         assumptions: one sentence for everything that was assumed instead of measured (lens, mounting, vehicle).
         reference: the measured rig trajectory over the same times, where one is known.
         distance: (n, H, W) float32 true distance along each pixel's ray in metres (inf: sky), where it is known.
-        views: true images (n, h, w, 3) of other cameras by name, where they are known.
+        views: true images (n, h, w, 3) by camera name, where they are known; one of the front-wide camera is put
+            together from several cameras, and goes before `frames` where true views are wanted.
+        mounted: lens, at the size of the images, and mounting of the cameras of `views`; a camera that is not there is
+            that of the rig whose views are wanted.
+        observed: pixels (h, w) that some camera saw, of those of `views` that are mosaics of several cameras.
     """
 
     name: str
@@ -47,6 +51,8 @@ class Recording:
     reference: Trajectory | None = None
     distance: NDArray[np.float32] | None = None
     views: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
+    mounted: dict[str, MountedCamera] = field(default_factory=dict)
+    observed: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -58,12 +64,14 @@ class OpenOptions:
         duration: at most this many seconds from the start.
         horizontal_fov: field of view in radians to assume where no calibration exists; None for the reader's default.
         camera_height: height in metres above ground to assume where no mounting is known; None for the default.
+        views: cameras whose true images are wanted beside the front ones, where the recording has them.
     """
 
     width: int = 832
     duration: float = 20.0
     horizontal_fov: float | None = None
     camera_height: float | None = None
+    views: tuple[str, ...] = POLICY_CAMERAS
 
 
 class Source(Protocol):

@@ -1,4 +1,4 @@
-"""Images of one camera seen through another that shares its centre.
+"""Images of one camera seen through another that shares its centre, or is so near that the difference may be fixed.
 
 Where the view shrinks, one source pixel in many would be picked and the rest lost, which flickers. So the image is
 first halved again and again by means of 2 x 2 pixels (a mip map: Williams, "Pyramidal parametrics", SIGGRAPH 1983),
@@ -8,7 +8,7 @@ not fine enough, each target pixel is the mean of several samples, each taken in
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.lenses.camera_model import Camera, Mask, pixel_rays
@@ -48,18 +48,27 @@ class Remapper:
         seen: (height, width) target pixels of which the source sees every sample; the others come out black.
     """
 
-    def __init__(self, source: Camera, target: Camera, R_source_target: Array, samples: int = 1) -> None:
+    def __init__(
+        self,
+        source: Camera,
+        target: Camera,
+        R_source_target: Array,
+        samples: int = 1,
+        shift: ArrayLike = (0.0, 0.0, 0.0),
+    ) -> None:
         """Work out where the pixels come from.
 
         Args:
             source: camera that takes the images.
-            target: camera whose images are wanted; it has the same centre.
+            target: camera whose images are wanted.
             R_source_target: (3, 3) rotation from target axes to source axes.
             samples: samples along each side of a target pixel; their square multiplies the run time.
+            shift: (3,) place of the target in source axes, in units of the distance at which everything is taken to
+                be from it; 0 where both share one centre, or everything is taken to be infinitely far.
         """
         self.source, self.target = source, target
         self._sampled = target.resized(target.width * samples, target.height * samples)
-        pixels, seen = _source_pixels(source, self._sampled, R_source_target)
+        pixels, seen = _source_pixels(source, self._sampled, R_source_target, shift)
         self.seen = seen.reshape(target.height, samples, target.width, samples).all(axis=(1, 3))
         complete = self.seen.repeat(samples, axis=0).repeat(samples, axis=1)
         levels = np.minimum(_level_of(_shrinkage(pixels)), int(np.log2(min(source.width, source.height))))
@@ -124,8 +133,10 @@ class Remapper:
         return max(1, self.source.width >> level), max(1, self.source.height >> level)
 
 
-def _source_pixels(source: Camera, target: Camera, R_source_target: Array) -> tuple[Array, Mask]:
-    return source.project(pixel_rays(target) @ R_source_target.T)
+def _source_pixels(
+    source: Camera, target: Camera, R_source_target: Array, shift: ArrayLike = (0.0, 0.0, 0.0)
+) -> tuple[Array, Mask]:
+    return source.project(pixel_rays(target) @ R_source_target.T + np.asarray(shift))
 
 
 def _shrinkage(pixels: Array) -> Array:
