@@ -24,6 +24,7 @@ def measure_along_recording(surroundings: Surroundings) -> dict[str, MetricSerie
     if len(recorded.times_us) < 2 or len(times) <= UNCOMPUTED:
         raise UnmeasuredError("progress needs two recorded poses and three samples")
     path, driven = (shapely.linestrings(track.positions) for track in (recorded, surroundings.ego))
+    shapely.prepare(path)
     along, _ = recorded.at(times)
     centers = surroundings.ego_centers[UNCOMPUTED:]
 

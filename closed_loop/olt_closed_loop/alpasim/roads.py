@@ -76,11 +76,12 @@ def measure_road(surroundings: Surroundings) -> dict[str, MetricSeries]:
     for lanes, at in _by_lanes(road.lanes_near(positions)):
         outlines, union = surroundings.ego_outlines[at], _union(road, lanes)
         in_union = shapely.contains(union, outlines)
-        border[at] = np.where(in_union, shapely.distance(shapely.boundary(union), outlines), 0.0)
+        border[at[in_union]] = shapely.distance(_border(union), outlines[in_union])
         on_lane = in_union if len(lanes) > 1 else np.zeros(len(at), dtype=bool)
         for lane in lanes:
             on_lane = on_lane | shapely.contains(road.area(lane), outlines)
-            wrong_lane[at] = np.maximum(wrong_lane[at], _against(road, lane, surroundings, at))
+            on_it = at[shapely.contains(road.area(lane), surroundings.ego_centers[at])]
+            wrong_lane[on_it] = np.maximum(wrong_lane[on_it], _against(road, lane, surroundings, on_it))
         off_lane = at[~on_lane]
         if len(off_lane):
             gaps = shapely.distance(road.edges_at(positions[off_lane]), surroundings.ego_outlines[off_lane])
@@ -111,13 +112,18 @@ def _union(road: _RoadMap, lanes: tuple[int, ...]) -> BaseGeometry:
     return union
 
 
+def _border(union: BaseGeometry) -> BaseGeometry:
+    border = shapely.boundary(union)
+    shapely.prepare(border)
+    return border
+
+
 def _against(road: _RoadMap, lane: int, surroundings: Surroundings, at: NDArray[np.int64]) -> Array:
-    """1 where (n,) the lane holds the ego's centre and runs more than 120 degrees from its yaw, else 0.
+    """1 where (n,) the lane, which holds the ego's centre, runs more than 120 degrees from its yaw, else 0.
 
     The difference of the angles is not wrapped, so that near +-180 degrees a proper lane can count as wrong.
     """
     centers = surroundings.ego_centers[at]
-    inside = shapely.contains(road.area(lane), centers)
     line = road.centers[lane]
     along = shapely.line_locate_point(line, centers)
     ahead, behind = (
@@ -125,9 +131,8 @@ def _against(road: _RoadMap, lane: int, surroundings: Surroundings, at: NDArray[
         for place in (np.minimum(along + _LOOK, shapely.length(line)), np.maximum(along - _LOOK, 0.0))
     )
     direction = ahead - behind
-    _, yaws = surroundings.ego.at(surroundings.record.timestamps_us[at])
-    turned = np.abs(np.arctan2(direction[:, 1], direction[:, 0]) - yaws)
-    return (inside & (turned > WRONG_WAY)).astype(np.float64)
+    turned = np.abs(np.arctan2(direction[:, 1], direction[:, 0]) - surroundings.ego_places[1][at])
+    return (turned > WRONG_WAY).astype(np.float64)
 
 
 def _lane_area(lane: LaneLines, center: shapely.LineString) -> BaseGeometry:
