@@ -148,12 +148,17 @@ class Surroundings:
         touched = np.flatnonzero(self.distances[:, sample] <= 0.0)
         if len(touched) == 1:
             return int(touched[0])
-        positions, yaws = self.agent_places
-        there = np.flatnonzero(~np.isnan(yaws[:, sample]))
-        others = self.agent_shapes.select(there).polygons(positions[there, sample], yaws[there, sample])
-        outlines = [self.ego_outlines[sample], *others]
-        named = shapely.STRtree(outlines).query(outlines[0], predicate="intersects")
+        outlines = self.outlines_at(sample)
+        named = shapely.STRtree(list(outlines)).query(outlines[0], predicate="intersects")
+        there = np.flatnonzero(~np.isnan(self.agent_places[1][:, sample]))
         return int(there[named[named != 0][-1] - 1])
+
+    def outlines_at(self, sample: int) -> Geometries:
+        """Outlines (1 + k,) of the ego and of all agents that exist at a sample."""
+        positions, yaws = (places[:, sample] for places in self.agent_places)
+        there = np.flatnonzero(~np.isnan(yaws))
+        others = self.agent_shapes.select(there).polygons(positions[there], yaws[there])
+        return np.concatenate([self.ego_outlines[[sample]], others])
 
 
 def _poses(positions: Single, yaws: Single) -> Array:

@@ -7,6 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from olt_closed_loop.alpasim.scores import score_as_alpasim
+from olt_closed_loop.alpasim.plans import measure_plan_collisions
 from olt_closed_loop.alpasim.surroundings import Surroundings, measure_contact
 from olt_closed_loop.rollout_files import parse_rollout
 
@@ -45,6 +46,25 @@ def test_contact_is_that_of_every_outline_against_every_other(texts, seed):
     np.testing.assert_array_equal(metrics["collision_any"].values, touched)
     zones = [metrics[f"collision_{zone}"].values for zone in ("front", "rear", "lateral")]
     np.testing.assert_array_equal(np.sum(zones, axis=0), touched)
+
+
+@settings(max_examples=12)
+@given(seed=st.integers(0, 10_000))
+def test_plans_collide_where_any_outline_of_them_meets_one_of_an_agent(texts, seed):
+    surroundings = Surroundings(parse_rollout(texts.random(seed), "drive"))
+    expected = []
+    for index, plan in enumerate(surroundings.record.plans):
+        times = plan.timestamps_us[(plan.timestamps_us > plan.now_us) & (plan.timestamps_us <= plan.now_us + 3_000_000)]
+        own = surroundings.ego_shape.polygons(*surroundings.plans.at(times, index))
+        for agent in range(len(surroundings.agents)):
+            there = surroundings.agents.exists(times, agent)
+            shape = surroundings.agent_shapes.select(np.array([agent]))
+            outlines = shape.polygons(*surroundings.agents.at(times[there], agent))
+            if shapely.intersects(own[there], outlines).any():
+                expected.append(index)
+                break
+    collides = measure_plan_collisions(surroundings)["open_loop_collision"].values
+    np.testing.assert_array_equal(np.flatnonzero(collides), expected)
 
 
 def test_without_a_map_nothing_is_off_road_and_the_scene_has_no_score(score):
