@@ -11,6 +11,7 @@ from olt_toolkit.clip_folder import BuildJob, Outcome, build_folder, find_record
 from olt_toolkit.clip_views import BuildOptions
 from olt_toolkit.recording import OpenOptions
 from olt_toolkit.source_choice import SourceChoice
+from olt_toolkit.workers import Engine
 
 
 @pytest.fixture
@@ -22,10 +23,10 @@ def videos(tmp_path) -> Path:
     return folder
 
 
-def build(videos: Path, store: Path, workers: int) -> list[Outcome]:
+def build(videos: Path, store: Path, workers: int, engine: Engine = Engine.LOCAL) -> list[Outcome]:
     options = BuildOptions(width=96, height=54)
     jobs = [BuildJob(path, store, OpenOptions(), options, SourceChoice()) for path in find_recordings(videos)]
-    return build_folder(jobs, workers)
+    return build_folder(jobs, workers, engine=engine)
 
 
 def files_of(store: Path) -> dict[str, bytes]:
@@ -39,6 +40,14 @@ def test_the_number_of_processes_changes_nothing(videos, tmp_path):
     assert [outcome.path.stem for outcome in together] == ["alley", "bridge"]
     assert {outcome.state for outcome in alone + together} == {"built"}
     assert files_of(tmp_path / "alone") == files_of(tmp_path / "together")
+
+
+@pytest.mark.slow
+def test_a_ray_cluster_changes_nothing(videos, tmp_path):
+    pytest.importorskip("ray", reason="needs the extra `distributed`")
+    build(videos, tmp_path / "here", 1)
+    build(videos, tmp_path / "cluster", 2, Engine.RAY)
+    assert files_of(tmp_path / "here") == files_of(tmp_path / "cluster")
 
 
 def test_recordings_are_found_by_name_and_nothing_else_is(videos):
