@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 from polars.testing import assert_frame_equal
 
-from olt_datasets.clip_table import explode_samples, read_clip_tables, table_checksum
+from olt_datasets.clip_table import explode_samples, read_clip_tables, scan_clip_tables, table_checksum
 from olt_generator.errors import InputError
 
 
@@ -44,6 +44,14 @@ def test_order_depends_neither_on_files_nor_on_stores(write_store, make_clip):
     assert_frame_equal(read_clip_tables([b, a]), before)
 
 
+def test_stores_and_indexed_tables_are_read_together(write_store, make_clip, tmp_path):
+    store = write_store(make_clip(2), make_clip(4), name="built")
+    indexed = (write_store(make_clip(3), make_clip(1)) / "clips.parquet").rename(tmp_path / "indexed.parquet")
+    table = scan_clip_tables([store, indexed]).select("clip_id", "store").collect()
+    assert table["clip_id"].str.tail(1).to_list() == ["1", "2", "3", "4"]
+    assert table["store"].to_list() == [str(indexed), str(store)] * 2
+
+
 def test_samples_are_exploded_and_clips_without_any_vanish(make_table, make_clip):
     samples = explode_samples(make_table(make_clip(1, samples=2), make_clip(2, samples=0), make_clip(3)))
     assert samples["clip_id"].str.tail(1).to_list() == ["1", "1", "3"]
@@ -60,6 +68,16 @@ def test_checksum_follows_what_decides_a_mixture_only(make_table, make_clip):
     assert table_checksum(make_table(make_clip(1, split="val"), clips[1])) != checksum
 
 
+def test_checksum_is_that_of_the_rows_however_they_lie_in_memory(write_store, make_clip, make_table):
+    clips = [make_clip(number, samples=number % 4, factors=("a", "bc")[: number % 3]) for number in range(9)]
+    checksum = table_checksum(make_table(*clips))
+    assert table_checksum(pl.concat([make_table(*clips[:4]), make_table(*clips[4:])])) == checksum
+    assert table_checksum(make_table(make_clip(99), *clips)[1:]) == checksum
+    assert table_checksum(scan_clip_tables([write_store(*reversed(clips))])) == checksum
+    joined = [make_clip(1, factors=("ab", "c")), make_clip(1, factors=("a", "bc")), make_clip(1, factors=("abc",))]
+    assert len({table_checksum(make_table(clip)) for clip in joined}) == 3
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -73,6 +91,8 @@ def test_checksum_follows_what_decides_a_mixture_only(make_table, make_clip):
         (with_column("factors", pa.array([["a", None], []], pa.list_(pa.string()))), "column factors has empty cells"),
         (with_column("factors", pa.array([None, []], pa.list_(pa.string()))), "column factors has empty cells"),
         (with_column("kind", pa.array(["GT", "gt"])), "column kind has 'gt'; it must be one of GT, Syn, front_only"),
+        (with_column("end_us", pa.array([0, -1])), "column end_us is less than start_us"),
+        (with_column("fingerprint", pa.array([[1], [None]], pa.list_(pa.uint64()))), "column fingerprint has empty"),
         (with_column("split", pa.array(["train", "dev"])), "column split has 'dev'"),
         (with_column("clip_id", pa.array(["a", "a"])), "column clip_id has 'a' more than once"),
     ],
@@ -87,7 +107,7 @@ def test_damaged_table_is_refused_by_file_and_column(write_store, make_clip, cha
 def test_folders_that_are_no_stores_are_refused(tmp_path, write_store, make_clip):
     with pytest.raises(InputError, match=r"clips\.parquet: no such file"):
         read_clip_tables([tmp_path / "nothing"])
-    with pytest.raises(InputError, match="no clip store was given"):
+    with pytest.raises(InputError, match="no clip table was given"):
         read_clip_tables([])
     store = write_store(make_clip(1))
     with pytest.raises(InputError, match="given twice"):
