@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.motion.focal_length import estimate_field_of_view
-from olt_generator.video import read_video
+from olt_generator.video import Video, read_video
 from olt_toolkit.recording import OpenOptions, Recording
 from olt_toolkit.rigs import load_rig
 
@@ -18,6 +18,8 @@ SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm", ".ts", ".
 RIG, CAMERA = "dashcam", "front"
 # Wider lenses are built to keep angles rather than straight lines.
 WIDEST_PINHOLE = np.radians(100.0)
+# Where a lens comes from that the user told.
+GIVEN = "as given"
 FIELD_OF_VIEW_RANGE = (np.radians(10.0), np.radians(200.0))
 
 
@@ -35,23 +37,8 @@ class VideoSource:
         video = read_video(path, options.width, options.duration)
         if len(video.frames) < 2:
             raise InputError(f"{path}: holds a single frame; give a video of at least 2 frames")
-        height, width = video.frames.shape[1:3]
         lens = find_field_of_view(video.frames, video.timestamps_us, options.horizontal_fov)
-        camera = assume_camera(width, height, lens.field_of_view)
-        rig = load_rig(RIG)
-        T_rig_camera = rig[CAMERA].T_rig_camera
-        if options.camera_height is not None:
-            T_rig_camera[2, 3] = options.camera_height
-        return Recording(
-            name=path.stem,
-            source=self.name,
-            frames=video.frames,
-            timestamps_us=video.timestamps_us,
-            camera=camera,
-            T_rig_camera=T_rig_camera,
-            vehicle=rig.vehicle,
-            assumptions=(lens.sentence, *_mounting_sentences(T_rig_camera, options)),
-        )
+        return record_front_video(path.stem, self.name, video, lens, options)
 
 
 @dataclass(frozen=True)
@@ -60,6 +47,25 @@ class AssumedLens:
 
     field_of_view: float
     sentence: str
+
+
+def record_front_video(name: str, source: str, video: Video, lens: AssumedLens, options: OpenOptions) -> Recording:
+    """The recording of a front video with this lens, in the rig in which unknown cameras are taken to be."""
+    height, width = video.frames.shape[1:3]
+    rig = load_rig(RIG)
+    T_rig_camera = rig[CAMERA].T_rig_camera
+    if options.camera_height is not None:
+        T_rig_camera[2, 3] = options.camera_height
+    return Recording(
+        name=name,
+        source=source,
+        frames=video.frames,
+        timestamps_us=video.timestamps_us - video.timestamps_us[0],
+        camera=assume_camera(width, height, lens.field_of_view),
+        T_rig_camera=T_rig_camera,
+        vehicle=rig.vehicle,
+        assumptions=(lens.sentence, *_mounting_sentences(T_rig_camera, options)),
+    )
 
 
 def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64], given: float | None) -> AssumedLens:
@@ -71,17 +77,17 @@ def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int6
         given: radians, None where nobody knows.
     """
     if given is not None:
-        return _described(given, "as given")
+        return describe_lens(given, GIVEN)
     estimate = estimate_field_of_view(frames, timestamps_us, assume_camera)
     if estimate.field_of_view is not None and estimate.interval is not None:
         low, high = np.degrees(estimate.interval)
-        return _described(
+        return describe_lens(
             estimate.field_of_view, f"estimated from the turns in the video, likely between {low:.0f} and {high:.0f}"
         )
     dashcam = load_rig(RIG)[CAMERA].camera
     edges = dashcam.rays(np.array([[-0.5, dashcam.cy], [dashcam.width - 0.5, dashcam.cy]]))
     usual = float(np.arccos(edges[0] @ edges[1]))
-    return _described(usual, f"the default for dashcams; the video does not tell: {estimate.reason}")
+    return describe_lens(usual, f"the default for dashcams; the video does not tell: {estimate.reason}")
 
 
 def assume_camera(width: int, height: int, field_of_view: float) -> Camera:
@@ -101,7 +107,8 @@ def assume_camera(width: int, height: int, field_of_view: float) -> Camera:
     return FthetaCamera.equidistant(width, height, 0.5 * (width - 1), 0.5 * (height - 1), width / field_of_view)
 
 
-def _described(field_of_view: float, origin: str) -> AssumedLens:
+def describe_lens(field_of_view: float, origin: str) -> AssumedLens:
+    """The lens that is assumed for a horizontal field of view in radians, which comes from `origin`."""
     lens = "without distortion" if field_of_view <= WIDEST_PINHOLE else "with an equidistant fisheye lens"
     return AssumedLens(
         field_of_view,

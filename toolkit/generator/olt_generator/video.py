@@ -1,8 +1,10 @@
 """Reading and writing video files."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import pairwise
 from pathlib import Path
 
 import av
@@ -50,22 +52,45 @@ def read_video(path: Path, width: int = 832, duration: float = 20.0) -> Video:
     Raises:
         InputError: the file is missing, empty, no video, damaged or cut off, or its times run backwards.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such video file")
-    if path.stat().st_size == 0:
-        raise InputError(f"{path}: the file is empty; copy or download it again")
-    try:
-        with av.open(str(path)) as container:
-            if not container.streams.video:
-                raise InputError(f"{path}: the file has no video stream; give a video file")
-            stream = container.streams.video[0]
-            frames, timestamps_us = _decode(path, container, stream, width, duration)
-            declared_rate = float(stream.average_rate or 0.0)
-    except FFmpegError as error:
-        raise InputError(f"{path}: not a readable video ({error.strerror}); copy or convert it again") from error
-    measured = len(timestamps_us) > 1
-    frame_rate = 1e6 * (len(timestamps_us) - 1) / float(timestamps_us[-1]) if measured else declared_rate
-    return Video(frames, timestamps_us, frame_rate)
+    with _opened(path) as (container, stream):
+        frames, timestamps_us = _decode(path, container, stream, width, duration)
+        declared_rate = float(stream.average_rate or 0.0)
+    return Video(frames, timestamps_us, _mean_rate(timestamps_us, declared_rate))
+
+
+def read_frame_times(path: Path) -> NDArray[np.int64]:
+    """Times (n,) of all frames in microseconds since the first, as `read_video` gives them, without decoding any.
+
+    Raises:
+        InputError: the file is missing, empty, no video or cut off, or two frames are shown at the same time.
+    """
+    with _opened(path) as (container, stream):
+        return _microseconds([packet.pts * packet.time_base for packet in _coded_frames(path, container, stream)])
+
+
+def read_video_window(path: Path, first_us: int, last_us: int, width: int = 832) -> Video:
+    """Decode the frames that are shown between two times, from the last key frame before them on.
+
+    Args:
+        path: a file that FFmpeg can decode.
+        first_us, last_us: times in microseconds since the first frame of the video, both included.
+        width: see `read_video`.
+
+    Returns:
+        The frames; their times are still those since the first frame of the video.
+
+    Raises:
+        InputError: as `read_frame_times`; no frame is shown at these times, or one of them is damaged.
+    """
+    with _opened(path) as (container, stream):
+        coded = _coded_frames(path, container, stream)
+        timestamps_us = _microseconds([packet.pts * packet.time_base for packet in coded])
+        inside = np.flatnonzero((timestamps_us >= first_us) & (timestamps_us <= last_us))
+        if len(inside) == 0:
+            raise InputError(f"{path}: no frame is shown between {first_us} and {last_us} us; give times of the video")
+        frames = _decode_some(path, container, stream, coded[: inside[-1] + 1], len(inside), width)
+        declared_rate = float(stream.average_rate or 0.0)
+    return Video(frames, timestamps_us[inside], _mean_rate(timestamps_us[inside], declared_rate))
 
 
 def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fraction) -> None:
@@ -110,6 +135,79 @@ def shrink(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
         return image
     height = max(1, round(image.shape[0] * width / image.shape[1]))
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+@dataclass(frozen=True)
+class _CodedFrame:
+    """When a frame is shown and decoded, in units of `time_base` seconds, and whether it is a key frame."""
+
+    pts: int
+    dts: int
+    time_base: Fraction
+    is_key: bool
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
+    """The container and first video stream of a file; FFmpeg's errors inside become `InputError`."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such video file")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path}: the file is empty; copy or download it again")
+    try:
+        with av.open(str(path)) as container:
+            if not container.streams.video:
+                raise InputError(f"{path}: the file has no video stream; give a video file")
+            yield container, container.streams.video[0]
+    except FFmpegError as error:
+        raise InputError(f"{path}: not a readable video ({error.strerror}); copy or convert it again") from error
+
+
+def _mean_rate(timestamps_us: NDArray[np.int64], declared: float) -> float:
+    measured = len(timestamps_us) > 1
+    return 1e6 * (len(timestamps_us) - 1) / float(timestamps_us[-1] - timestamps_us[0]) if measured else declared
+
+
+def _coded_frames(path: Path, container: InputContainer, stream: VideoStream) -> list[_CodedFrame]:
+    """All frames that are shown, in the order in which they are; B-frames lie in another order in the file."""
+    coded = []
+    for packet in container.demux(stream):
+        if packet.size == 0 or packet.is_discard:
+            continue  # the end of the stream, or what an edit list hides
+        if packet.pts is None:
+            raise InputError(f"{path}: frame {len(coded)} has no presentation time; convert the video to mp4")
+        dts = packet.pts if packet.dts is None else packet.dts
+        coded.append(_CodedFrame(packet.pts, dts, Fraction(packet.time_base), packet.is_keyframe))
+    if not coded:
+        raise InputError(f"{path}: holds no frame; copy or convert the video again")
+    coded.sort(key=lambda frame: frame.pts)
+    twice = [number for number, (before, after) in enumerate(pairwise(coded), 1) if before.pts == after.pts]
+    if twice:
+        raise InputError(f"{path}: frame {twice[0]} is not later than the one before it; convert it to mp4")
+    _check_complete(path, stream, [frame.pts * frame.time_base for frame in coded])
+    return coded
+
+
+def _decode_some(
+    path: Path, container: InputContainer, stream: VideoStream, coded: list[_CodedFrame], count: int, width: int
+) -> NDArray[np.uint8]:
+    """Decode the last `count` of some frames, which are known by their times and not by where a seek lands."""
+    stream.thread_type = "AUTO"
+    wanted = [frame.pts for frame in coded[-count:]]
+    key_frames = [frame for frame in coded if frame.is_key and frame.pts <= wanted[0]]
+    container.seek(key_frames[-1].dts if key_frames else coded[0].dts, stream=stream)
+    found: dict[int, NDArray[np.uint8]] = {}
+    for frame in container.decode(stream):
+        if frame.pts in wanted:
+            if frame.is_corrupt:
+                raise InputError(f"{path}: frame {len(coded) - count + len(found)} is damaged; copy the video again")
+            found[frame.pts] = shrink(_upright(frame), width)
+        if frame.pts is not None and frame.pts >= wanted[-1]:
+            break
+    if len(found) < count:
+        number = len(coded) - count + next(index for index, pts in enumerate(wanted) if pts not in found)
+        raise InputError(f"{path}: frame {number} cannot be decoded; copy or convert the video again")
+    return np.stack([found[pts] for pts in wanted])
 
 
 def _decode(

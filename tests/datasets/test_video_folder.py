@@ -1,0 +1,184 @@
+"""Folders of videos, and Nexar's, as data sets."""
+
+import csv
+
+import numpy as np
+import pytest
+
+from olt_datasets.drives import open_dataset
+from olt_datasets.sources import video_folder
+from olt_generator.errors import InputError
+from olt_generator.video import write_video
+from olt_toolkit.recording import OpenOptions
+
+WHOLE = (0, 60_000_000)
+
+
+def write(path, frames=12, rate=10):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    levels = 15 * np.arange(frames, dtype=np.uint8)
+    write_video(path, np.tile(levels[:, None, None, None], (1, 36, 64, 3)), rate)
+    return path
+
+
+def write_table(path, rows):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        table = csv.DictWriter(file, fieldnames=list(rows[0]))
+        table.writeheader()
+        table.writerows(rows)
+
+
+def test_every_video_is_a_drive(tmp_path):
+    root = tmp_path / "dash"
+    write(root / "a.mp4")
+    write(root / "trip" / "b.MP4", frames=5, rate=25)
+    (root / "notes.txt").write_text("no video")
+    dataset = open_dataset(root, tmp_path / "cache")
+    assert dataset.source == "video"
+    assert dataset.keys() == ["a.mp4", "trip/b.MP4"]
+    drive = dataset.drive("trip/b.MP4")
+    assert drive.front_us.tolist() == [0, 40_000, 80_000, 120_000, 160_000]
+    assert drive.scene_id == "video/dash/trip/b.MP4"
+    assert drive.ego_span_us is None
+    assert drive.true_views == ("camera_front_wide_120fov",)
+    assert drive.category == "unlabelled"
+
+
+def test_a_window_of_a_video(tmp_path):
+    root = tmp_path / "dash"
+    write(root / "a.mp4")
+    recording = open_dataset(root, tmp_path / "cache").open("a.mp4", (250_000, 500_000), OpenOptions(width=32))
+    assert recording.timestamps_us.tolist() == [0, 100_000, 200_000]
+    assert recording.frames.shape == (3, 18, 32, 3)
+    assert recording.frames[:, 9, 16, 0] == pytest.approx([45, 60, 75], abs=3)
+    assert any("70 degrees" in sentence for sentence in recording.assumptions)
+    assert recording.reference is None
+
+
+def test_all_windows_of_a_video_have_one_lens_which_is_looked_for_once(tmp_path, monkeypatch):
+    root = tmp_path / "dash"
+    write(root / "a.mp4")
+    found = []
+    find = video_folder.find_field_of_view
+    monkeypatch.setattr(video_folder, "find_field_of_view", lambda *args: found.append(1) or find(*args))
+    first = open_dataset(root, tmp_path / "cache").open("a.mp4", (0, 300_000), OpenOptions())
+    second = open_dataset(root, tmp_path / "cache").open("a.mp4", (700_000, 900_000), OpenOptions())
+    assert found == [1]
+    assert first.camera == second.camera
+    assert first.assumptions == second.assumptions
+    given = OpenOptions(horizontal_fov=np.radians(120.0))
+    wide = open_dataset(root, tmp_path / "cache").open("a.mp4", (0, 300_000), given)
+    assert wide.camera != first.camera
+    assert found == [1]
+
+
+def test_a_damaged_video_fails_alone(tmp_path):
+    root = tmp_path / "dash"
+    write(root / "a.mp4")
+    (root / "b.mp4").write_bytes(b"\x00\x00\x00\x20ftypisom" + bytes(500))
+    dataset = open_dataset(root, tmp_path / "cache")
+    assert dataset.keys() == ["a.mp4", "b.mp4"]
+    assert len(dataset.drive("a.mp4").front_us) == 12
+    with pytest.raises(InputError, match=r"b\.mp4: "):
+        dataset.drive("b.mp4")
+    with pytest.raises(InputError, match=r"no video 'c\.mp4'"):
+        dataset.drive("c.mp4")
+
+
+CHALLENGE = [
+    {"id": "00022", "time_of_event": "0.9", "time_of_alert": "0.75", "target": "1"},
+    {"id": "01337", "time_of_event": "", "time_of_alert": "", "target": "0"},
+    {"id": "00003", "time_of_event": "1.0", "time_of_alert": "nan", "target": "1"},
+]
+
+
+@pytest.fixture
+def challenge(tmp_path):
+    root = tmp_path / "challenge"
+    write_table(root / "train.csv", CHALLENGE)
+    write_table(root / "test.csv", [{"id": "00007"}])
+    for name in ("train/00022", "train/01337", "train/00003", "test/00007"):
+        write(root / f"{name}.mp4")
+    return root
+
+
+def test_the_layout_of_the_challenge(challenge, tmp_path):
+    dataset = open_dataset(challenge, tmp_path / "cache")
+    assert dataset.source == "nexar"
+    assert dataset.keys() == ["test/00007", "train/00003", "train/00022", "train/01337"]
+    drive = dataset.drive("train/00022")
+    assert drive.scene_id == "nexar/train/00022"
+    assert drive.split == "train"
+    assert drive.front_us.tolist() == [100_000 * k for k in range(12)]
+    assert drive.category == "unlabelled"
+    assert drive.country is None
+    assert dataset.open("train/00022", (0, 200_000), OpenOptions()).source == "nexar"
+
+
+def test_what_leads_to_a_collision_ends_before_the_alert(challenge, tmp_path):
+    dataset = open_dataset(challenge, tmp_path / "cache")
+    assert dataset.drive("train/00022").usable_us == (0, 749_999)
+    assert dataset.drive("train/00003").usable_us == (0, 999_999)
+    assert any("before the event" in note for note in dataset.drive("train/00003").notes)
+    assert dataset.drive("train/01337").usable_us is None
+    test = dataset.drive("test/00007")
+    assert test.split == "test"
+    assert any("not told" in note for note in test.notes)
+
+
+def test_the_layout_of_the_hub(tmp_path):
+    root = tmp_path / "hub"
+    tells = {"light_conditions": "Dark", "weather": "Rain", "scene": "Sub-urban", "time_to_accident": ""}
+    write_table(
+        root / "train" / "positive" / "metadata.csv",
+        [{"file_name": "00022.mp4", "time_of_event": "1.0", "time_of_alert": "0.5"} | tells],
+    )
+    write_table(
+        root / "train" / "negative" / "metadata.csv",
+        [{"file_name": "00001.mp4", "time_of_event": "", "time_of_alert": ""} | tells | {"weather": ""}],
+    )
+    write_table(
+        root / "test-public" / "metadata.csv",
+        [{"file_name": "positive/00022.mp4", "time_of_event": "1.5", "time_of_alert": "1.0"} | tells],
+    )
+    for name in ("train/positive/00022", "train/negative/00001", "test-public/positive/00022"):
+        write(root / f"{name}.mp4")
+    dataset = open_dataset(root, tmp_path / "cache")
+    assert dataset.source == "nexar"
+    assert dataset.keys() == ["test-public/positive/00022", "train/negative/00001", "train/positive/00022"]
+    positive, negative = dataset.drive("train/positive/00022"), dataset.drive("train/negative/00001")
+    assert positive.factors == ("light_dark", "weather_rain", "scene_sub_urban")
+    assert positive.usable_us == (0, 499_999)
+    assert positive.scene_id == "nexar/train/00022"
+    assert negative.factors == ("light_dark", "scene_sub_urban")
+    assert negative.usable_us is None
+    assert dataset.drive("test-public/positive/00022").scene_id == "nexar/test/00022"
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"target": "yes"}, r"train\.csv, line 2: target 'yes'"),
+        ({"time_of_alert": "soon"}, r"line 2: time_of_alert 'soon'"),
+        ({"time_of_alert": "-1"}, r"line 2: time_of_alert -1\.0"),
+        ({"id": ""}, r"line 2: neither 'id' nor 'file_name'"),
+        ({"id": "../../secret"}, r"line 2: neither 'id' nor 'file_name'"),
+        ({"id": "01337"}, r"line 3: video train/01337 is listed twice"),
+    ],
+)
+def test_a_wrong_row_is_named(challenge, tmp_path, change, complaint):
+    write_table(challenge / "train.csv", [CHALLENGE[0] | change, *CHALLENGE[1:]])
+    with pytest.raises(InputError, match=complaint):
+        open_dataset(challenge, tmp_path / "cache")
+
+
+def test_a_listed_video_that_is_missing_or_ends_nobody_knows_when(challenge, tmp_path):
+    rows = [*CHALLENGE, {"id": "00004", "target": "1"} | dict.fromkeys(("time_of_event", "time_of_alert"), "")]
+    write_table(challenge / "train.csv", rows)
+    dataset = open_dataset(challenge, tmp_path / "cache")
+    with pytest.raises(InputError, match=r"00004\.mp4: no such video file"):
+        dataset.drive("train/00004")
+    write(challenge / "train" / "00004.mp4")
+    with pytest.raises(InputError, match="no time_of_alert or time_of_event"):
+        dataset.drive("train/00004")
