@@ -1,0 +1,70 @@
+"""Large JSON files that hold a list of objects, read object by object."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from olt_generator.errors import InputError
+
+_BLOCK = 2**20
+_LARGEST_ROW = 16 * 2**20
+_BETWEEN = " \t\r\n,"
+
+
+def read_rows(path: Path, fields: Mapping[str, type]) -> Iterator[dict[str, Any]]:
+    """The objects of a list, each with at least the given fields; only a block of the file is in memory.
+
+    Args:
+        path: the file.
+        fields: name and type of what is needed: str, int or list (of finite numbers, or of lists of them).
+
+    Raises:
+        InputError: the file cannot be read, is not a list of objects, or a field is missing or of another type; names
+            file, row and field.
+    """
+    for number, row in enumerate(_objects(path)):
+        for name, kind in fields.items():
+            if name not in row:
+                raise InputError(f"{path}: row {number}: field {name} is missing")
+            if type(row[name]) is not kind or (kind is list and not _all_finite(row[name])):
+                raise InputError(f"{path}: row {number}: field {name} is {row[name]!r:.60}, not {_WORDS[kind]}")
+        yield row
+
+
+_WORDS = {str: "text", int: "an integer", list: "a list of finite numbers"}
+
+
+def _all_finite(values: list[Any]) -> bool:
+    return all(
+        _all_finite(value) if isinstance(value, list) else type(value) in (int, float) and math.isfinite(value)
+        for value in values
+    )
+
+
+def _objects(path: Path) -> Iterator[dict[str, Any]]:
+    decoder = json.JSONDecoder()
+    try:
+        with path.open(encoding="utf-8") as file:
+            text, position = file.read(_BLOCK).lstrip(), 1
+            if not text.startswith("["):
+                raise InputError(f"{path}: not a list of rows; copy it again")
+            while True:
+                while position < len(text) and text[position] in _BETWEEN:
+                    position += 1
+                if text.startswith("]", position):
+                    return
+                try:
+                    row, position = decoder.raw_decode(text, position)
+                except json.JSONDecodeError as error:
+                    more = file.read(_BLOCK)
+                    if not more or len(text) - position > _LARGEST_ROW:
+                        raise InputError(f"{path}: cut off or not JSON ({error.msg}); copy it again") from error
+                    text, position = text[position:] + more, 0
+                    continue
+                if not isinstance(row, dict):
+                    raise InputError(f"{path}: holds {row!r:.60} where a row is expected")
+                yield row
+    except (OSError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); copy it again") from error

@@ -1,0 +1,182 @@
+"""nuScenes: six undistorted cameras at 12 Hz for 20 s, each image with the vehicle's pose at its time.
+
+Layout: tables in `v1.0-{trainval,test,mini}/*.json`, images in `samples/<CHANNEL>` (two a second) and
+`sweeps/<CHANNEL>` (the rest). Images may be missing, as where only some of the archives were unpacked: a drive is then
+what is there. Poses are planar in position, z is always 0; quaternions are w, x, y, z.
+"""
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from olt_datasets.drives import Drive, Licence
+from olt_datasets.sources.nuscenes_tables import LENS, MOUNTING, POSITION, TABLES, camera_images
+from olt_datasets.sources.surround import CameraImages, SurroundDrive
+from olt_generator.cameras import PinholeCamera
+from olt_generator.errors import InputError
+from olt_generator.poses import pose_from_quaternion
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.clip import Split
+from olt_toolkit.policy_window import Span
+from olt_toolkit.recording import OpenOptions, Recording
+from olt_toolkit.rig import MountedCamera
+from olt_toolkit.rigs import load_rig
+
+SOURCE = "nuscenes"
+FRONT = "CAM_FRONT"
+RELEASES = ("v1.0-trainval", "v1.0-test", "v1.0-mini")
+LICENCE = Licence(
+    name="CC BY-NC-SA 4.0 (nuScenes)",
+    access="Registration at nuscenes.org and acceptance of its terms of use.",
+    terms="Non-commercial use with attribution, derived data under the same licence; else by separate agreement.",
+)
+_SPLITS: dict[str, Split] = {"v1.0-test": "test"}
+# What `log.location` begins with.
+_COUNTRIES = {"singapore": "SG", "boston": "US"}
+# Poses closer in time than this make accelerations out of rounding errors.
+_LEAST_POSE_STEP_US = 10_000
+_FEWEST_IMAGES = 2
+# Images rarer than this, in a second, lack their sweeps.
+_SWEEP_RATE = 6.0
+
+
+class Nuscenes:
+    """The scenes in a folder."""
+
+    source = SOURCE
+    licence = LICENCE
+
+    def __init__(self, root: Path, cache: Path) -> None:
+        self.root = root
+        self._cache = cache
+
+    def keys(self) -> list[str]:
+        """See `Dataset.keys`: the names of the scenes of which front images are on disk."""
+        on_disk = pl.Series(sorted(_files_on_disk(self.root, FRONT)), dtype=pl.String)
+        scenes: set[str] = set()
+        for release in set(self._tables.values()):
+            images = pl.scan_parquet(camera_images(release, self._cache))
+            found = images.filter(pl.col("filename").is_in(on_disk.implode())).group_by("scene").len().collect()
+            scenes |= set(found.filter(pl.col("len") >= _FEWEST_IMAGES)["scene"])
+        return sorted(scenes)
+
+    def drive(self, key: str) -> Drive:
+        """See `Dataset.drive`; images that are not on disk are left out."""
+        rows = self._rows(key)
+        drive = self._read(key, rows)
+        location, description = rows["location"][0], rows["description"][0]
+        release = self._tables[key].name
+        return drive.describe(
+            country=_COUNTRIES.get(location.split("-")[0]),
+            split=_SPLITS.get(release),
+            notes=(f"nuScenes describes the scene as: {description}", *_rate_notes(drive), *_split_notes(release)),
+        )
+
+    def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
+        """See `Dataset.open`."""
+        return self._read(key, self._rows(key)).open(window_us, options)
+
+    @cached_property
+    def _tables(self) -> dict[str, Path]:
+        """The release of each scene; scenes of the mini release are also in the full one, which goes first."""
+        found: dict[str, Path] = {}
+        for release in (self.root / name for name in RELEASES):
+            if release.is_dir():
+                images = pl.scan_parquet(camera_images(release, self._cache))
+                scenes = images.filter(pl.col("channel") == FRONT).select(pl.col("scene").unique()).collect()
+                found = dict.fromkeys(scenes["scene"], release) | found
+        return found
+
+    def _rows(self, key: str) -> pl.DataFrame:
+        """The rows of a scene's images, on disk or not."""
+        if key not in self._tables:
+            raise InputError(f"{self.root}: nuScenes has no scene {key!r} here; it has {len(self._tables)} others")
+        images = pl.scan_parquet(camera_images(self._tables[key], self._cache))
+        return images.filter(pl.col("scene") == key).collect().sort("channel", "timestamp")
+
+    def _read(self, key: str, rows: pl.DataFrame) -> SurroundDrive:
+        on_disk = pl.Series([(self.root / name).is_file() for name in rows["filename"]], dtype=pl.Boolean)
+        groups = {channel: part for (channel,), part in rows.filter(on_disk).group_by("channel", maintain_order=True)}
+        if FRONT not in groups or len(groups[FRONT]) < _FEWEST_IMAGES:
+            raise InputError(f"{self.root}: scene {key}: the images of {FRONT} are not on disk; unpack their archives")
+        start_us = int(groups[FRONT]["timestamp"][0])
+        return SurroundDrive(
+            source=SOURCE,
+            key=key,
+            front=FRONT,
+            cameras={str(name): self._camera(f"scene {key}: {name}", part, start_us) for name, part in groups.items()},
+            ego=_ego_motion(rows, start_us),
+            vehicle=load_rig("nuscenes").vehicle,
+            assumptions=(
+                "The vehicle has the size that third parties estimate for the Renault Zoe of nuScenes.",
+                "The motion is planar in position: nuScenes tells no height.",
+            ),
+        )
+
+    def _camera(self, where: str, rows: pl.DataFrame, start_us: int) -> CameraImages:
+        where = f"{self.root}: {where}"
+        for column in ("calibrated_sensor", "width", "height"):
+            if rows[column].n_unique() != 1:
+                raise InputError(f"{where}: sample_data.{column} changes within the scene")
+        times_us = rows["timestamp"].to_numpy() - start_us
+        if np.any(np.diff(times_us) <= 0):
+            raise InputError(f"{where}: sample_data.timestamp {rows['timestamp'][0]} or a later one is there twice")
+        first = rows.row(0, named=True)
+        lens = PinholeCamera(first["width"], first["height"], *(first[name] for name in LENS))
+        x, y, z, qw, qx, qy, qz = (first[name] for name in MOUNTING)
+        mounted = MountedCamera(lens, pose_from_quaternion([qx, qy, qz, qw], [x, y, z]))
+        return CameraImages(mounted, tuple(self.root / name for name in rows["filename"]), times_us)
+
+
+class NuscenesReader:
+    """Opens folders of nuScenes releases."""
+
+    name = SOURCE
+    licence = LICENCE
+
+    def recognises(self, root: Path) -> bool:
+        """See `DatasetReader.recognises`; judged by the folders of tables."""
+        return any((root / name / f"{TABLES[0]}.json").is_file() for name in RELEASES)
+
+    def open(self, root: Path, cache: Path) -> Nuscenes:
+        """See `DatasetReader.open`; the tables are kept as Parquet in the cache."""
+        if not any((root / name).is_dir() for name in RELEASES):
+            raise InputError(f"{root}: holds none of the tables {', '.join(RELEASES)}; give the root of nuScenes")
+        return Nuscenes(root, cache)
+
+
+def _files_on_disk(root: Path, channel: str) -> set[str]:
+    """Names of a camera's images as the tables have them."""
+    folders = [f"{kind}/{channel}" for kind in ("samples", "sweeps")]
+    return {f"{name}/{file.name}" for name in folders if (root / name).is_dir() for file in (root / name).iterdir()}
+
+
+def _ego_motion(rows: pl.DataFrame, start_us: int) -> Trajectory:
+    """The vehicle's poses at the times of all images, over drive time; of those too close together the first."""
+    rows = rows.unique("timestamp", keep="first").sort("timestamp")
+    times_us = rows["timestamp"].to_numpy() - start_us
+    kept = [0]
+    for index in range(1, len(times_us)):
+        if times_us[index] - times_us[kept[-1]] >= _LEAST_POSE_STEP_US:
+            kept.append(index)
+    turn = rows.select("qx", "qy", "qz", "qw").to_numpy()[kept]
+    return Trajectory(times_us[kept], pose_from_quaternion(turn, rows.select(POSITION).to_numpy()[kept]))
+
+
+def _rate_notes(drive: SurroundDrive) -> list[str]:
+    times_us = drive.cameras[FRONT].times_us
+    rate = 1e6 / float(np.median(np.diff(times_us)))
+    if rate >= _SWEEP_RATE:
+        return []
+    return [f"The front camera has {rate:.1f} images a second on disk; its sweeps are missing."]
+
+
+def _split_notes(release: str) -> list[str]:
+    if release in _SPLITS:
+        return []
+    return ["The tables do not tell which scenes nuScenes keeps for validation."]
+
+
+DATASET = NuscenesReader()

@@ -1,0 +1,218 @@
+"""PandaSet: six cameras at 10 Hz for 8 s, each image with its pose in the world.
+
+Layout of a sequence, a folder of three digits: `camera/<name>_camera/NN.jpg` with `intrinsics.json`, `poses.json` and
+`timestamps.json`. LiDAR sweeps and annotations are pickles and never read.
+
+The vehicle's motion comes from the poses of the front camera, camera to world; the LiDAR poses are reported to be
+unreliable. The body frame of this data set, the LiDAR's, has x to the left and y to the back: the package's rig
+`pandaset` is turned over to x forward and y left, and with it everything here. `intrinsics.json` does not tell the
+distortion, which the images have; the static calibration does.
+"""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, Field, TypeAdapter, ValidationError
+
+from olt_datasets.drives import Drive, Licence
+from olt_datasets.sources.surround import CameraImages, SurroundDrive
+from olt_generator.cameras import BrownConradyCamera
+from olt_generator.errors import InputError
+from olt_generator.poses import Array, invert, pose_from_quaternion
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.policy_window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, Span
+from olt_toolkit.recording import OpenOptions, Recording
+from olt_toolkit.rig import MountedCamera
+from olt_toolkit.rigs import load_rig
+
+SOURCE = "pandaset"
+FRONT = "front_camera"
+LICENCE = Licence(
+    name="PandaSet (CC BY 4.0 with additional terms)",
+    access="No longer served by its makers; community mirrors carry it.",
+    terms="Commercial use allowed with attribution; no identification of persons, no use of names or marks.",
+)
+_LARGEST_JSON_BYTES = 16 * 2**20
+_NEEDED_US = int(FUTURE_OFFSETS_US[-1] - HISTORY_OFFSETS_US[0])
+
+Content = TypeVar("Content")
+Number = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class _Intrinsics(BaseModel):
+    fx: Positive
+    fy: Positive
+    cx: Number
+    cy: Number
+
+
+class _Position(BaseModel):
+    x: Number
+    y: Number
+    z: Number
+
+
+class _Heading(_Position):
+    w: Number
+
+
+class _Pose(BaseModel):
+    """Camera to world."""
+
+    position: _Position
+    heading: _Heading
+
+    def matrix(self) -> Array:
+        turn, place = self.heading, self.position
+        return pose_from_quaternion([turn.x, turn.y, turn.z, turn.w], [place.x, place.y, place.z])
+
+
+class Pandaset:
+    """The sequences in a folder."""
+
+    source = SOURCE
+    licence = LICENCE
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._rig = load_rig("pandaset")
+
+    def keys(self) -> list[str]:
+        """See `Dataset.keys`: the sequences whose front images are there."""
+        return [folder.name for folder in _sequences(self.root)]
+
+    def drive(self, key: str) -> Drive:
+        """See `Dataset.drive`."""
+        drive = self._read(key)
+        span_us = int(drive.ego.timestamps_us[-1])
+        return drive.describe(notes=(_sample_note(len(drive.ego), span_us),))
+
+    def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
+        """See `Dataset.open`; the front images are freed of their distortion."""
+        return self._read(key).open(window_us, options)
+
+    def _read(self, key: str) -> SurroundDrive:
+        folder = self.root / key / "camera"
+        if key not in self.keys():
+            raise InputError(f"{folder / FRONT}: no such folder; PandaSet has no sequence {key!r} here")
+        start = _read_times(folder / FRONT)[0]
+        cameras = {name: self._camera(folder / name, start) for name in self._rig.cameras if (folder / name).is_dir()}
+        front = cameras[FRONT]
+        T_world_camera = _read_poses(folder / FRONT, len(front.files))
+        return SurroundDrive(
+            source=SOURCE,
+            key=key,
+            front=FRONT,
+            cameras=cameras,
+            ego=Trajectory(front.times_us, T_world_camera @ invert(front.mounted.T_rig_camera)),
+            vehicle=self._rig.vehicle,
+            assumptions=(
+                "Lens distortion and mounting of the cameras are those of PandaSet's static calibration.",
+                *self._rig.assumptions,
+            ),
+        )
+
+    def _camera(self, folder: Path, start: float) -> CameraImages:
+        """Images, times and lens of one camera; `start` is drive time 0 in seconds."""
+        times_us = np.rint((_read_times(folder) - start) * 1e6).astype(np.int64)
+        files = tuple(sorted(folder.glob("*.jpg")))
+        if len(files) != len(times_us):
+            raise InputError(
+                f"{folder / 'timestamps.json'}: {len(times_us)} times for {len(files)} images; copy the camera again"
+            )
+        if np.any(np.diff(times_us) <= 0):
+            index = int(np.argmax(np.diff(times_us) <= 0)) + 1
+            raise InputError(f"{folder / 'timestamps.json'}: time {index} is not after the one before it")
+        return CameraImages(self._lens(folder), files, times_us)
+
+    def _lens(self, folder: Path) -> MountedCamera:
+        """The lens of the sequence's own file with the distortion and the mounting of the static calibration."""
+        own = _read_json(folder / "intrinsics.json", TypeAdapter(_Intrinsics))
+        mounted = self._rig[folder.name]
+        if not isinstance(mounted.camera, BrownConradyCamera):
+            raise TypeError(f"rig pandaset: {folder.name} must be a brown_conrady camera")
+        return replace(mounted, camera=replace(mounted.camera, fx=own.fx, fy=own.fy, cx=own.cx, cy=own.cy))
+
+
+class PandasetReader:
+    """Opens folders of PandaSet sequences."""
+
+    name = SOURCE
+    licence = LICENCE
+
+    def recognises(self, root: Path) -> bool:
+        """See `DatasetReader.recognises`; judged by the folders of sequences."""
+        return root.is_dir() and bool(_sequences(root))
+
+    def open(self, root: Path, cache: Path) -> Pandaset:
+        """See `DatasetReader.open`; nothing is cached."""
+        if not _sequences(root):
+            raise InputError(f"{root}: holds no PandaSet sequence; give the folder that holds 001, 002, ...")
+        return Pandaset(root)
+
+
+def _sequences(root: Path) -> list[Path]:
+    return sorted(
+        folder
+        for folder in root.iterdir()
+        if len(folder.name) == 3 and folder.name.isdecimal() and (folder / "camera" / FRONT).is_dir()
+    )
+
+
+def _sample_note(count: int, span_us: int) -> str:
+    found = f"The {count} images and poses of the drive span {span_us / 1e6:.3f} s and a policy sample needs"
+    needed = f"{_NEEDED_US / 1e6:.1f} s of motion"
+    if span_us < _NEEDED_US:
+        return f"{found} {needed}: none fits."
+    first = -int(HISTORY_OFFSETS_US[0]) / 1e6
+    last = (span_us - int(FUTURE_OFFSETS_US[-1])) / 1e6
+    return (
+        f"{found} {needed}: t0 can only lie between {first:.3f} and {last:.3f} s of the drive, the time of the "
+        "16th image; as loaders refuse t0 up to 1.6 s, clip time must begin before the first image."
+    )
+
+
+def _read_times(folder: Path) -> NDArray[np.float64]:
+    """Seconds (n,) of a camera's images."""
+    path = folder / "timestamps.json"
+    times = np.array(_read_json(path, TypeAdapter(list[Number])))
+    if len(times) < 2:
+        raise InputError(f"{path}: holds {len(times)} times; a drive needs at least two images")
+    return times
+
+
+def _read_poses(folder: Path, count: int) -> Array:
+    """Poses (n, 4, 4) of a camera in the world."""
+    path = folder / "poses.json"
+    poses = _read_json(path, TypeAdapter(list[_Pose]))
+    if len(poses) != count:
+        raise InputError(f"{path}: {len(poses)} poses for {count} images; copy the camera again")
+    for index, pose in enumerate(poses):
+        turn = pose.heading
+        if abs(np.linalg.norm([turn.x, turn.y, turn.z, turn.w]) - 1.0) > 1e-3:
+            raise InputError(f"{path}: {index}.heading: a quaternion must have length 1")
+    return np.stack([pose.matrix() for pose in poses])
+
+
+def _read_json(path: Path, content: TypeAdapter[Content]) -> Content:
+    try:
+        if path.stat().st_size > _LARGEST_JSON_BYTES:
+            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for this file; copy it again")
+        parsed: Any = json.loads(path.read_text(encoding="utf-8"))
+        return content.validate_python(parsed)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: no such file; copy the sequence again") from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{path}: {place}: {first['msg']}") from error
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{path}: not readable as JSON ({error}); copy it again") from error
+
+
+DATASET = PandasetReader()

@@ -1,0 +1,243 @@
+"""PAV, NVIDIA's PhysicalAI-Autonomous-Vehicles: the cameras of the target rig itself, with measured ego motion.
+
+Layout: facts sheet pai_dataset; clips lie in chunks, one zip a feature and chunk. A tree may hold any of the chunks:
+its clips are those whose front images are on disk, and each has the cameras whose zips are there. Clips that the index
+marks as not valid are left out. Frames are found through their table of timestamps, which has a row a frame.
+"""
+
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_datasets.drives import Drive, Licence
+from olt_datasets.sources.image_times import FARTHEST_US, farthest_apart, nearest_images, starting_at
+from olt_datasets.sources.pav_files import chunk_file, has_member, read_member
+from olt_datasets.sources.pav_tables import (
+    ClipEvents,
+    IndexedClip,
+    read_absence,
+    read_clip_index,
+    read_countries,
+    read_events,
+)
+from olt_datasets.sources.windows import images_within
+from olt_generator.errors import InputError
+from olt_generator.trajectory import Trajectory
+from olt_generator.video import shrink
+from olt_toolkit.clip_table import CLIP_TABLE
+from olt_toolkit.clip_video import decode_frames
+from olt_toolkit.pai_layout import (
+    CAMERA_INTRINSICS,
+    CLIP_INDEX,
+    EGOMOTION,
+    FEATURE_TABLE,
+    FRAME_TIMESTAMPS,
+    SENSOR_EXTRINSICS,
+    VEHICLE_DIMENSIONS,
+    VIDEO,
+)
+from olt_toolkit.pai_tables import read_egomotion, read_mounted_camera, read_timestamps, read_vehicle
+from olt_toolkit.policy_window import Span
+from olt_toolkit.recording import OpenOptions, Recording
+from olt_toolkit.rig import CAMERA_INDEX, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, short_name
+
+SOURCE = "pav"
+LICENCE = Licence(
+    name="NVIDIA Autonomous Vehicle Dataset licence",
+    access="Gated: each user accepts the licence on the data set's hub page.",
+    terms="Internal development of driving functions with NVIDIA technology; the data and what is derived from it, "
+    "synthesized views included, may not be passed on.",
+)
+# Frames decoded at once before they are scaled down.
+_BLOCK = 60
+
+Images = NDArray[np.uint8]
+
+
+class Pav:
+    """The clips in a PhysicalAI-AV tree."""
+
+    source = SOURCE
+    licence = LICENCE
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+
+    def keys(self) -> list[str]:
+        """See `Dataset.keys`: the ids of valid clips whose front images are on disk."""
+        chunks = {clip.chunk for clip in self._clips.values()}
+        here = {chunk for chunk in chunks if chunk_file(self.root, chunk, FRONT_WIDE).is_file()}
+        return sorted(
+            key for key, clip in self._clips.items() if clip.chunk in here and not self._is_absent(key, FRONT_WIDE)
+        )
+
+    def drive(self, key: str) -> Drive:
+        """See `Dataset.drive`."""
+        clip, events = self._clip(key), self._events.get(key, ClipEvents())
+        clip_us = self._timestamps(key, FRONT_WIDE)
+        start_us, end_us = int(clip_us[0]), int(clip_us[-1])
+        cameras = tuple(name for name in CAMERA_INDEX if self._has(key, name, VIDEO))
+        event_times = sorted({*clip.event_t0s_us, *events.times_us})
+        return Drive(
+            source=SOURCE,
+            scene_id=f"{SOURCE}/{key}",
+            key=key,
+            front_us=clip_us - start_us,
+            cameras=cameras,
+            ego_span_us=self._ego_span(key, start_us),
+            true_views=self._cameras_beside(key, POLICY_CAMERAS, clip_us),
+            category=events.category,
+            country=self._countries.get(key),
+            split=clip.split,
+            event_t0s_us=tuple(time - start_us for time in event_times if start_us <= time <= end_us),
+            notes=self._notes(key, cameras),
+        )
+
+    def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
+        """See `Dataset.open`; lenses and mountings are the clip's own, whatever the options say."""
+        self._clip(key)
+        clip_us = self._timestamps(key, FRONT_WIDE)
+        times_us = clip_us[images_within(clip_us - clip_us[0], window_us, f"{self.root}: clip {key}")]
+        beside = [name for name in self._cameras_beside(key, options.views, times_us) if name != FRONT_WIDE]
+        frames, front = self._images(key, FRONT_WIDE, times_us, options.width)
+        views = {name: self._images(key, name, times_us, options.width) for name in beside}
+        return Recording(
+            name=key,
+            source=SOURCE,
+            frames=frames,
+            timestamps_us=times_us - times_us[0],
+            camera=front.camera,
+            T_rig_camera=front.T_rig_camera,
+            vehicle=read_vehicle(self._chunk_file(key, VEHICLE_DIMENSIONS), key),
+            assumptions=tuple(self._time_note(key, name, times_us) for name in beside),
+            reference=self._reference(key, int(times_us[0])),
+            views={name: images for name, (images, _) in views.items()},
+            mounted={name: mounted for name, (_, mounted) in views.items()},
+        )
+
+    # Tables of the tree
+
+    @cached_property
+    def _clips(self) -> dict[str, IndexedClip]:
+        return read_clip_index(self.root)
+
+    @cached_property
+    def _absent(self) -> dict[str, frozenset[str]]:
+        return read_absence(self.root)
+
+    @cached_property
+    def _countries(self) -> dict[str, str]:
+        return read_countries(self.root)
+
+    @cached_property
+    def _events(self) -> dict[str, ClipEvents]:
+        return read_events(self.root)
+
+    # Parts of a clip
+
+    def _timestamps(self, key: str, camera: str) -> NDArray[np.int64]:
+        return read_timestamps(*self._member(key, camera, FRAME_TIMESTAMPS))
+
+    def _cameras_beside(self, key: str, names: tuple[str, ...], times_us: NDArray[np.int64]) -> tuple[str, ...]:
+        """Those of the cameras that have an image near each of the clip times."""
+        return tuple(
+            name
+            for name in names
+            if self._has(key, name, VIDEO) and farthest_apart(self._timestamps(key, name), times_us) <= FARTHEST_US
+        )
+
+    def _ego_span(self, key: str, start_us: int) -> Span | None:
+        if not self._has(key, EGOMOTION, EGOMOTION):
+            return None
+        times_us = read_timestamps(*self._member(key, EGOMOTION, EGOMOTION)) - start_us
+        return int(times_us[0]), int(times_us[-1])
+
+    def _reference(self, key: str, start_us: int) -> Trajectory | None:
+        if not self._has(key, EGOMOTION, EGOMOTION):
+            return None
+        return starting_at(read_egomotion(*self._member(key, EGOMOTION, EGOMOTION)).trajectory, start_us)
+
+    def _images(self, key: str, camera: str, times_us: NDArray[np.int64], width: int) -> tuple[Images, MountedCamera]:
+        """Images (n, H, W, 3) nearest to clip times (n,), at most `width` pixels wide, and their camera."""
+        mounted = self._mounted(key, camera)
+        video, where = self._member(key, camera, VIDEO)
+        indices = nearest_images(self._timestamps(key, camera), times_us)
+        images: list[Images] = []
+        for start in range(0, len(indices), _BLOCK):
+            frames = decode_frames(video, indices[start : start + _BLOCK], where)
+            if frames.shape[1:3] != (mounted.camera.height, mounted.camera.width):
+                raise InputError(
+                    f"{where}: frames of {frames.shape[2]} x {frames.shape[1]} pixels; {CAMERA_INTRINSICS} gives the "
+                    f"camera {mounted.camera.width} x {mounted.camera.height}"
+                )
+            images += [shrink(frame, width) for frame in frames]
+        small = np.stack(images)
+        return small, MountedCamera(mounted.camera.resized(small.shape[2], small.shape[1]), mounted.T_rig_camera)
+
+    def _mounted(self, key: str, camera: str) -> MountedCamera:
+        intrinsics, extrinsics = (self._chunk_file(key, name) for name in (CAMERA_INTRINSICS, SENSOR_EXTRINSICS))
+        try:
+            return read_mounted_camera(intrinsics, extrinsics, key, camera)
+        except InputError as error:
+            raise InputError(f"{self.root}: clip {key}: {camera}: {error}") from error
+
+    def _time_note(self, key: str, camera: str, times_us: NDArray[np.int64]) -> str:
+        apart = farthest_apart(self._timestamps(key, camera), times_us) / 1000
+        return f"Images of {short_name(camera)} are those nearest in time to the front ones, up to {apart:.1f} ms away."
+
+    def _notes(self, key: str, cameras: tuple[str, ...]) -> tuple[str, ...]:
+        elsewhere = [name for name in CAMERA_INDEX if name not in cameras and not self._is_absent(key, name)]
+        notes = [f"Images of {short_name(name)} are not in this folder." for name in elsewhere]
+        if not self._has(key, EGOMOTION, EGOMOTION):
+            notes.append("Measured ego motion is not in this folder.")
+        return tuple(notes)
+
+    # Where things are
+
+    def _clip(self, key: str) -> IndexedClip:
+        if key not in self._clips:
+            raise InputError(f"{self.root / CLIP_INDEX}: no valid clip {key!r}")
+        return self._clips[key]
+
+    def _chunk_file(self, key: str, feature: str) -> Path:
+        return chunk_file(self.root, self._clip(key).chunk, feature)
+
+    def _is_absent(self, key: str, feature: str) -> bool:
+        """Whether the data set itself lacks a clip's feature."""
+        return key in self._absent.get(feature, ())
+
+    def _has(self, key: str, feature: str, alias: str) -> bool:
+        return not self._is_absent(key, feature) and has_member(self._chunk_file(key, feature), feature, alias, key)
+
+    def _member(self, key: str, feature: str, alias: str) -> tuple[bytes, str]:
+        return read_member(self._chunk_file(key, feature), feature, alias, key)
+
+
+class PavReader:
+    """Opens PhysicalAI-AV trees."""
+
+    name = SOURCE
+    licence = LICENCE
+
+    def recognises(self, root: Path) -> bool:
+        """See `DatasetReader.recognises`; clip stores of this toolkit have the same layout and are none."""
+        return all((root / name).is_file() for name in (CLIP_INDEX, FEATURE_TABLE)) and not _is_clip_store(root)
+
+    def open(self, root: Path, cache: Path) -> Pav:
+        """See `DatasetReader.open`; nothing is cached."""
+        if not (root / CLIP_INDEX).is_file():
+            raise InputError(f"{root / CLIP_INDEX}: no such file; give the root of a PhysicalAI-AV tree")
+        if _is_clip_store(root):
+            raise InputError(
+                f"{root}: a clip store of this toolkit ({CLIP_TABLE}), whose images need not be true; use it as it is"
+            )
+        return Pav(root)
+
+
+def _is_clip_store(root: Path) -> bool:
+    return (root / CLIP_TABLE).exists()
+
+
+DATASET = PavReader()

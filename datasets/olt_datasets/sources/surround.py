@@ -1,0 +1,227 @@
+"""Drives filmed by several cameras around the vehicle, none of them where the target rig has its own.
+
+The front camera gives the recording. The views of the target rig are mosaics of all cameras, each at its own nearest
+time: that is what is true in such data, with seams, and with a mask of what nobody saw.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_datasets.drives import UNLABELLED, Drive
+from olt_datasets.sources.image_times import FARTHEST_US, farthest_apart, nearest_images, starting_at
+from olt_datasets.sources.mosaic import Mosaic, coverage
+from olt_datasets.sources.windows import images_within
+from olt_generator.cameras import Camera, PinholeCamera
+from olt_generator.errors import InputError
+from olt_generator.lenses.remap import Remapper
+from olt_generator.trajectory import Trajectory
+from olt_generator.video import shrink
+from olt_toolkit.clip import Split
+from olt_toolkit.policy_window import Span
+from olt_toolkit.recording import OpenOptions, Recording
+from olt_toolkit.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, pav_rig, short_name
+
+Image = NDArray[np.uint8]
+
+# A mosaic that shows less than this share of a view is not offered as one.
+LEAST_COVERAGE = 0.5
+# Shape of the views: that of the target rig's images.
+_ASPECT = 9 / 16
+# Side samples of each front pixel where distortion is taken out.
+_SAMPLES = 2
+_LARGEST_IMAGE_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True)
+class CameraImages:
+    """The images of one camera over a drive.
+
+    Attributes:
+        mounted: lens, at the size of the stored images, and mounting.
+        files: n image files.
+        times_us: (n,) int64 drive times, strictly increasing.
+    """
+
+    mounted: MountedCamera
+    files: tuple[Path, ...]
+    times_us: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class SurroundDrive:
+    """A drive of a vehicle with several cameras.
+
+    Attributes:
+        source: name of the reader.
+        key: key of the drive.
+        front: name of the front camera.
+        cameras: images by camera name; those of the front camera begin at drive time 0.
+        ego: measured rig poses over drive time, in a frame whose z is up.
+        vehicle: size of the vehicle.
+        assumptions: a sentence for everything that is assumed instead of measured.
+    """
+
+    source: str
+    key: str
+    front: str
+    cameras: dict[str, CameraImages]
+    ego: Trajectory
+    vehicle: VehicleDimensions
+    assumptions: tuple[str, ...]
+
+    @cached_property
+    def mosaics(self) -> dict[str, float]:
+        """The target rig's policy cameras whose view can be put together, and the share of each that is seen."""
+        rig, sources = pav_rig(), self._steady_cameras
+        shares = {name: coverage(rig[name], sources) for name in POLICY_CAMERAS}
+        return {name: share for name, share in shares.items() if share >= LEAST_COVERAGE}
+
+    @cached_property
+    def _steady_cameras(self) -> dict[str, MountedCamera]:
+        """The cameras that have an image near every front image."""
+        front_us = self.cameras[self.front].times_us
+        return {
+            name: camera.mounted
+            for name, camera in self.cameras.items()
+            if farthest_apart(camera.times_us, front_us) <= FARTHEST_US
+        }
+
+    def describe(
+        self,
+        *,
+        category: str = UNLABELLED,
+        country: str | None = None,
+        split: Split | None = None,
+        notes: tuple[str, ...] = (),
+    ) -> Drive:
+        """The drive as data set readers tell it; the arguments are those of `Drive`."""
+        true_views = tuple(name for name in POLICY_CAMERAS if name == FRONT_WIDE or name in self.mosaics)
+        return Drive(
+            source=self.source,
+            scene_id=f"{self.source}/{self.key}",
+            key=self.key,
+            front_us=self.cameras[self.front].times_us,
+            cameras=tuple(self.cameras),
+            ego_span_us=(int(self.ego.timestamps_us[0]), int(self.ego.timestamps_us[-1])),
+            true_views=true_views,
+            category=category,
+            country=country,
+            split=split,
+            notes=(*notes, *self._mosaic_notes(), *self._unsteady_notes(), *self.assumptions),
+        )
+
+    def open(self, window_us: Span, options: OpenOptions) -> Recording:
+        """See `Dataset.open`; field of view and height come from the calibration, whatever the options say."""
+        front = self.cameras[self.front]
+        indices = images_within(front.times_us, window_us, f"{self.source}/{self.key}")
+        times_us = front.times_us[indices]
+        wanted = [name for name in options.views if name in self.mosaics]
+        views = _Views(self._mosaics_of(wanted, options.width), self.cameras, times_us)
+        camera, straighten = _straightened(front.mounted.camera, options.width)
+        frames = np.empty((len(indices), camera.height, camera.width, 3), np.uint8)
+        for place, index in enumerate(indices.tolist()):
+            image = read_image(front.files[index], front.mounted.camera)
+            frames[place] = straighten(image)
+            views.add(place, {self.front: image})
+        return Recording(
+            name=self.key,
+            source=self.source,
+            frames=frames,
+            timestamps_us=times_us - times_us[0],
+            camera=camera,
+            T_rig_camera=front.mounted.T_rig_camera,
+            vehicle=self.vehicle,
+            assumptions=(*self.assumptions, *views.sentences()),
+            reference=starting_at(self.ego, int(times_us[0])),
+            views=views.images,
+            mounted={name: mosaic.target for name, mosaic in views.mosaics.items()},
+            observed={name: mosaic.observed for name, mosaic in views.mosaics.items()},
+        )
+
+    def _mosaics_of(self, names: list[str], width: int) -> dict[str, Mosaic]:
+        rig = pav_rig().fitted(width, round(width * _ASPECT))
+        return {name: Mosaic(rig[name], self._steady_cameras) for name in names}
+
+    def _mosaic_notes(self) -> list[str]:
+        return [
+            f"The true {short_name(name)} view is a mosaic of several cameras, which shows {share:.0%} of it."
+            for name, share in self.mosaics.items()
+        ]
+
+    def _unsteady_notes(self) -> list[str]:
+        left_out = [name for name in self.cameras if name not in self._steady_cameras]
+        return [f"{name} lacks images near some front images and is left out of the mosaics." for name in left_out]
+
+
+class _Views:
+    """Mosaics of a window, filled image by image, so that only one stored image of each camera is in memory."""
+
+    def __init__(
+        self, mosaics: dict[str, Mosaic], cameras: Mapping[str, CameraImages], times_us: NDArray[np.int64]
+    ) -> None:
+        self.mosaics = mosaics
+        self.images = {
+            name: np.empty((len(times_us), *mosaic.observed.shape, 3), np.uint8) for name, mosaic in mosaics.items()
+        }
+        used = sorted({name for mosaic in mosaics.values() for name in mosaic.cameras})
+        self._cameras = {name: cameras[name] for name in used}
+        self._indices = {name: nearest_images(cameras[name].times_us, times_us) for name in used}
+        self._apart_us = {name: farthest_apart(cameras[name].times_us, times_us) for name in used}
+
+    def add(self, place: int, known: dict[str, Image]) -> None:
+        """Make the mosaics of one front image; `known` are stored images that are decoded already."""
+        stored = known | {
+            name: read_image(camera.files[self._indices[name][place]], camera.mounted.camera)
+            for name, camera in self._cameras.items()
+            if name not in known
+        }
+        for name, mosaic in self.mosaics.items():
+            self.images[name][place] = mosaic.compose(stored)
+
+    def sentences(self) -> list[str]:
+        """What the mosaics assume."""
+        return [self._sentence(name, mosaic) for name, mosaic in self.mosaics.items()]
+
+    def _sentence(self, name: str, mosaic: Mosaic) -> str:
+        apart = max(self._apart_us[camera] for camera in mosaic.cameras) / 1000
+        return (
+            f"The true {short_name(name)} view is a mosaic of {', '.join(mosaic.cameras)}, as if everything were "
+            f"infinitely far and nothing moved within {apart:.0f} ms; {mosaic.coverage:.0%} of it is seen, the rest is "
+            "black."
+        )
+
+
+def read_image(file: Path, camera: Camera) -> Image:
+    """An image file as (H, W, 3) RGB, at the size of its camera.
+
+    Raises:
+        InputError: it is missing, too large to be one, cannot be decoded, or has another size.
+    """
+    if not file.is_file():
+        raise InputError(f"{file}: no such image; copy the data set again")
+    if file.stat().st_size > _LARGEST_IMAGE_BYTES:
+        raise InputError(f"{file}: {file.stat().st_size} bytes are too many for an image; copy it again")
+    image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+    if image is None:
+        raise InputError(f"{file}: cannot be decoded as an image; copy it again")
+    if image.shape[:2] != (camera.height, camera.width):
+        height, width = image.shape[:2]
+        raise InputError(f"{file}: is {width} x {height} pixels; its camera has {camera.width} x {camera.height}")
+    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+
+
+def _straightened(camera: Camera, width: int) -> tuple[Camera, Callable[[Image], Image]]:
+    """The camera without distortion, at most `width` pixels wide, and what makes its images of stored ones."""
+    scale = min(1.0, width / camera.width)
+    size = round(camera.width * scale), round(camera.height * scale)
+    if isinstance(camera, PinholeCamera):
+        return camera.resized(*size), lambda image: shrink(image, width)
+    right, down = camera.pixels_per_radian
+    straight = PinholeCamera(camera.width, camera.height, right, down, camera.cx, camera.cy).resized(*size)
+    return straight, Remapper(camera, straight, np.eye(3), _SAMPLES).remap
