@@ -153,9 +153,14 @@ def _pack_zip(feature: Feature, path: Path, clips: Sequence[ClipInfo], folders: 
         return
     with write_whole(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
         for member in members:
-            entry = zipfile.ZipInfo(member.name, _ZIP_DATE)
-            entry.external_attr = 0o644 << 16
-            archive.writestr(entry, member.read_bytes())
+            add_member(archive, member.name, member.read_bytes())
+
+
+def add_member(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
+    """Add a member to a chunk's zip; the same data give the same bytes whenever it is done."""
+    entry = zipfile.ZipInfo(name, _ZIP_DATE)
+    entry.external_attr = 0o644 << 16
+    archive.writestr(entry, data)
 
 
 def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int]) -> None:

@@ -8,24 +8,26 @@ clips of held-out scenes belong in a store of their own.
 
 import fcntl
 import shutil
-import zipfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole_folder
 from olt_generator.poses import Array, invert
+from olt_toolkit.chunk_archive import ChunkArchive
 from olt_toolkit.clip import Clip, ClipInfo, EgoMotion, check_clip_id
 from olt_toolkit.clip_files import pack_chunk, write_clip_files, write_metadata
 from olt_toolkit.clip_table import CLIP_TABLE, read_clip_table, write_clip_table
 from olt_toolkit.clip_video import decode_frames
 from olt_toolkit.images import resize_images
 from olt_toolkit.pai_layout import (
+    CALIBRATIONS,
     CAMERA_INTRINSICS,
     CLIP_INDEX,
     EGOMOTION,
@@ -35,7 +37,14 @@ from olt_toolkit.pai_layout import (
     VEHICLE_DIMENSIONS,
     VIDEO,
 )
-from olt_toolkit.pai_tables import read_egomotion, read_indexed, read_mounted_camera, read_timestamps, read_vehicle
+from olt_toolkit.pai_tables import (
+    read_egomotion,
+    read_indexed,
+    read_mounted_camera,
+    read_table,
+    read_timestamps,
+    read_vehicle,
+)
 from olt_toolkit.policy_window import (
     FUTURE_OFFSETS_US,
     HISTORY_OFFSETS_US,
@@ -57,6 +66,7 @@ class ClipStore:
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self._archives: dict[Path, ChunkArchive] = {}
 
     # Writing
 
@@ -142,6 +152,55 @@ class ClipStore:
             return found[0]
         problem = f"no clip {text!r}" if not found else f"{len(found)} clips are called {text!r}: {', '.join(found)}"
         raise InputError(f"{self.root}: {problem}; `olt clip inspect` lists the clips and their ids")
+
+    def chunks(self) -> dict[int, list[str]]:
+        """The ids of all clips by the number of the chunk that holds them.
+
+        Raises:
+            InputError: the clip index is missing or damaged.
+        """
+        by_chunk: dict[int, list[str]] = {}
+        for clip_id, chunk in self._chunks.items():
+            by_chunk.setdefault(chunk, []).append(clip_id)
+        return by_chunk
+
+    def check(self, clip_id: str, t0s_us: Sequence[int]) -> None:
+        """Check that a clip's tables can be read, that its videos are there, and that it gives samples at these times.
+
+        Raises:
+            InputError: naming the file and what is wrong with it.
+        """
+        info = self.info(clip_id)
+        timestamps = {camera: self.read_timestamps(clip_id, camera) for camera in info.views}
+        spans = {camera: (int(times[0]), int(times[-1])) for camera, times in timestamps.items()}
+        coverage = Coverage(self.read_ego_motion(clip_id).span_us, spans)
+        for t0_us in t0s_us:
+            check_sample_window(t0_us, coverage, f"{self.root}: clip {clip_id}")
+        for camera in info.views:
+            self._archive(clip_id, camera).locate(FEATURES[camera].member(VIDEO, clip_id))
+        for feature in CALIBRATIONS:
+            self.read_rows(clip_id, feature)
+
+    def read_member(self, clip_id: str, feature: str, alias: str) -> bytes:
+        """One file of a clip out of its chunk's zip, as it is.
+
+        Raises:
+            InputError: it is missing or damaged.
+        """
+        return self._member(clip_id, feature, alias)[0]
+
+    def read_rows(self, clip_id: str, feature: str) -> pd.DataFrame:
+        """The rows of a clip in one of the calibration tables, with their index.
+
+        Raises:
+            InputError: the table is missing or damaged, or has no row for the clip.
+        """
+        path = self._chunk_file(clip_id, feature)
+        table = read_table(path, [], str(path)).to_pandas()
+        rows = table[table.index.get_level_values(0) == clip_id]
+        if rows.empty:
+            raise InputError(f"{path}: no row for {clip_id}")
+        return rows
 
     def read_ego_motion(self, clip_id: str) -> EgoMotion:
         """The motion of the rig in the clip's anchor frame."""
@@ -263,6 +322,7 @@ class ClipStore:
         return dict(zip(clip_ids, table["chunk"].tolist(), strict=True))
 
     def _forget(self) -> None:
+        self._archives.clear()
         for name in ("_clips", "_chunks"):
             self.__dict__.pop(name, None)
 
@@ -276,16 +336,14 @@ class ClipStore:
 
     def _member(self, clip_id: str, feature: str, alias: str) -> tuple[bytes, str]:
         """One member of a chunk's zip, and what to call it in errors."""
-        path, name = self._chunk_file(clip_id, feature), FEATURES[feature].member(alias, clip_id)
-        try:
-            with zipfile.ZipFile(path) as archive:
-                return archive.read(name), f"{path}: {name}"
-        except FileNotFoundError as error:
-            raise InputError(f"{path}: no such file; the clip store is incomplete") from error
-        except KeyError as error:
-            raise InputError(f"{path}: member {name} is missing; build the clip again") from error
-        except (zipfile.BadZipFile, OSError) as error:
-            raise InputError(f"{path}: damaged zip file ({error}); build its clips again") from error
+        archive, name = self._archive(clip_id, feature), FEATURES[feature].member(alias, clip_id)
+        return archive.read(name), f"{archive.path}: {name}"
+
+    def _archive(self, clip_id: str, feature: str) -> ChunkArchive:
+        path = self._chunk_file(clip_id, feature)
+        if path not in self._archives:
+            self._archives[path] = ChunkArchive(path)
+        return self._archives[path]
 
     def _staged(self, clip_id: str) -> Path:
         return self.root / ".staging" / check_clip_id(clip_id, str(self.root))

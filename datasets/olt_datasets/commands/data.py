@@ -2,9 +2,12 @@
 
 import typer
 
+from olt_datasets.commands.export import export
+
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Index, split, check, build and export driving data sets."
 )
+app.command()(export)
 
 
 @app.command()

@@ -1,0 +1,91 @@
+"""`olt data export`: training data in the layouts of public recipes."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from olt_toolkit.clip import Split
+from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
+from olt_toolkit.workers import Engine
+
+if TYPE_CHECKING:
+    from olt_datasets.export.contents import Contents
+
+
+class Format(StrEnum):
+    """Layouts of training data."""
+
+    PAI = "pai"
+    LEROBOT = "lerobot"
+
+
+def export(
+    inputs: Annotated[
+        list[Path], typer.Argument(metavar="MIXTURE|STORE...", help="A composed mixture (a file), or clip stores.")
+    ],
+    out: Annotated[Path, typer.Option(help="Folder that is made; it appears when it is complete.")],
+    layout: Annotated[Format, typer.Option("--format", help="Layout of the export.")] = Format.PAI,
+    split: Annotated[Split, typer.Option(help="Which split of clip stores; a mixture has its own.")] = "train",
+    keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged clips and list them.")] = False,
+    workers: WorkersOption = None,
+    engine: EngineOption = Engine.LOCAL,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Write a mixture, or whole clip stores, for the public devkit and Alpamayo recipes, or as a LeRobot data set.
+
+    Clips of other splits, and clips that give no policy sample, are left out. Chunks whose clips are all taken are
+    linked, not copied. Given again, an interrupted export goes on. Exit status 1 if clips failed with --keep-going.
+    """
+    from olt_datasets.export.pai import WorkOptions, export_pai
+    from olt_generator.errors import InputError
+    from olt_toolkit.console import make_progress, print_json
+    from olt_toolkit.workers import default_workers
+
+    contents = _contents(inputs, split)
+    options = WorkOptions(keep_going, workers or default_workers(), engine)
+    with make_progress() as progress:
+        task = progress.add_task(f"export to {layout.value}", total=100)
+        summary = export_pai(contents, out, options, lambda share: progress.update(task, completed=round(100 * share)))
+    if as_json:
+        print_json(summary)
+    else:
+        _show(summary)
+    if summary["failures"]:
+        raise InputError(f"{len(summary['failures'])} clips could not be exported; the others are in {out}")
+
+
+def _contents(inputs: list[Path], split: Split) -> "Contents":
+    from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
+    from olt_datasets.plan import PLAN_SUFFIXES, read_plan
+    from olt_generator.errors import InputError
+
+    if inputs[0].suffix not in PLAN_SUFFIXES:
+        return contents_of_stores(inputs, split)
+    if len(inputs) > 1:
+        raise InputError(f"{inputs[1]}: a mixture is exported alone; compose one mixture of everything")
+    return contents_of_mixture(read_plan(inputs[0]))
+
+
+def _show(summary: dict[str, Any]) -> None:
+    from olt_toolkit.console import print_line, print_table
+
+    columns = ("component", "kind", "source", "clips", "chunk_ids")
+    title = f"{summary['out']}: {summary['clips']} clips of split {summary['split']}"
+    print_table(title, columns, [[group[column] for column in columns] for group in summary["groups"]])
+    for how, part in summary["chunks"].items():
+        if part["count"]:
+            print_line(f"{part['count']} chunks {how}, {part['bytes'] / 1e6:.1f} MB")
+    for topic in ("left_out", "licences"):
+        for reason, count in summary[topic].items():
+            print_line(f"{topic.replace('_', ' ')}: {count} clips, {reason}")
+    for note in summary["notes"]:
+        print_line(f"note: {note}")
+    print_line("for the public recipes (a range of chunks leaves out its last number):")
+    keyframe = "data.train_dataset.use_default_keyframe=false"
+    for name, part in summary["components"].items():
+        overrides = f'data.train_dataset.local_dir={summary["out"]} data.train_dataset.chunk_ids="{part["chunk_ids"]}"'
+        print_line(f"  {name}: {overrides} {keyframe}")
+    for clip, reason in summary["failures"].items():
+        print_line(f"failed: {clip}: {reason}")

@@ -1,0 +1,1 @@
+"""Training data in the layouts that public recipes read: PhysicalAI-AV and LeRobot."""

@@ -1,0 +1,153 @@
+"""Small clip stores to export, and readers by the rules of the public ones."""
+
+import io
+import json
+import zipfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.spatial.transform import Rotation
+
+from olt_generator.poses import planar_pose
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.clip import CameraStream, Clip, EgoMotion, Origin, ViewProvenance, make_clip_id
+from olt_toolkit.clip_store import ClipStore
+from olt_toolkit.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
+
+WIDTH, HEIGHT = 64, 36
+REVISION = "0" * 40
+
+
+def _make_clip(name: str, seconds: float = 9.0, split: str = "train", kind: str = "GT", grey: int = 60) -> Clip:
+    """A straight drive at 5 m/s with ego motion from 0 s and images from 1.4 to 2.1 s; each frame one grey level."""
+    ego_us = 100_000 * np.arange(round(10 * seconds), dtype=np.int64)
+    still = np.zeros(len(ego_us))
+    motion = EgoMotion.from_trajectory(Trajectory(ego_us, planar_pose(5e-6 * ego_us, still, still)))
+    image_us = ego_us[14:22]
+    rig = pav_rig().fitted(WIDTH, HEIGHT)
+    streams = {}
+    for index, camera in enumerate(POLICY_CAMERAS):
+        levels = (grey + 20 * index + 2 * np.arange(len(image_us))).astype(np.uint8)
+        frames = np.broadcast_to(levels[:, None, None, None], (len(levels), HEIGHT, WIDTH, 3))
+        streams[camera] = CameraStream(frames, image_us, 10.0, rig[camera].camera, rig[camera].T_rig_camera)
+    return Clip(
+        clip_id=make_clip_id(name),
+        name=name,
+        scene_id=name,
+        source="world",
+        origin=Origin(name, 0, 1_000_000, "DE", "CC BY 4.0"),
+        kind=kind,
+        category="nominal" if kind == "GT" else "work_zone",
+        factors=(),
+        split=split,
+        streams=streams,
+        ego_motion=motion,
+        vehicle=DEFAULT_VEHICLE,
+        provenance={camera: ViewProvenance("rendered", "test", "1", None, 1.0, 0.0) for camera in streams},
+    )
+
+
+def _write_store(root: Path, *chunks: list[Clip]) -> Path:
+    store = ClipStore(root)
+    for clips in chunks:
+        for clip in clips:
+            store.stage(clip)
+        store.commit([clip.clip_id for clip in clips])
+    return root
+
+
+@pytest.fixture(scope="session")
+def stores(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """Two stores: `real` with a chunk of two GT clips and a mixed one (one GT, one held out, one too short), and
+    `made` with two Syn clips. Every clip that gives samples does so at 1.7 to 2.1 s."""
+    folder = tmp_path_factory.mktemp("stores")
+    real = _write_store(
+        folder / "real",
+        [_make_clip("a", grey=20), _make_clip("b", grey=40)],
+        [_make_clip("c", grey=60), _make_clip("held out", split="val"), _make_clip("short", seconds=5.0)],
+    )
+    made = _write_store(folder / "made", [_make_clip("d", kind="Syn", grey=80), _make_clip("e", kind="Syn", grey=100)])
+    return real, made
+
+
+class RecipeReader:
+    """The clips of a folder by the rules of the Alpamayo recipes' local reader: plain files, no filter by split."""
+
+    def __init__(self, root: Path, chunk_ids: str | None = None) -> None:
+        self.root = root
+        self.features = pd.read_csv(root / "features.csv", index_col="feature")
+        self.index = pd.read_parquet(root / "clip_index.parquet")
+        presence = pd.read_parquet(root / "metadata" / "feature_presence.parquet")
+        assert self.index.index.is_unique and self.index["chunk"].dtype == np.int64
+        assert presence.index.tolist() == self.index.index.tolist()
+        assert all(dtype == np.bool_ for dtype in presence.dtypes)
+        first, last = (0, 10_000) if chunk_ids is None else map(int, chunk_ids.split("-"))
+        self.clip_ids = [clip_id for clip_id, chunk in self.index["chunk"].items() if first <= chunk < last]
+
+    def keyframe(self, clip_id: str) -> int:
+        return int(self.index.at[clip_id, "event_t0s"][0])
+
+    def table(self, clip_id: str, feature: str) -> pd.DataFrame | pd.Series:
+        return pd.read_parquet(self._chunk_file(clip_id, feature)).loc[clip_id]
+
+    def members(self, clip_id: str, feature: str) -> dict[str, bytes]:
+        names = json.loads(self.features.at[feature, "clip_files_in_zip"])
+        with zipfile.ZipFile(self._chunk_file(clip_id, feature)) as archive:
+            return {alias: archive.read(name.format(clip_id=clip_id)) for alias, name in names.items()}
+
+    def _chunk_file(self, clip_id: str, feature: str) -> Path:
+        return self.root / self.features.at[feature, "chunk_path"].format(chunk_id=self.index.at[clip_id, "chunk"])
+
+
+@pytest.fixture(scope="session")
+def recipe_reader() -> type[RecipeReader]:
+    return RecipeReader
+
+
+@pytest.fixture
+def open_devkit(tmp_path: Path) -> Iterator[Callable[[Path], object]]:
+    """Opens a folder with the public devkit, offline: it reads a hub cache only, so the cache points to the folder."""
+    pytest.importorskip("physical_ai_av", reason="physical-ai-av (extra `interop`) is not installed")
+    import huggingface_hub.constants
+    from physical_ai_av import PhysicalAIAVDatasetInterface
+
+    def open_folder(root: Path) -> PhysicalAIAVDatasetInterface:
+        cache = tmp_path / "cache"
+        snapshots = cache / "datasets--nvidia--PhysicalAI-Autonomous-Vehicles" / "snapshots"
+        snapshots.mkdir(parents=True)
+        (snapshots / REVISION).symlink_to(root, target_is_directory=True)
+        return PhysicalAIAVDatasetInterface(REVISION, cache_dir=cache, token=False)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", True)
+        yield open_folder
+
+
+def _public_sample(motion: object, cameras: dict[str, object], t0_us: int) -> dict[str, np.ndarray]:
+    """What the public loader makes of the devkit's objects (facts sheet pai_dataset, section 9), in numpy."""
+    assert t0_us > 1_600_000
+    past, future = t0_us + 100_000 * np.arange(-15, 1), t0_us + 100_000 * np.arange(1, 65)
+    position = {name: motion(times).pose.translation for name, times in {"history": past, "future": future}.items()}
+    rotation = {name: motion(times).pose.rotation for name, times in {"history": past, "future": future}.items()}
+    origin, turn = position["history"][-1], Rotation.from_matrix(rotation["history"].as_matrix()[-1]).inv()
+    images, times_us = zip(
+        *(reader.decode_images_from_timestamps(past[-4:].astype(np.int64)) for reader in cameras.values()), strict=True
+    )
+    sample = {"image_frames": np.stack(images).transpose(0, 1, 4, 2, 3), "absolute_timestamps": np.stack(times_us)}
+    for name in position:
+        sample[f"ego_{name}_xyz"] = turn.apply(position[name] - origin)[None]
+        sample[f"ego_{name}_rot"] = (turn * Rotation.from_matrix(rotation[name].as_matrix())).as_matrix()[None]
+    return sample
+
+
+@pytest.fixture(scope="session")
+def public_sample() -> Callable[..., dict[str, np.ndarray]]:
+    return _public_sample
+
+
+@pytest.fixture(scope="session")
+def read_parquet_bytes() -> Callable[[bytes], pd.DataFrame]:
+    return lambda data: pd.read_parquet(io.BytesIO(data))
