@@ -21,13 +21,20 @@ _CONVERGED = 4.0 * np.finfo(np.float64).eps
 
 def evaluate(polynomial: Polynomial, x: Array) -> Array:
     """Values (...) of a polynomial at (...), by Horner's rule."""
-    degree = max((power for power, coefficient in enumerate(polynomial) if coefficient), default=0)
-    value = np.full_like(x, polynomial[degree])
-    for coefficient in reversed(polynomial[:degree]):
+    leading, *others = _highest_first(polynomial)
+    value = np.full_like(x, leading)
+    for coefficient in others:
         value *= x
         if coefficient:
             value += coefficient
     return value
+
+
+@lru_cache(maxsize=256)
+def _highest_first(polynomial: Polynomial) -> Polynomial:
+    """Coefficients in descending powers, from the first that is not 0."""
+    degree = max((power for power, coefficient in enumerate(polynomial) if coefficient), default=0)
+    return polynomial[degree::-1]
 
 
 def derivative(polynomial: Polynomial) -> Polynomial:

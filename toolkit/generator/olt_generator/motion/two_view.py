@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from olt_generator.poses import Array
+from olt_generator.twists import cross_matrix
 
 # Perspective coordinates stretch towards the edge of a wide lens: the first guess is made inside this cone.
 MAX_GUESS_ANGLE = np.radians(60.0)
@@ -80,8 +81,7 @@ def _refine(rays_a: Array, rays_b: Array, R: Array, t: Array, sigma: float) -> t
     """Gauss-Newton on three rotation and two direction parameters with Geman-McClure weights."""
     for _ in range(MAX_REFINEMENTS):
         across = np.linalg.svd(t[None])[2][1:]
-        residual = epipolar_sines(rays_a, rays_b, R, t)
-        jacobian = _jacobian(rays_a, rays_b, R, t, across, residual)
+        residual, jacobian = _linearize(rays_a, rays_b, R, t, across)
         weighted = jacobian * (1.0 / (1.0 + (residual / sigma) ** 2) ** 2)[:, None]
         step = -np.linalg.pinv(weighted.T @ jacobian) @ (weighted.T @ residual)
         R, t = _moved(R, t, across, step)
@@ -90,12 +90,20 @@ def _refine(rays_a: Array, rays_b: Array, R: Array, t: Array, sigma: float) -> t
     return R, t
 
 
-def _jacobian(rays_a: Array, rays_b: Array, R: Array, t: Array, across: Array, residual: Array) -> Array:
-    columns = []
-    for axis in 1e-6 * np.eye(5):
-        R_moved, t_moved = _moved(R, t, across, axis)
-        columns.append((epipolar_sines(rays_a, rays_b, R_moved, t_moved) - residual) / 1e-6)
-    return np.stack(columns, axis=-1)
+def _linearize(rays_a: Array, rays_b: Array, R: Array, t: Array, across: Array) -> tuple[Array, Array]:
+    """Epipolar sines (n,) and how they change (n, 5) with the steps that `_moved` takes.
+
+    With p = R a, n = t x p and s = b . n / |n|, ds = g . dn for g = (b - s n / |n|) / |n|. A turn moves n by
+    t x (turn x p), so that ds = turn . (p x (g x t)); a step of t moves it by step x p, so that ds = step . (p x g).
+    """
+    turned, cross_t = rays_a @ R.T, cross_matrix(t)
+    normals = turned @ cross_t.T
+    length = np.maximum(np.linalg.norm(normals, axis=1), 1e-9)[:, None]
+    normals /= length
+    sines = np.einsum("ij,ij->i", rays_b, normals)
+    slope = (rays_b - sines[:, None] * normals) / length
+    by_turn, by_step = np.cross(turned, slope @ cross_t), np.cross(turned, slope) @ across.T
+    return sines, np.concatenate([by_turn, by_step], axis=1, dtype=np.float64)
 
 
 def _moved(R: Array, t: Array, across: Array, step: Array) -> tuple[Array, Array]:
