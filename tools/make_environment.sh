@@ -9,7 +9,8 @@ python=${PYTHON:-python3}
 }
 if command -v uv >/dev/null 2>&1; then
     uv venv --quiet --allow-existing --python "$python" "$venv"
-    VIRTUAL_ENV=$venv uv pip install --quiet --requirement requirements.txt
+    # Compiled once here, as pip does, instead of by every process that imports torch.
+    VIRTUAL_ENV=$venv uv pip install --quiet --compile-bytecode --requirement requirements.txt
     VIRTUAL_ENV=$venv uv pip install --quiet --no-deps --no-build-isolation --editable .
 else
     "$python" -m venv "$venv"

@@ -4,6 +4,7 @@ Rig frame: x forward, y left, z up, origin on the ground under the middle of the
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 from olt_generator.cameras import Camera, fit_camera
 from olt_generator.errors import InputError
@@ -97,8 +98,9 @@ DEFAULT_VEHICLE = VehicleDimensions(
 )
 
 
+@lru_cache(maxsize=1)
 def pav_rig() -> Rig:
-    """The nominal seven-camera PhysicalAI-AV rig, 1920 x 1080; real clips carry their own calibration."""
+    """The nominal seven-camera PhysicalAI-AV rig, 1920 x 1080, read once; real clips carry their own calibration."""
     from olt_toolkit.rigs import load_rig  # needs the names of this module
 
     return load_rig("pav")
