@@ -63,10 +63,12 @@ def test_an_unusable_video_leaves_no_folder(tmp_path):
 def test_what_was_left_out_is_told_with_its_reason():
     clip = {"left_out": {"camera_rear": "not wanted"}, "clip": {"no_sample_reason": "too short"}}
     policies = {"toy": {"left_out": ["rendering"], "scores": [{"left_out": ["tests"]}, {"left_out": ["tests"]}]}}
-    results = {"input_clip": clip, "closed_loop": {"policies": policies}}
+    clips = {"input": clip, "training": {"frames_left_out_of_each_view": 7}}
+    results = {"clips": clips, "closed_loop": {"policies": policies}}
     assert list_left_out(results) == [
         "camera_rear: not wanted",
         "policy samples of the input clip: too short",
+        "7 frames of each view of the training clips: no sample of these clips shows them",
         "rendering",
         "tests",
     ]

@@ -170,8 +170,8 @@ def test_frames_that_no_sample_shows_are_left_out_and_change_nothing(recording):
     fast = replace(recording, timestamps_us=times, reference=Trajectory(times, recording.reference.T_world_rig))
     cameras = (FRONT_WIDE, CROSS_LEFT)
     some, every = (
-        build_clip(fast, replace(OPTIONS, use_reference_motion=True, cameras=cameras, all_frames=all_frames))
-        for all_frames in (False, True)
+        build_clip(fast, replace(OPTIONS, use_reference_motion=True, cameras=cameras, frames=frames))
+        for frames in ("shown", "all")
     )
     assert "20 of 31 frames of each view" in some.left_out
     for name in cameras:

@@ -4,7 +4,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from olt_generator.errors import InputError
-from olt_toolkit.policy_window import IMAGE_OFFSETS_US, Coverage, check_sample_window, sample_times, shown_frames
+from olt_toolkit.policy_window import (
+    IMAGE_OFFSETS_US,
+    Coverage,
+    check_sample_window,
+    sample_times,
+    sampled_frames,
+    shown_frames,
+)
 from olt_toolkit.rig import POLICY_CAMERAS
 
 SECOND = 1_000_000
@@ -85,3 +92,21 @@ def test_leaving_frames_out_changes_no_sample_on_the_grid(steps, start):
 
 def test_two_of_three_frames_at_30_hertz_are_left_out():
     assert len(shown_frames(np.arange(300) * 1_000_000 // 30)) == 101
+
+
+@given(st.lists(st.integers(5_000, 250_000), min_size=60, max_size=200))
+def test_the_samples_of_a_clip_need_no_other_frames_than_those_sampled(steps):
+    every = np.cumsum([0, *steps])
+    kept = every[sampled_frames(every)]
+    ego = (int(every[0]), int(every[-1]))
+    times, _ = sample_times(covered(ego, ego))
+    assert sample_times(covered(ego, (int(kept[0]), int(kept[-1]))))[0] == times
+    for t0_us in times:
+        shown = t0_us + IMAGE_OFFSETS_US
+        newest = [frames[np.searchsorted(frames, shown, side="right") - 1].tolist() for frames in (every, kept)]
+        assert newest[0] == newest[1]
+
+
+def test_what_is_too_early_or_lacks_a_future_is_not_sampled():
+    assert sampled_frames(np.arange(141) * 100_000).tolist() == list(range(14, 77))
+    assert len(sampled_frames(np.arange(50) * 100_000)) == 50

@@ -24,7 +24,7 @@ from olt_toolkit.clip_views import BuildOptions, View, ViewMaker
 from olt_toolkit.ftheta_fit import fit_ftheta
 from olt_toolkit.images import fit_images
 from olt_toolkit.label_noise import LabelNoiseBudget, measure_label_noise
-from olt_toolkit.policy_window import shown_frames
+from olt_toolkit.policy_window import sampled_frames, shown_frames
 from olt_toolkit.recording import Recording
 from olt_toolkit.stages import OnStage, Stages, unnoticed
 
@@ -120,9 +120,10 @@ def build_clip(
     synthesizes = _clip_kind(options, plan) == "Syn"
     kept = _kept_frames(recording, options)
     shown = _only_frames(recording, kept)
-    needed = _frames_with_distance(plan, kept) if synthesizes else kept
+    sources = _frames_drawn_on(recording, kept)
+    needed = _frames_with_distance(plan, kept, sources) if synthesizes else kept
     distance = _estimate_distance(recording, options, motion, needed, stages) if synthesizes else None
-    front = None if distance is None else _front_view(recording, motion, distance, needed)
+    front = None if distance is None else _front_view(recording, motion, distance, needed, sources)
     maker = ViewMaker(shown, options, motion.T_rig_camera, front, np.searchsorted(needed, kept))
     views = _make_views(maker, plan, stages)
     return BuiltClip(
@@ -171,17 +172,21 @@ def _estimate_distance(
         )
 
 
-def _frames_with_distance(plan: ViewPlan, kept: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The frames that are made, and those to which rear views look back."""
+def _frames_with_distance(plan: ViewPlan, kept: NDArray[np.int64], sources: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The frames that are made, those that views draw on, and those to which rear views look back."""
     offsets = [LOOKBACK_LATENTS[name] for name in plan.needed if name in LOOKBACK_LATENTS]
     looked_back_to = [lookback_frame(frame, offset) for offset in offsets for frame in kept.tolist()]
-    return np.union1d(kept, np.array(looked_back_to, np.int64))
+    return np.unique(np.concatenate([kept, sources, np.array(looked_back_to, np.int64)]))
 
 
 def _front_view(
-    recording: Recording, motion: _Motion, distance: DistanceEstimate, needed: NDArray[np.int64]
+    recording: Recording,
+    motion: _Motion,
+    distance: DistanceEstimate,
+    needed: NDArray[np.int64],
+    sources: NDArray[np.int64],
 ) -> FrontView:
-    """The needed frames. Views draw on those that samples show, so that they do not depend on what else is made."""
+    """The needed frames, of which views draw on the sources."""
     front = FrontView(
         recording.frames[needed],
         distance.distance,
@@ -189,14 +194,22 @@ def _front_view(
         recording.camera,
         motion.T_rig_camera,
         distance.confidence,
-        sources=np.searchsorted(needed, shown_frames(recording.timestamps_us)),
+        sources=np.searchsorted(needed, sources),
         numbers=needed,
     )
     return replace(front, moving=distance.moving | find_moving(front))
 
 
 def _kept_frames(recording: Recording, options: BuildOptions) -> NDArray[np.int64]:
-    return np.arange(len(recording.frames)) if options.all_frames else shown_frames(recording.timestamps_us)
+    if options.frames == "all":
+        return np.arange(len(recording.frames))
+    return (shown_frames if options.frames == "shown" else sampled_frames)(recording.timestamps_us)
+
+
+def _frames_drawn_on(recording: Recording, kept: NDArray[np.int64]) -> NDArray[np.int64]:
+    """What samples show up to the last frame that is made, so that views do not depend on which others are made."""
+    shown = shown_frames(recording.timestamps_us)
+    return shown[shown <= kept[-1]]
 
 
 def _only_frames(recording: Recording, kept: NDArray[np.int64]) -> Recording:

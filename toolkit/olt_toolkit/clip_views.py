@@ -1,6 +1,7 @@
 """How each view of a clip is made: taken as it is, cropped, or synthesized from the front view."""
 
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,8 +34,9 @@ class BuildOptions:
         width, height: size of all views in pixels, even because video is coded in blocks of two.
         rig: the rig whose views are wanted; synthesized views are seen from its cameras.
         cameras: which of its views.
-        all_frames: make every frame; else only those that samples with t0 on the 0.1 s grid show, which at 30 Hz is
-            one in three.
+        frames: which frames are made: "all"; of these the "shown", which at 30 Hz is one in three: those that samples
+            with t0 on the 0.1 s grid show, of this clip or one that goes on; or those alone that are "sampled" from
+            this clip, which leaves out its first 1.4 s and last 6.4 s.
         use_reference_views: take the recording's true images and trajectory instead of synthesizing: kind GT.
         use_reference_motion: take the recording's true trajectory although views are synthesized.
         poses: where the motion comes from otherwise.
@@ -50,7 +52,7 @@ class BuildOptions:
     height: int = 320
     rig: Rig = field(default_factory=pav_rig)
     cameras: tuple[str, ...] = POLICY_CAMERAS
-    all_frames: bool = False
+    frames: Literal["all", "shown", "sampled"] = "shown"
     use_reference_views: bool = False
     use_reference_motion: bool = False
     poses: PoseSource = field(default_factory=VisualOdometry)

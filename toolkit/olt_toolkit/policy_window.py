@@ -64,6 +64,21 @@ def shown_frames(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.unique(np.concatenate([[0], newest, [len(timestamps_us) - 1]]))
 
 
+def sampled_frames(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The `shown_frames` (m,) that a recording's own samples show: the first are too early, the last lack a future.
+
+    All `shown_frames` where the recording is too short for a sample.
+    """
+    shown, span = shown_frames(timestamps_us), (int(timestamps_us[0]), int(timestamps_us[-1]))
+    times, _ = sample_times(Coverage(span, dict.fromkeys(POLICY_CAMERAS, span)))
+    if not times:
+        return shown
+    first = np.searchsorted(timestamps_us, times[0] + IMAGE_OFFSETS_US[0], side="right") - 1
+    # Cameras must cover the last t0, so a frame at or after it is kept.
+    last = np.searchsorted(timestamps_us, times[-1])
+    return np.union1d(shown[(shown >= first) & (shown <= last)], [last])
+
+
 def check_sample_window(t0_us: int, coverage: Coverage, where: str) -> None:
     """Check that everything a sample at `t0_us` needs is there.
 

@@ -1,6 +1,6 @@
-"""Stage: the front video to a metric trajectory, four views, and a clip."""
+"""The front video to a metric trajectory, four views, and a clip."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,6 @@ from olt_closed_loop.recorder import record_drive
 from olt_closed_loop.stage import read_scene
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.settings import DemoSettings
 from olt_toolkit.clip_builder import BuiltClip, build_clip
 from olt_toolkit.clip_store import ClipStore
@@ -24,16 +23,32 @@ from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
 CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png", "trajectory.svg"
 
 
-def build_input_clip(job: Job) -> dict[str, Any]:
+@dataclass(frozen=True)
+class InputOrder:
+    """The input clip to build.
+
+    Attributes:
+        input: what the user gave, or the stage to drive in its place.
+        store: the clip store that it goes into.
+        pictures: folder of what the report shows.
+        settings: sizes and seed.
+    """
+
+    input: Recording | Path
+    store: Path
+    pictures: Path
+    settings: DemoSettings
+
+
+def build_input_clip(order: InputOrder) -> dict[str, Any]:
     """Turn the input into a clip of the store, and draw what was made; returns the numbers."""
-    recording, options = _take_input(job)
-    job.bar.start("front video to four views")
-    built = build_clip(recording, options, job.on_progress, lambda part: job.bar.start(f"front video: {part}"))
-    store = ClipStore(job.clips)
+    recording, options = _take_input(order)
+    built = build_clip(recording, options)
+    store = ClipStore(order.store)
     info = store.stage(built.clip)
     store.commit([built.clip.clip_id])
     _check_read_back(store, built)
-    _draw(job, recording, built)
+    _draw(order.pictures, recording, built)
     return summarize_build(built, info)
 
 
@@ -46,24 +61,15 @@ def open_video(video: Path, settings: DemoSettings) -> Recording:
     return open_recording(video, OpenOptions(duration=settings.video_seconds))
 
 
-def _take_input(job: Job) -> tuple[Recording, BuildOptions]:
+def _take_input(order: InputOrder) -> tuple[Recording, BuildOptions]:
     """The recording and how its clip is built; a user's video has no category and no scene factors that are known."""
-    height, width = job.settings.input_size
-    options = BuildOptions(width=width, height=height, category="unlabelled", seed=job.settings.seed, name="input")
-    if job.recording is None:
-        return _record_input(job, options)
-    recording, job.recording = job.recording, None  # its frames are large; nothing after this stage needs them
-    return recording, options
-
-
-def _record_input(job: Job, options: BuildOptions) -> tuple[Recording, BuildOptions]:
-    """A drive of the synthetic world, whose truth is known."""
-    scene = read_scene(job.scenes / f"{job.results['scenes']['input'][0]}.usda")
+    height, width = order.settings.input_size
+    options = BuildOptions(width=width, height=height, category="unlabelled", seed=order.settings.seed, name="input")
+    if isinstance(order.input, Recording):
+        return order.input, options
+    scene = read_scene(order.input)
     cameras = (CROSS_LEFT, FRONT_WIDE, CROSS_RIGHT)
-    height, width = job.settings.input_size
-    recording = record_drive(
-        scene, width, height, job.settings.frame_rate, cameras, with_distance=True, on_progress=job.on_progress
-    )
+    recording = record_drive(scene, width, height, order.settings.frame_rate, cameras, with_distance=True)
     return recording, replace(options, category=scene.category, factors=scene.factors, image_kind="rendered")
 
 
@@ -77,14 +83,14 @@ def _check_read_back(store: ClipStore, built: BuiltClip) -> None:
         raise InputError(f"{store.root}: clip {clip.clip_id} reads back as something else; check the disk")
 
 
-def _draw(job: Job, recording: Recording, built: BuiltClip) -> None:
+def _draw(pictures: Path, recording: Recording, built: BuiltClip) -> None:
     images = {camera: stream.frames for camera, stream in built.clip.streams.items()}
     # Fewer than the recording's: frames that no sample shows are not made.
     times_us = built.clip.streams[FRONT_WIDE].timestamps_us
-    write_picture(job.pictures / CONTACT_SHEET, contact_sheet(images, built.observed, times_us))
+    write_picture(pictures / CONTACT_SHEET, contact_sheet(images, built.observed, times_us))
     if recording.views:
-        write_picture(job.pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
+        write_picture(pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
     if built.measured is not None and built.motion is not None:
         drawing = draw_trajectory(built.measured.trajectory, built.motion.trajectory, recording.reference)
-        with write_whole(job.pictures / TRAJECTORY) as path:
+        with write_whole(pictures / TRAJECTORY) as path:
             path.write_text(drawing)

@@ -3,8 +3,9 @@
 from pathlib import Path
 from typing import Any
 
+from olt_sft_recipes.demo.clips import build_clips
 from olt_sft_recipes.demo.evaluation import score_policies
-from olt_sft_recipes.demo.input_clip import build_input_clip, open_video
+from olt_sft_recipes.demo.input_clip import open_video
 from olt_sft_recipes.demo.job import Job, Stage, run_stages
 from olt_sft_recipes.demo.mixtures import compose_mixtures
 from olt_sft_recipes.demo.report import draw_report
@@ -12,14 +13,12 @@ from olt_sft_recipes.demo.scenes import write_scenes
 from olt_sft_recipes.demo.settings import DemoSettings
 from olt_sft_recipes.demo.summary import summarize_job, write_summary
 from olt_sft_recipes.demo.training import train_policies
-from olt_sft_recipes.demo.training_clips import build_training_clips
 from olt_toolkit.console import make_progress
 from olt_toolkit.workers import default_workers, use_one_thread
 
 STAGES = [
     Stage("scenes", "driving scenes", write_scenes),
-    Stage("input_clip", "front video", build_input_clip),
-    Stage("training_clips", "training clips", build_training_clips),
+    Stage("clips", "front video and training clips", build_clips),
     Stage("mixtures", "mixtures", compose_mixtures),
     Stage("training", "two-stage training", train_policies),
     Stage("closed_loop", "closed loop", score_policies),

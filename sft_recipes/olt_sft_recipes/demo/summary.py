@@ -14,7 +14,7 @@ from olt_toolkit.environment import describe_machine
 def summarize_job(job: Job, seconds: dict[str, float]) -> dict[str, Any]:
     """Put the results of all stages together, times apart."""
     results = job.results
-    clip = dict(results["input_clip"])
+    clip = dict(results["clips"]["input"])
     parts = clip.pop("seconds")
     training = {name: dict(results["training"][name]) for name in RECIPES}
     training_seconds = {name: training[name].pop("seconds") for name in RECIPES}
@@ -23,7 +23,7 @@ def summarize_job(job: Job, seconds: dict[str, float]) -> dict[str, Any]:
         "settings": asdict(job.settings),
         "input": {"kind": "video" if job.video else "synthetic", "name": job.video.name if job.video else None, **clip},
         "scenes": results["scenes"],
-        "training_clips": results["training_clips"],
+        "training_clips": results["clips"]["training"],
         "mixtures": results["mixtures"],
         "training": training,
         "closed_loop": results["closed_loop"],
@@ -41,11 +41,14 @@ def write_summary(job: Job, summary: dict[str, Any]) -> None:
 
 def list_left_out(results: dict[str, dict[str, Any]]) -> list[str]:
     """Everything that the stages with these results did not compute, and why."""
-    clip = results["input_clip"]
+    clip = results["clips"]["input"]
     views = [f"{name}: {reason}" for name, reason in clip["left_out"].items()]
     no_sample_reason = clip["clip"]["no_sample_reason"]
     if no_sample_reason:
         views.append(f"policy samples of the input clip: {no_sample_reason}")
+    frames = results["clips"]["training"]["frames_left_out_of_each_view"]
+    if frames:
+        views.append(f"{frames} frames of each view of the training clips: no sample of these clips shows them")
     policies = results["closed_loop"]["policies"].values()
     drives = sorted({reason for policy in policies for reason in policy["left_out"]})
     scores = sorted({reason for policy in policies for score in policy["scores"] for reason in score["left_out"]})

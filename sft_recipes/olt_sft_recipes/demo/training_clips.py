@@ -1,4 +1,4 @@
-"""Stage: the clips that the toy policies are trained on, recorded in the closed loop's own scenes."""
+"""The clips that the toy policies are trained on, recorded in the closed loop's own scenes."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +15,6 @@ from olt_toolkit.clip_builder import build_clip
 from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.clip_views import BuildOptions
 from olt_toolkit.rig import FRONT_WIDE, POLICY_CAMERAS
-from olt_toolkit.workers import map_parallel
 
 
 @dataclass(frozen=True)
@@ -37,21 +36,23 @@ class ClipOrder:
     settings: DemoSettings
 
 
-def build_training_clips(job: Job) -> dict[str, Any]:
-    """Record, build and store all training and validation clips; returns how many there are and their errors."""
+def order_training_clips(job: Job) -> list[ClipOrder]:
+    """All training and validation clips."""
     names = job.results["scenes"]
     roles: list[tuple[str, bool, Split]] = [
         ("nominal", True, "train"),
         ("long_tail", False, "train"),
         ("validation", True, "val"),
     ]
-    orders = [
+    return [
         ClipOrder(job.scenes / f"{name}.usda", job.clips, real_views, split, job.settings)
         for role, real_views, split in roles
         for name in names[role]
     ]
-    made = map_parallel(build_clip_to_order, orders, job.workers, job.on_progress)
-    ClipStore(job.clips).commit([clip["clip_id"] for clip in made])
+
+
+def summarize_training_clips(orders: list[ClipOrder], made: list[dict[str, Any]]) -> dict[str, Any]:
+    """How many clips were made to the orders, and their errors."""
     position_errors = [clip["ate_m"] for clip in made if clip["ate_m"] is not None]
     observed = [clip["observed_share"] for clip in made if clip["observed_share"] is not None]
     return {
@@ -60,6 +61,7 @@ def build_training_clips(job: Job) -> dict[str, Any]:
         "syn": sum(not order.real_views for order in orders),
         "syn_ate_m_median": float(np.median(position_errors)) if position_errors else None,
         "syn_ate_m_max": max(position_errors, default=None),
+        "frames_left_out_of_each_view": sum(clip["frames_left_out"] for clip in made),
         "syn_observed_share_of_cross_views": float(np.mean(observed)) if observed else None,
     }
 
@@ -74,6 +76,7 @@ def build_clip_to_order(order: ClipOrder) -> dict[str, Any]:
     options = BuildOptions(
         width=settings.training_size[1],
         height=settings.training_size[0],
+        frames="sampled",
         use_reference_views=order.real_views,
         image_kind="rendered",
         category=scene.category,
@@ -87,5 +90,6 @@ def build_clip_to_order(order: ClipOrder) -> dict[str, Any]:
     return {
         "clip_id": built.clip.clip_id,
         "ate_m": None if built.pose_errors is None else built.pose_errors.metric.ate_m,
+        "frames_left_out": len(recording.frames) - len(built.clip.streams[FRONT_WIDE].timestamps_us),
         "observed_share": float(np.mean(shares)) if shares else None,
     }

@@ -69,7 +69,7 @@ def build(
     if name is not None and Path(name).name != name:
         raise InputError(f"--name {name!r}: pictures are named after the clip; give a name without slashes")
     sources = SourceChoice(poses, mapanything_weights, depth, depth_weights, device)
-    options = BuildOptions(width=width, height=height, all_frames=all_frames, name=name, seed=seed)
+    options = BuildOptions(width=width, height=height, frames="all" if all_frames else "shown", name=name, seed=seed)
     opening = make_open_options(duration, fov, camera_height)
     job = BuildJob(recording, make_folder(out), opening, options, sources, keep_going)
     if is_recording(recording) or not recording.is_dir():
@@ -109,7 +109,11 @@ def views(
     wanted = parse_cameras(cameras)
     sources = SourceChoice(poses, mapanything_weights, depth, depth_weights, device)
     options = BuildOptions(
-        width=width, height=height, cameras=wanted, all_frames=all_frames, use_reference_motion=clip is not None
+        width=width,
+        height=height,
+        cameras=wanted,
+        frames="all" if all_frames else "shown",
+        use_reference_motion=clip is not None,
     )
     opening = make_open_options(duration, fov, camera_height)
     recording = open_recording(source, opening) if clip is None else _stored_recording(source, clip)
