@@ -1,9 +1,10 @@
-"""Reader of KITTI odometry sequences."""
+"""Readers of KITTI odometry sequences: one as a recording, a folder of them as a data set."""
 
 import cv2
 import numpy as np
 import pytest
 
+from olt_datasets.drives import open_dataset
 from olt_datasets.sources.kitti_odometry import SOURCE
 from olt_generator.errors import InputError
 from olt_toolkit.recording import OpenOptions, open_recording
@@ -81,3 +82,31 @@ def test_a_damaged_image_is_named(tmp_path):
     (folder / "image_0" / "000003.png").write_bytes(b"no image")
     with pytest.raises(InputError, match=r"000003\.png: cannot be decoded"):
         SOURCE.open(folder, OpenOptions())
+
+
+def test_the_tree_of_the_benchmark_is_a_data_set(tmp_path):
+    sequences = tmp_path / "dataset" / "sequences"
+    sequences.mkdir(parents=True)
+    for name in ("06", "11"):
+        (write_sequence(sequences / name) / "poses.txt").rename(tmp_path / f"{name}.txt")
+    (tmp_path / "dataset" / "poses").mkdir()
+    (tmp_path / "06.txt").rename(tmp_path / "dataset" / "poses" / "06.txt")
+    dataset = open_dataset(tmp_path / "dataset", tmp_path / "cache")
+    assert (dataset.source, dataset.keys()) == ("kitti_odometry", ["sequences/06", "sequences/11"])
+    known, unknown = dataset.drive("sequences/06"), dataset.drive("sequences/11")
+    assert known.ego_span_us == (0, 500_000)
+    assert any("2011_09_30_drive_0020" in note for note in known.notes)
+    assert unknown.ego_span_us is None
+    assert dataset.open("sequences/11", (0, 200_000), OpenOptions()).reference is None
+
+
+def test_a_window_of_a_sequence_has_the_motion_of_all_of_it(tmp_path):
+    dataset = open_dataset(write_sequence(tmp_path / "06"), tmp_path / "cache")
+    recording = dataset.open(".", (200_000, 300_000), OpenOptions())
+    assert recording.timestamps_us.tolist() == [0, 100_000]
+    assert recording.frames[:, 0, 0, 0].tolist() == [20, 30]
+    reference = recording.reference
+    assert reference.timestamps_us.tolist() == [100_000 * index for index in range(-2, 4)]
+    assert reference.path_length == pytest.approx(5.0 * np.hypot(1.0, DRIFT))
+    assert np.abs(reference.T_world_rig[:, :3, :3] - np.eye(3)).max() < 1e-9
+    assert np.abs(reference.positions[:, 2] - reference.positions[0, 2]).max() < 1e-9

@@ -1,4 +1,4 @@
-"""Recording readers for plain video and KITTI raw drives."""
+"""Recording readers for plain video and KITTI raw drives, and KITTI raw data as a data set."""
 
 import shutil
 
@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
+from olt_datasets.drives import open_dataset
 from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_datasets.sources.video import SOURCE as VIDEO
 from olt_generator.cameras import FthetaCamera, PinholeCamera
@@ -181,3 +182,37 @@ def test_a_damaged_image_is_named(tmp_path):
     shutil.copy(drive / "image_02_timestamps.txt", drive / "image_02/0000000004.png")
     with pytest.raises(InputError, match=r"0000000004.png: cannot be decoded"):
         KITTI.open(drive, OpenOptions())
+
+
+def test_kitti_drives_of_a_folder(tmp_path):
+    write_drive(tmp_path / "raw", official=True)
+    dataset = open_dataset(tmp_path / "raw", tmp_path / "cache")
+    key = "2011_09_26/2011_09_26_drive_0001_sync"
+    assert (dataset.source, dataset.keys()) == ("kitti_raw", [key])
+    drive = dataset.drive(key)
+    assert drive.scene_id == "kitti_raw/2011_09_26_drive_0001"
+    assert drive.front_us.tolist() == [100_000 * k for k in range(FRAMES)]
+    assert drive.ego_span_us == (0, 500_000)
+    assert drive.country == "DE"
+
+
+def test_a_window_of_a_kitti_drive_has_the_motion_of_all_of_it(tmp_path):
+    dataset = open_dataset(write_drive(tmp_path), tmp_path / "cache")
+    assert dataset.keys() == ["."]
+    recording = dataset.open(".", (150_000, 400_000), OpenOptions(width=60))
+    assert recording.timestamps_us.tolist() == [0, 100_000, 200_000]
+    assert recording.frames.shape == (3, 20, 60, 3)
+    assert recording.reference.timestamps_us.tolist() == [-200_000, -100_000, 0, 100_000, 200_000, 300_000]
+    whole = KITTI.open(tmp_path / "drive", OpenOptions())
+    assert np.allclose(recording.reference.in_first_frame().T_world_rig, whole.reference.T_world_rig, atol=1e-9)
+    assert np.array_equal(recording.T_rig_camera, whole.T_rig_camera)
+
+
+def test_describing_a_kitti_drive_notices_what_is_missing(tmp_path):
+    drive = write_drive(tmp_path)
+    dataset = open_dataset(drive, tmp_path / "cache")
+    (drive / "image_02" / "0000000002.png").unlink()
+    with pytest.raises(InputError, match="5 images for 6 timestamps"):
+        dataset.drive(".")
+    with pytest.raises(InputError, match="no KITTI drive 'other'"):
+        dataset.drive("other")

@@ -1,5 +1,6 @@
 """What the readers of KITTI's raw data and of its odometry benchmark share: the car, its images, how it travels."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -8,6 +9,8 @@ from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.recording import Recording
 from olt_toolkit.rig import VehicleDimensions
 
 # VW Passat B6 estate, KITTI's car; the rear overhang places the centre of the box.
@@ -42,3 +45,12 @@ def usual_travel(T_world_body: Array) -> Array | None:
     length = np.linalg.norm(steps, axis=1)
     moving = length > MIN_TRAVEL_STEP
     return np.median(steps[moving] / length[moving, None], axis=0) if moving.any() else None
+
+
+def trim_reference(recording: Recording) -> Recording:
+    """The recording with its reference over the times of its images only, in the frame of the first."""
+    if recording.reference is None:
+        return recording
+    times_us = recording.timestamps_us
+    shown = Trajectory(times_us, recording.reference.interpolate(times_us))
+    return replace(recording, reference=shown.in_first_frame())

@@ -1,7 +1,7 @@
 """Sequences of the KITTI odometry benchmark: left gray camera, calibration and camera poses.
 
 Layout: `image_0/*.png` (or jpg), `calib.txt`, `poses.txt` and, where it is there, `times.txt`. In the benchmark's own
-tree the poses lie elsewhere: link them into the sequence as `poses.txt`, or leave them out.
+tree the poses of `sequences/06` lie in `poses/06.txt`, which the data set's reader finds and this one does not.
 
 `calib.txt` holds projection matrices, one a line, the first that of the left gray camera, with or without its name
 `P0:` before it. `poses.txt` holds the first three rows of T_start_camera, one frame a line; `times.txt` seconds.
@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.kitti import PASSAT, decode_image, list_images, usual_travel
+from olt_datasets.sources.kitti import PASSAT, decode_image, list_images, trim_reference, usual_travel
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, aim_camera, camera_pose_in_rig, invert
@@ -24,12 +24,79 @@ from olt_toolkit.recording import OpenOptions, Recording
 # place it 1.08 m ahead and 0.32 m to the left of the IMU, which sits close to the rear axle.
 CAMERA_POSITION = (1.08, 0.32, 1.65)
 FRAME_RATE = 9.65
+NAME = "kitti_odometry"
+
+
+class KittiOdometrySequence:
+    """A sequence folder, of which times, calibration and poses are read; images as they are needed.
+
+    Attributes:
+        path: the folder.
+        image_us: (n,) int64 times of the images, the first is 0.
+        has_poses: whether the motion of the camera is known.
+    """
+
+    def __init__(self, path: Path, poses: Path | None = None) -> None:
+        """Read all but the images.
+
+        Args:
+            path: the sequence.
+            poses: the file with its poses, where it is not its own `poses.txt`.
+
+        Raises:
+            InputError: files are missing, damaged or not as many as their times or poses.
+        """
+        self._images = list_images(path / "image_0")
+        if not self._images:
+            raise InputError(f"{path / 'image_0'}: holds no images; copy the sequence again")
+        self.path = path
+        self.image_us, self._assumed = _read_times(path, len(self._images))
+        self._projection = _read_rows(path / "calib.txt", 12)[0].reshape(3, 4)
+        self._T_start_camera = _read_poses(poses or path / "poses.txt", len(self._images))
+        self.has_poses = self._T_start_camera is not None
+
+    def record(self, indices: NDArray[np.intp], width: int) -> Recording:
+        """Decode some images, shrunk to `width`; times are those of the sequence, and so is the whole reference.
+
+        Raises:
+            InputError: an image is damaged.
+        """
+        frames, size = _read_images([self._images[index] for index in indices], width)
+        (fx, _, cx, _), (_, fy, cy, _) = self._projection[0], self._projection[1]
+        camera = PinholeCamera(size[0], size[1], fx, fy, cx, cy).resized(frames.shape[2], frames.shape[1])
+        T_rig_camera = _mount(self._T_start_camera)
+        reference = None
+        if self._T_start_camera is not None:
+            # From the start's rig, whose z is up, rather than from its camera.
+            T_start_rig = T_rig_camera @ self._T_start_camera @ invert(T_rig_camera)
+            reference = Trajectory(self.image_us, T_start_rig)
+        return Recording(
+            name=self.path.name,
+            source=NAME,
+            frames=frames,
+            timestamps_us=self.image_us[indices],
+            camera=camera,
+            T_rig_camera=T_rig_camera,
+            vehicle=PASSAT,
+            assumptions=self.assumptions,
+            reference=reference,
+        )
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """A sentence for everything that is assumed."""
+        return (
+            "The camera is mounted as in KITTI's sensor sketch, 1.65 m above the road, and the rig's x axis is "
+            + ("the usual direction of travel of the true poses." if self.has_poses else "the camera's axis."),
+            "The vehicle has the published size of KITTI's VW Passat.",
+            *self._assumed,
+        )
 
 
 class KittiOdometrySource:
     """Opens a sequence folder of the KITTI odometry benchmark."""
 
-    name = "kitti_odometry"
+    name = NAME
 
     def recognises(self, path: Path) -> bool:
         """See `Source.recognises`; judged by the folder and file names."""
@@ -37,37 +104,9 @@ class KittiOdometrySource:
 
     def open(self, path: Path, options: OpenOptions) -> Recording:
         """See `Source.open`; field of view and height are those of KITTI's car, whatever the options say."""
-        files = list_images(path / "image_0")
-        if not files:
-            raise InputError(f"{path / 'image_0'}: holds no images; copy the sequence again")
-        timestamps_us, assumed = _read_times(path, len(files))
-        timestamps_us = timestamps_us[timestamps_us < options.duration * 1e6]
-        frames, size = _read_images(files[: len(timestamps_us)], options.width)
-        projection = _read_rows(path / "calib.txt", 12)[0].reshape(3, 4)
-        (fx, _, cx, _), (_, fy, cy, _) = projection[0], projection[1]
-        camera = PinholeCamera(size[0], size[1], fx, fy, cx, cy).resized(frames.shape[2], frames.shape[1])
-        T_start_camera = _read_poses(path, len(files))
-        T_rig_camera = _mount(T_start_camera)
-        reference = None
-        if T_start_camera is not None:
-            T_start_rig = T_start_camera[: len(timestamps_us)] @ invert(T_rig_camera)
-            reference = Trajectory(timestamps_us, T_start_rig).in_first_frame()
-        return Recording(
-            name=path.name,
-            source=self.name,
-            frames=frames,
-            timestamps_us=timestamps_us,
-            camera=camera,
-            T_rig_camera=T_rig_camera,
-            vehicle=PASSAT,
-            assumptions=(
-                "The camera is mounted as in KITTI's sensor sketch, 1.65 m above the road, and the rig's x axis is "
-                + ("the usual direction of travel of the true poses." if reference else "the camera's axis."),
-                "The vehicle has the published size of KITTI's VW Passat.",
-                *assumed,
-            ),
-            reference=reference,
-        )
+        sequence = KittiOdometrySequence(path)
+        recording = sequence.record(np.flatnonzero(sequence.image_us < options.duration * 1e6), options.width)
+        return trim_reference(recording)
 
 
 def _read_images(files: list[Path], width: int) -> tuple[NDArray[np.uint8], tuple[int, int]]:
@@ -94,12 +133,12 @@ def _read_times(path: Path, count: int) -> tuple[NDArray[np.int64], tuple[str, .
 
 
 def _read_poses(path: Path, count: int) -> Array | None:
-    """T_start_camera (n, 4, 4), None where the sequence has no poses."""
-    if not (path / "poses.txt").is_file():
+    """T_start_camera (n, 4, 4), None where the file is absent."""
+    if not path.is_file():
         return None
-    rows = _read_rows(path / "poses.txt", 12).reshape(-1, 3, 4)
+    rows = _read_rows(path, 12).reshape(-1, 3, 4)
     if len(rows) != count:
-        raise InputError(f"{path / 'poses.txt'}: {len(rows)} poses for {count} images; copy the sequence again")
+        raise InputError(f"{path}: {len(rows)} poses for {count} images; copy the sequence again")
     return np.concatenate([rows, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (len(rows), 1, 1))], axis=1)
 
 

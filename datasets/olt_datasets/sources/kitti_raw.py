@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from olt_datasets.sources.kitti import PASSAT, decode_image, list_images, usual_travel
+from olt_datasets.sources.kitti import PASSAT, decode_image, list_images, trim_reference, usual_travel
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, make_pose
@@ -29,6 +29,13 @@ IMU_HEIGHT = 0.93
 EARTH_RADIUS = 6378137.0
 CAMERA_FILE, VELODYNE_FILE, IMU_FILE = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt"
 OXTS_FIELDS = 30
+NAME = "kitti_raw"
+ASSUMPTIONS = (
+    f"The rig origin is the IMU's position projected to the ground, {IMU_HEIGHT} m below it, and is taken for the "
+    "middle of the rear axle.",
+    "The rig's x axis is the usual direction of travel measured by the GPS/IMU.",
+    "The vehicle has the published size of KITTI's VW Passat.",
+)
 
 
 @dataclass(frozen=True)
@@ -53,10 +60,65 @@ class _Layout:
         return None
 
 
+class KittiRawDrive:
+    """A drive folder, of which times, calibration and names of files are read; images and poses as they are needed.
+
+    Attributes:
+        path: the folder.
+        image_us: (n,) int64 times of the images, the first is 0.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Read what describes the drive.
+
+        Raises:
+            InputError: the folder is no drive, or its files are missing, damaged or not as many as their times.
+        """
+        layout = _Layout.find(path)
+        if layout is None:
+            raise InputError(f"{path}: not a KITTI raw drive; give the folder that holds image_02")
+        image_ns, oxts_ns = _read_times(layout.image_times), _read_times(layout.oxts_times)
+        camera_file = layout.calibration / CAMERA_FILE
+        self.path = path
+        self.image_us = np.rint((image_ns - image_ns[0]) / 1000).astype(np.int64)
+        self._oxts_us = np.rint((oxts_ns - image_ns[0]) / 1000).astype(np.int64)
+        self._calibration = _read_calibration(camera_file, {"S_rect_02": 2, "P_rect_02": 12, "R_rect_00": 9})
+        self._T_imu_camera = _imu_to_camera(layout.calibration, self._calibration)
+        self._oxts = _list_oxts(layout.oxts, len(oxts_ns))
+        self._images = list_images(layout.images)
+        if len(self._images) != len(image_ns):
+            raise InputError(
+                f"{layout.images}: {len(self._images)} images for {len(image_ns)} timestamps; copy the drive again"
+            )
+
+    def record(self, indices: NDArray[np.intp], width: int) -> Recording:
+        """Decode some images, shrunk to `width`; times are those of the drive, and so is the whole reference.
+
+        Raises:
+            InputError: an image or a GPS/IMU file is damaged.
+        """
+        T_world_imu = _read_oxts(self._oxts)
+        T_rig_imu = _align_rig(T_world_imu)
+        measured = _extended(Trajectory(self._oxts_us, T_world_imu @ invert(T_rig_imu)))
+        files = [self._images[index] for index in indices]
+        frames = _read_images(files, width, self._calibration["S_rect_02"])
+        return Recording(
+            name=self.path.name,
+            source=NAME,
+            frames=frames,
+            timestamps_us=self.image_us[indices],
+            camera=_rectified_camera(self._calibration).resized(frames.shape[2], frames.shape[1]),
+            T_rig_camera=T_rig_imu @ self._T_imu_camera,
+            vehicle=PASSAT,
+            assumptions=ASSUMPTIONS,
+            reference=Trajectory(self.image_us, measured.interpolate(self.image_us)),
+        )
+
+
 class KittiRawSource:
     """Opens a KITTI raw drive folder."""
 
-    name = "kitti_raw"
+    name = NAME
 
     def recognises(self, path: Path) -> bool:
         """See `Source.recognises`; judged by the folders."""
@@ -64,38 +126,9 @@ class KittiRawSource:
 
     def open(self, path: Path, options: OpenOptions) -> Recording:
         """See `Source.open`; field of view and height come from the calibration, whatever the options say."""
-        layout = _Layout.find(path)
-        if layout is None:
-            raise InputError(f"{path}: not a KITTI raw drive; give the folder that holds image_02")
-        image_ns, oxts_ns = _read_times(layout.image_times), _read_times(layout.oxts_times)
-        camera_file = layout.calibration / CAMERA_FILE
-        calibration = _read_calibration(camera_file, {"S_rect_02": 2, "P_rect_02": 12, "R_rect_00": 9})
-        T_imu_camera = _imu_to_camera(layout.calibration, calibration)
-        T_world_imu = _read_oxts(layout.oxts, len(oxts_ns))
-        T_rig_imu = _align_rig(T_world_imu)
-
-        start = image_ns[0]
-        image_us = np.rint((image_ns - start) / 1000).astype(np.int64)
-        image_us = image_us[image_us < options.duration * 1e6]
-        oxts_us = np.rint((oxts_ns - start) / 1000).astype(np.int64)
-        measured = _extended(Trajectory(oxts_us, T_world_imu @ invert(T_rig_imu)))
-        frames = _read_images(layout.images, len(image_ns), len(image_us), options.width, calibration["S_rect_02"])
-        return Recording(
-            name=path.name,
-            source=self.name,
-            frames=frames,
-            timestamps_us=image_us,
-            camera=_rectified_camera(calibration).resized(frames.shape[2], frames.shape[1]),
-            T_rig_camera=T_rig_imu @ T_imu_camera,
-            vehicle=PASSAT,
-            assumptions=(
-                f"The rig origin is the IMU's position projected to the ground, {IMU_HEIGHT} m below it, and is taken "
-                "for the middle of the rear axle.",
-                "The rig's x axis is the usual direction of travel measured by the GPS/IMU.",
-                "The vehicle has the published size of KITTI's VW Passat.",
-            ),
-            reference=Trajectory(image_us, measured.interpolate(image_us)).in_first_frame(),
-        )
+        drive = KittiRawDrive(path)
+        recording = drive.record(np.flatnonzero(drive.image_us < options.duration * 1e6), options.width)
+        return trim_reference(recording)
 
 
 def _rectified_camera(calibration: dict[str, Array]) -> PinholeCamera:
@@ -162,11 +195,15 @@ def _parse_time(text: str, where: str) -> int:
         raise InputError(f"{where}: {text!r} is no time of the form 2011-09-26 13:10:51.168593664") from error
 
 
-def _read_oxts(folder: Path, count: int) -> Array:
-    """IMU poses (n, 4, 4) in a local east-north-up frame, by Mercator projection at the first latitude."""
+def _list_oxts(folder: Path, count: int) -> list[Path]:
     files = sorted(folder.glob("*.txt"))
     if len(files) != count:
         raise InputError(f"{folder}: {len(files)} GPS/IMU files for {count} timestamps; copy the drive again")
+    return files
+
+
+def _read_oxts(files: list[Path]) -> Array:
+    """IMU poses (n, 4, 4) in a local east-north-up frame, by Mercator projection at the first latitude."""
     rows = np.stack([_read_numbers(file.read_text(errors="replace"), OXTS_FIELDS, str(file)) for file in files])
     latitude, longitude, altitude, roll, pitch, yaw = rows[:, :6].T
     scale = EARTH_RADIUS * np.cos(np.radians(latitude[0]))
@@ -197,13 +234,10 @@ def _extended(trajectory: Trajectory) -> Trajectory:
     return Trajectory(np.concatenate([ends[:1], times, ends[1:]]), np.concatenate([before[None], poses, after[None]]))
 
 
-def _read_images(folder: Path, count: int, wanted: int, width: int, size: Array) -> NDArray[np.uint8]:
-    """The first `wanted` images (n, H, W, 3) RGB, shrunk to `width`."""
-    files = list_images(folder)
-    if len(files) != count:
-        raise InputError(f"{folder}: {len(files)} images for {count} timestamps; copy the drive again")
+def _read_images(files: list[Path], width: int, size: Array) -> NDArray[np.uint8]:
+    """Images (n, H, W, 3) RGB, shrunk to `width`; all must have the calibrated size."""
     images = []
-    for file in files[:wanted]:
+    for file in files:
         image = decode_image(file)
         if image.shape[1::-1] != tuple(size.astype(int)):
             raise InputError(
