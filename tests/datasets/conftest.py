@@ -36,7 +36,7 @@ def _make_clip(
     category: str = "nominal",
     source: str = "world",
     factors: tuple[str, ...] = (),
-    split: Split = "train",
+    split: Split | None = "train",
     scene_id: str | None = None,
     samples: int = 1,
     origin: Origin | None = None,

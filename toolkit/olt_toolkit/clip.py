@@ -201,6 +201,7 @@ class ClipInfo:
     """One row of the clip table: everything that choosing clips needs, without opening one.
 
     Attributes:
+        split: training split; None for a clip that is only indexed and that no rule has put into a split yet.
         duration_us: clip time of the last ego pose.
         sample_t0_us: times t0, on a grid of 0.1 s, at which the clip gives a policy sample.
         no_sample_reason: why there is no such time; None where there is one.
@@ -221,7 +222,7 @@ class ClipInfo:
     kind: ClipKind
     category: str
     factors: tuple[str, ...]
-    split: Split
+    split: Split | None
     duration_us: int
     sample_t0_us: tuple[int, ...]
     no_sample_reason: str | None

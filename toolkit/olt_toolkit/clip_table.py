@@ -58,7 +58,7 @@ SCHEMA = pa.schema(
     ],
     metadata={VERSION_KEY: str(TABLE_VERSION).encode()},
 )
-OPTIONAL_COLUMNS = frozenset({"no_sample_reason", "country", "licence", "fingerprint"})
+OPTIONAL_COLUMNS = frozenset({"split", "no_sample_reason", "country", "licence", "fingerprint"})
 
 
 def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
@@ -107,7 +107,8 @@ def _row(info: ClipInfo) -> dict[str, Any]:
 def _info(row: dict[str, Any], where: str) -> ClipInfo:
     check_clip_id(row["clip_id"], where)
     _check_word(row["kind"], get_args(ClipKind), f"{where}: kind")
-    _check_word(row["split"], get_args(Split), f"{where}: split")
+    if row["split"] is not None:
+        _check_word(row["split"], get_args(Split), f"{where}: split")
     for view in row["views"]:
         _check_word(view["kind"], get_args(ViewKind), f"{where}: view {view['camera']}: kind")
     row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
