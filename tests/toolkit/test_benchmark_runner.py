@@ -1,11 +1,15 @@
 import json
+from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from olt_generator.errors import InputError
 from olt_toolkit import benchmark_runner
 from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.benchmark_plot import plot_benchmark, spread_out
 
 
 def fake_benchmark(times_and_errors):
@@ -61,8 +65,20 @@ def test_pareto_front_keeps_what_nothing_beats():
 def test_plot_is_drawn_even_where_errors_are_zero(tmp_path, monkeypatch, in_process):
     monkeypatch.setattr(benchmark_runner, "load_benchmark", lambda _: fake_benchmark([("good", 0.0), ("bad", 0.0)]))
     report = benchmark_runner.run_benchmark("fake", repeats=1)
-    benchmark_runner.plot_benchmark(report, tmp_path / "plot.png")
+    plot_benchmark(report, tmp_path / "plot.png")
     assert (tmp_path / "plot.png").read_bytes().startswith(b"\x89PNG")
+
+
+@given(st.lists(st.floats(0.0, 1.0), min_size=1, max_size=20))
+def test_labels_keep_their_order_and_stay_apart(wanted):
+    wanted = sorted(wanted, reverse=True)
+    places = spread_out(wanted, 0.05)
+    assert all(above - below >= 0.05 - 1e-9 for above, below in pairwise(places))
+    assert places[-1] >= -1e-9 and places[0] <= 1.0 + 1e-9
+
+
+def test_labels_with_room_stay_at_their_points():
+    assert spread_out([0.9, 0.5, 0.1], 0.2) == [0.9, 0.5, 0.1]
 
 
 def test_unknown_benchmark_names_the_known_ones():

@@ -39,9 +39,9 @@ def run_benchmark(name: str, repeats: int, on_progress: Progress = silent) -> di
     """Measure every setting of a benchmark.
 
     Returns:
-        A JSON-able object with, per setting, the error, the median and quartiles of the run times in seconds, the
-        peak memory above the start of the call in MiB (None where the system does not tell), whether the setting is
-        on the Pareto front, and the machine.
+        A JSON-able object with, per setting, the error, the benchmark's other figures, the median and quartiles of the
+        run times in seconds, the peak memory above the start of the call in MiB (None where the system does not tell),
+        whether the setting is on the Pareto front, and the machine.
     """
     benchmark = load_benchmark(name)
     settings = benchmark.settings()
@@ -56,6 +56,7 @@ def run_benchmark(name: str, repeats: int, on_progress: Progress = silent) -> di
                 "setting": setting.name,
                 "default": setting.default,
                 "error": float(benchmark.measure_error(result)),
+                "figures": {} if benchmark.figures is None else dict(benchmark.figures(result)),
                 "median_s": median,
                 "first_quartile_s": first,
                 "third_quartile_s": third,
@@ -75,38 +76,6 @@ def run_benchmark(name: str, repeats: int, on_progress: Progress = silent) -> di
         "settings": rows,
         "machine": describe_machine(),
     }
-
-
-def plot_benchmark(report: dict[str, Any], path: Path) -> None:
-    """Draw error against median run time, both logarithmic, with the Pareto front; an error of 0 sits on the floor."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    rows = report["settings"]
-    positive = [row["error"] for row in rows if row["error"] > 0]
-    middle = (min(row["median_s"] for row in rows) * max(row["median_s"] for row in rows)) ** 0.5
-    floor = min(positive) / 10 if positive else 1.0
-    figure, axes = pyplot.subplots(figsize=(8, 5), layout="constrained")
-    for row in rows:
-        height = max(row["error"], floor)
-        spread = [[row["median_s"] - row["first_quartile_s"]], [row["third_quartile_s"] - row["median_s"]]]
-        color = "tab:blue" if row["pareto"] else "tab:gray"
-        axes.errorbar(row["median_s"], height, xerr=spread, fmt="s" if row["default"] else "o", color=color, capsize=2)
-        label = row["setting"] + (" (error 0)" if row["error"] == 0 else "") + (" [default]" if row["default"] else "")
-        # Labels of the slower half stand to the left, where the axes leave room.
-        slow = row["median_s"] > middle
-        place = {"xytext": (-5 if slow else 5, 5), "ha": "right" if slow else "left"}
-        axes.annotate(label, (row["median_s"], height), textcoords="offset points", fontsize=8, **place)
-    front = sorted((row for row in rows if row["pareto"]), key=lambda row: row["median_s"])
-    axes.plot([row["median_s"] for row in front], [max(row["error"], floor) for row in front], color="tab:blue", lw=1)
-    axes.set(xscale="log", yscale="log", xlabel="median run time (s)", title=report["title"])
-    axes.set_ylabel(f"{report['error_name']} ({report['error_unit']})")
-    axes.margins(0.15)
-    axes.grid(True, which="both", alpha=0.3)
-    figure.savefig(path, dpi=120, metadata={"Software": None})
-    pyplot.close(figure)
 
 
 def _measure(name: str, index: int, repeats: int) -> tuple[list[float], float | None, Any]:

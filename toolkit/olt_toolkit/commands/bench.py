@@ -37,7 +37,8 @@ def _run_one(name: str, out: Path, repeats: int) -> dict[str, Any]:
     import json
 
     from olt_generator.files import write_whole
-    from olt_toolkit.benchmark_runner import load_benchmark, plot_benchmark, run_benchmark
+    from olt_toolkit.benchmark_plot import plot_benchmark
+    from olt_toolkit.benchmark_runner import load_benchmark, run_benchmark
     from olt_toolkit.console import make_progress
 
     grid = load_benchmark(name).grid  # an unknown name fails before the bar is drawn
@@ -63,6 +64,7 @@ def _print_report(report: dict[str, Any], out: Path) -> None:
         (
             row["setting"] + (" (default)" if row["default"] else ""),
             row["error"],
+            *row["figures"].values(),
             f"{1e3 * row['median_s']:.3f}",
             f"{1e3 * row['first_quartile_s']:.3f} - {1e3 * row['third_quartile_s']:.3f}",
             row["peak_memory_mib"],
@@ -73,6 +75,7 @@ def _print_report(report: dict[str, Any], out: Path) -> None:
     columns = (
         "setting",
         f"{report['error_name']} ({report['error_unit']})",
+        *report["settings"][0]["figures"],
         "median (ms)",
         "quartiles (ms)",
         "peak memory (MiB)",
