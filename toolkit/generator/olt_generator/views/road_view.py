@@ -19,6 +19,8 @@ from olt_generator.views.aggregate import Source
 _FARTHEST = 40.0
 # Share by which the distance that a frame sees may differ from that of the plane.
 _TOLERANCE = 0.1
+# Points in a line of the picture as which they are sampled.
+_FOLD = 1024
 
 
 class RoadView:
@@ -38,31 +40,36 @@ class RoadView:
         nearest = np.full(len(self._points), np.inf)
         colours = np.zeros((len(self._points), 3), np.uint8)
         for source in sources:
-            column, row, distance = self._find(source)
-            better = distance < nearest
-            nearest[better] = distance[better]
-            places = self._laid_out(column), self._laid_out(row)
-            found = cv2.remap(source.image, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            colours[better] = found[self._road][better]
+            point, column, row, distance = self._find(source)
+            better = distance < nearest[point]
+            point = point[better]
+            nearest[point] = distance[better]
+            colours[point] = _sample(source.image, column[better], row[better])
         image, seen = np.zeros((*self._road.shape, 3), np.uint8), np.zeros(self._road.shape, np.bool_)
         image[self._road], seen[self._road] = colours, np.isfinite(nearest)
         return image, seen
 
-    def _laid_out(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Values (k,) of the points as a picture (h, w): OpenCV takes no maps of more than 32,767 rows."""
-        picture = np.zeros(self._road.shape, np.float32)
-        picture[self._road] = values
-        return picture
-
-    def _find(self, source: Source) -> tuple[NDArray[np.float32], NDArray[np.float32], Array]:
-        """Where a source shows the points, columns and rows (k,), and from how far (k,), inf where it does not."""
+    def _find(self, source: Source) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32], Array]:
+        """Numbers (k,) of the points that a source shows, at which columns and rows (k,), and from how far (k,)."""
         rotation, translation = source.T_target_camera[:3, :3], source.T_target_camera[:3, 3]
         points = (self._points - translation) @ rotation
         pixels, inside = self._camera.project(points)
+        point = np.flatnonzero(inside)
         last = (self._camera.width - 1, self._camera.height - 1)
-        column, row = np.where(inside[:, None], pixels, 0.0).clip(0.0, last).astype(np.float32).T
-        distance = np.linalg.norm(points, axis=1)
+        column, row = pixels[point].clip(0.0, last).astype(np.float32).T
+        distance = np.linalg.norm(points[point], axis=1)
         surface = source.distance[np.rint(row).astype(np.intp), np.rint(column).astype(np.intp)]
         with np.errstate(invalid="ignore"):
-            agrees = inside & (np.abs(surface - distance) < _TOLERANCE * distance)
-        return column, row, np.where(agrees, distance, np.inf)
+            agrees = np.abs(surface - distance) < _TOLERANCE * distance
+        return point[agrees], column[agrees], row[agrees], distance[agrees]
+
+
+def _sample(image: NDArray[np.uint8], column: NDArray[np.float32], row: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """Colours (k, 3) of an image at columns and rows (k,)."""
+    # OpenCV takes no maps of more than 32,767 rows, so the list is folded into a picture.
+    lines = -(-len(column) // _FOLD) or 1
+    maps = np.zeros((2, lines * _FOLD), np.float32)
+    maps[:, : len(column)] = column, row
+    places = maps.reshape(2, lines, _FOLD)
+    found = cv2.remap(image, places[0], places[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(found, np.uint8).reshape(-1, 3)[: len(column)]
