@@ -1,6 +1,6 @@
 """What a component registers so that `olt bench` can hold its error against its run time."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +44,7 @@ class Benchmark:
         reference: what the error is measured against, in one sentence.
         settings: builds the settings; called in the measuring process too, so it must give the same ones each time.
         measure_error: the error of what a setting's call returned; called once per setting.
+        figures: what else is told of a setting's call, by name with unit, or None where the error says all.
         grid: drives the stiff and extreme cases, or None where the component has none.
     """
 
@@ -54,4 +55,5 @@ class Benchmark:
     reference: str
     settings: Callable[[], Sequence[Setting]]
     measure_error: Callable[[Any], float]
+    figures: Callable[[Any], Mapping[str, float]] | None = None
     grid: Callable[[], Grid] | None = None
