@@ -11,6 +11,7 @@ Linearised anew at its own solution the latter is Gauss-Newton SQP on the nonlin
 from the last call's commands, is the real-time iteration (Diehl, Bock, Schloeder, SIAM J. Control Optim. 43, 2005).
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
@@ -19,7 +20,7 @@ import numpy as np
 from olt_closed_loop.box_quadratic import minimise_in_box
 from olt_closed_loop.buffered import BufferedFunction
 from olt_closed_loop.prediction import linearised_step, predicted_step
-from olt_closed_loop.solver import SolveFailed
+from olt_closed_loop.solver import Solution, SolveFailed
 from olt_closed_loop.tracking_cost import ACTUATORS, TrackingCost
 from olt_closed_loop.vehicle import CONTROL_SIZE, STATE, VehicleParameters
 from olt_generator.poses import Array
@@ -51,11 +52,18 @@ class LinearSolver:
         changes_by_commands = _difference_matrix(horizon) / np.tile(self._change_scales, horizon)[:, None]
         self._change_hessian = changes_by_commands.T @ changes_by_commands
 
-    def solve(self, start: Array, controls: Array, target: Array) -> Array:
+    def solve(self, start: Array, guesses: Sequence[Array], target: Array) -> Solution:
         """See `olt_closed_loop.solver.Solver`."""
+        controls = self.cheapest(start, guesses, target)
         for _ in range(self._rounds):
             controls = self._round(start, controls, target)
-        return controls
+        return Solution(controls)
+
+    def cheapest(self, start: Array, guesses: Sequence[Array], target: Array) -> Array:
+        """The commands (horizon, 2) of the lowest cost."""
+        if len(guesses) == 1:
+            return guesses[0]
+        return min(guesses, key=lambda controls: self.cost(start, controls, target))
 
     def _round(self, start: Array, controls: Array, target: Array) -> Array:
         """Better commands: those of the linearised problem, or as far towards them as the true cost falls."""
@@ -68,7 +76,7 @@ class LinearSolver:
         step = self._minimise(hessian, jacobian.T @ errors + self._change_gradient(changes), controls)
         for length in _STEP_LENGTHS:
             moved = controls + length * step
-            if self._cost(start, moved, target) <= cost + _NEGLIGIBLE:
+            if self.cost(start, moved, target) <= cost + _NEGLIGIBLE:
                 return moved
         return controls
 
@@ -90,7 +98,8 @@ class LinearSolver:
         slopes[:-1] -= slopes[1:].copy()
         return slopes.ravel()
 
-    def _cost(self, start: Array, controls: Array, target: Array) -> float:
+    def cost(self, start: Array, controls: Array, target: Array) -> float:
+        """What a drive under the commands (horizon, 2) costs."""
         _, errors = self._predict(start, controls, target)
         changes = self._command_changes(start, controls)
         return float(np.vdot(errors, errors) + np.vdot(changes, changes))

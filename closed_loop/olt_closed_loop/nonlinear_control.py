@@ -9,6 +9,7 @@ Its exact second derivatives do not settle where the equations have a kink, as b
 gives up is solved in Gauss-Newton rounds (`olt_closed_loop.linear_control`), the same cost from the same guess.
 """
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import casadi as ca
@@ -17,6 +18,7 @@ import numpy as np
 from olt_closed_loop.buffered import BufferedFunction
 from olt_closed_loop.linear_control import LinearSolver
 from olt_closed_loop.prediction import predicted_step
+from olt_closed_loop.solver import Solution, SolveFailed
 from olt_closed_loop.tracking_cost import ACTUATORS, TrackingCost
 from olt_closed_loop.vehicle import CONTROL_SIZE, STATE, VehicleParameters
 from olt_generator.poses import Array
@@ -38,15 +40,24 @@ class NonlinearSolver:
         limits, ties = parameters.control_limits, np.zeros(self._state_size + CONTROL_SIZE)
         self._low, self._high = (_constraint_limits(limit, ties, horizon) for limit in limits)
 
-    def solve(self, start: Array, controls: Array, target: Array) -> Array:
+    def solve(self, start: Array, guesses: Sequence[Array], target: Array) -> Solution:
         """See `olt_closed_loop.solver.Solver`."""
+        controls = self._gauss_newton.cheapest(start, guesses, target)
+        if not np.isfinite(self._gauss_newton.cost(start, controls, target)):
+            raise SolveFailed("the predicted drive is not finite")
         solution = self._program(
             x0=self._guess(start, controls), p=np.concatenate([start, target.ravel()]), lbg=self._low, ubg=self._high
         )
         if not self._program.stats()["success"]:
-            return self._gauss_newton.solve(start, controls, target)
+            return self._solve_otherwise(start, controls, target)
         stages = np.asarray(solution["x"]).ravel()[: -self._state_size - CONTROL_SIZE].reshape(self._horizon, -1)
-        return stages[:, -CONTROL_SIZE:]
+        return Solution(stages[:, -CONTROL_SIZE:])
+
+    def _solve_otherwise(self, start: Array, controls: Array, target: Array) -> Solution:
+        try:
+            return Solution(self._gauss_newton.solve(start, [controls], target).commands, given_up=True)
+        except SolveFailed as failure:
+            raise SolveFailed(f"fatrop gave up, and so did Gauss-Newton: {failure}", given_up=True) from failure
 
     def _guess(self, start: Array, controls: Array) -> Array:
         """All unknowns in their order: the state, the command before and the command of each step, and the end."""
@@ -90,6 +101,7 @@ def _program(parameters: VehicleParameters, cost: TrackingCost, horizon: int) ->
         "structure_detection": "auto",
         "equality": equalities,
         "print_time": False,
+        "show_eval_warnings": False,
         "fatrop.print_level": 0,
         "fatrop.max_iter": _MAX_ITERATIONS,
         "fatrop.tol": _TOLERANCE,
