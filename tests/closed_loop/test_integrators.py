@@ -32,7 +32,7 @@ def drive_along(stepper, state, controls):
     return np.stack(states)
 
 
-@pytest.mark.parametrize("model", ["kinematic", "saturating"])
+@pytest.mark.parametrize("model", ["kinematic", pytest.param("saturating", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("method", "substeps", "order"), [("midpoint", 64, 2), ("rk4", 16, 4)])
 def test_methods_converge_to_the_reference_at_their_order(model, method, substeps, order):
     # The first four manoeuvres, which are smooth.
@@ -46,11 +46,13 @@ def test_methods_that_choose_for_themselves_stay_below_a_micrometre(model, metho
     assert position_errors(model, method).max() < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("step", [0.02, 0.2])
 def test_the_step_does_not_change_the_accuracy_of_auto(step):
     assert position_errors("saturating", "auto", step=step).max() < 2e-6
 
 
+@pytest.mark.slow
 def test_radau_gains_five_orders_with_its_elements():
     coarse, fine = (position_errors("saturating", "radau", elements)[:4].max() for elements in (2, 8))
     assert fine < coarse / 4.0**4
@@ -106,7 +108,7 @@ def test_results_are_not_overwritten_by_the_next_call():
     np.testing.assert_array_equal(first, kept)
 
 
-@pytest.mark.parametrize("tolerance", [1e-6, 1e-3])
+@pytest.mark.parametrize("tolerance", [pytest.param(1e-6, marks=pytest.mark.slow), 1e-3])
 def test_what_auto_leaves_out_changes_nothing_beyond_its_tolerance(tolerance):
     vehicle = alpasim_vehicle(friction=1.0)
     # Standing, moving off straight ahead, a gentle bend, straight braking to standstill, standing.
