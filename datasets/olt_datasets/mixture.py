@@ -8,8 +8,9 @@ training runs differ in nothing but what their recipes say.
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -17,15 +18,18 @@ import polars as pl
 from numpy.typing import NDArray
 
 from olt_datasets.batches import batch_counts
-from olt_datasets.clip_table import explode_samples, table_checksum
+from olt_datasets.clip_table import table_checksum
+from olt_datasets.draws import PRIORITY, draw_samples
 from olt_datasets.leaks import Leak, find_leaks, summarize_leaks
 from olt_datasets.recipe import Component, Recipe
 from olt_datasets.selection import (
+    ClipTable,
     Selection,
-    exact_shares,
     find_absent_words,
     find_shortages,
+    most_items,
     plan_counts,
+    samples_per_epoch,
     select_clips,
 )
 from olt_generator.errors import InputError
@@ -33,7 +37,22 @@ from olt_generator.seeds import make_generator
 from olt_toolkit.sample import SampleKey
 
 KEY_COLUMNS = ("store", "clip_id", "t0_us")
-GROUPS = ("kind", "category", "source")
+GROUPS = ("source", "kind", "category", "factors", "country")
+SAMPLE_SCHEMA = pl.Schema(
+    {
+        "store": pl.String,
+        "clip_id": pl.String,
+        "t0_us": pl.Int64,
+        "source": pl.String,
+        "kind": pl.String,
+        "category": pl.String,
+        "factors": pl.List(pl.String),
+        "country": pl.String,
+    }
+)
+LEAK_COLUMNS = ("clip_id", "scene_id", "source", "kind", "split", "start_us", "end_us", "fingerprint")
+NOT_TOLD = "not told"
+"""The country of a clip whose country nobody told."""
 
 Rows = NDArray[np.int64]
 
@@ -44,24 +63,20 @@ class MixtureComponent:
 
     Attributes:
         component: the component of the recipe.
-        asked: items per epoch that the recipe asks for; not whole where a share of the epoch is not.
-        got: items per epoch.
-        available: samples that the component's filter matches.
-        samples: the distinct samples that are used, with the columns `KEY_COLUMNS` and `GROUPS`.
+        available: samples that it could use.
+        samples: the distinct samples that it uses, with the columns of `SAMPLE_SCHEMA`.
     """
 
     component: Component
-    asked: float
-    got: int
     available: int
     samples: pl.DataFrame
 
-    def draw(self, seed: int, epoch: int) -> Rows:
-        """Rows of `samples` (got,) in the order of their use: pass after pass, each a new permutation of all rows."""
-        passes = range(math.ceil(self.got / len(self.samples)))
+    def draw(self, seed: int, epoch: int, count: int) -> Rows:
+        """Rows of `samples` (count,) in the order of their use: pass after pass, each a new permutation of all rows."""
         name, rows = self.component.name, len(self.samples)
+        passes = range(max(1, math.ceil(count / rows)))
         drawn = [make_generator("mixture pass", seed, name, epoch, index).permutation(rows) for index in passes]
-        return np.concatenate(drawn)[: self.got]
+        return np.concatenate(drawn)[:count]
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,22 +87,23 @@ class Mixture:
         recipe: the recipe.
         seed: seed of every draw.
         table_checksum: checksum of the clip table.
+        items: items per epoch.
         components: what each component gives, in the order of the recipe.
     """
 
     recipe: Recipe
     seed: int
     table_checksum: str
+    items: int
     components: tuple[MixtureComponent, ...]
-
-    @property
-    def counts(self) -> list[int]:
-        """Items of each component per epoch."""
-        return [component.got for component in self.components]
 
     def __len__(self) -> int:
         """Items per epoch."""
-        return sum(self.counts)
+        return self.items
+
+    def counts(self, epoch: int = 0) -> list[int]:
+        """Items of each component in an epoch."""
+        return plan_counts(self.recipe, self.items, epoch)
 
     def epoch(
         self, epoch: int, batch_size: int, rank: int = 0, world_size: int = 1, start_batch: int = 0
@@ -106,74 +122,96 @@ class Mixture:
             start_batch: number of batches to leave out at the start, to resume within an epoch.
 
         Raises:
-            InputError: the arguments do not fit together.
+            InputError: the arguments do not fit together, or the mixture has no samples.
         """
         _check_slice(epoch, batch_size, rank, world_size, start_batch)
+        if not self.items:
+            raise InputError(
+                f"recipe {self.recipe.name} has no samples to train on: it stands for a model that is used as it is"
+            )
         rows = self._epoch_rows(epoch, batch_size)
         starts = range(start_batch * batch_size, len(rows), batch_size)
         slices = [rows[start : start + batch_size][rank::world_size] for start in starts]
         keys = iter(self._keys(np.concatenate(slices))) if slices else iter(())
         return [[next(keys) for _ in part] for part in slices]
 
-    def describe(self) -> dict[str, Any]:
-        """What was asked and what was got, by component and in all by kind, category and source.
+    def describe(self, epoch: int = 0) -> dict[str, Any]:
+        """What was asked and what was got in an epoch, by component and in all by each of `GROUPS`.
 
-        `got` counts items of epoch 0, `distinct` the samples that they are drawn from, `repeats` the most uses of one
-        sample in an epoch.
+        `got` counts items, `distinct` the samples that they are drawn from, `repeats` the most uses of one sample. A
+        sample counts once for each of its factors, so that these may add up to more or less than all items.
         """
-        samples, uses = self._samples, self._uses(epoch=0)
+        uses = self._uses(epoch)
         return {
             "recipe": self.recipe.name,
             "split": self.recipe.split,
             "seed": self.seed,
             "table_checksum": self.table_checksum,
-            "samples_per_epoch": len(self),
-            "distinct_samples": len(samples),
-            "components": [_describe_component(component) for component in self.components],
-            **{f"by_{group}": _describe_group(samples[group], uses) for group in GROUPS},
+            "epoch": epoch,
+            "samples_per_epoch": self.items,
+            "distinct_samples": len(self.samples),
+            "components": self._describe_components(epoch),
+            "items_by_epoch": {str(named): self.counts(named) for named in self.recipe.named_epochs},
+            **{f"by_{group}": _describe_group(self.samples[group], uses) for group in GROUPS},
         }
 
     @cached_property
-    def _samples(self) -> pl.DataFrame:
-        return pl.concat([component.samples for component in self.components])
+    def samples(self) -> pl.DataFrame:
+        """The distinct samples of all components, one after the other, with the columns of `SAMPLE_SCHEMA`."""
+        return pl.concat([SAMPLE_SCHEMA.to_frame(), *(part.samples for part in self.components)])
 
-    @cached_property
-    def _offsets(self) -> list[int]:
-        sizes = [len(component.samples) for component in self.components]
-        return np.cumsum([0, *sizes]).tolist()
-
-    def _component_rows(self, index: int, epoch: int) -> Rows:
-        return self._offsets[index] + self.components[index].draw(self.seed, epoch)
+    def _component_rows(self, epoch: int) -> list[Rows]:
+        """For each component, the rows of `samples` that it gives to an epoch, in the order of their use."""
+        offsets = accumulate((len(part.samples) for part in self.components), initial=0)
+        parts = zip(offsets, self.components, self.counts(epoch), strict=False)
+        return [offset + part.draw(self.seed, epoch, count) for offset, part, count in parts]
 
     def _epoch_rows(self, epoch: int, batch_size: int) -> Rows:
-        """Rows of `_samples` (items,) in the order of training."""
-        counts = batch_counts(self.counts, batch_size)
+        """Rows of `samples` (items,) in the order of training."""
+        counts = batch_counts(self.counts(epoch), batch_size)
         owners = np.repeat(np.tile(np.arange(counts.shape[1]), len(counts)), counts.ravel())
         batches = np.repeat(np.arange(len(counts)), counts.sum(axis=1))
         shuffle = make_generator("mixture order", self.seed, epoch, batch_size).random(len(owners))
         owners = owners[np.lexsort((shuffle, batches))]
         rows = np.empty(len(owners), np.int64)
-        for index in range(len(self.components)):
-            rows[owners == index] = self._component_rows(index, epoch)
+        for index, drawn in enumerate(self._component_rows(epoch)):
+            rows[owners == index] = drawn
         return rows
 
     def _uses(self, epoch: int) -> Rows:
-        drawn = [self._component_rows(index, epoch) for index in range(len(self.components))]
-        return np.bincount(np.concatenate(drawn), minlength=len(self._samples))
+        drawn = [np.empty(0, np.int64), *self._component_rows(epoch)]
+        return np.bincount(np.concatenate(drawn), minlength=len(self.samples))
 
     def _keys(self, rows: Rows) -> list[SampleKey]:
-        columns = (self._samples[name].gather(rows).to_list() for name in KEY_COLUMNS)
+        columns = (self.samples[name].gather(rows).to_list() for name in KEY_COLUMNS)
         return [SampleKey(*key) for key in zip(*columns, strict=True)]
 
+    def _describe_components(self, epoch: int) -> list[dict[str, Any]]:
+        counts = self.counts(epoch)
+        shares = self.recipe.shares(epoch) if self.recipe.named_epochs else [None] * len(counts)
+        return [
+            {
+                "name": part.component.name,
+                "where": part.component.where.model_dump(mode="json", exclude_defaults=True),
+                "share": None if share is None else float(share),
+                "asked": float(count if share is None else share * self.items),
+                "got": count,
+                "available": part.available,
+                "distinct": len(part.samples),
+                "repeats": math.ceil(count / len(part.samples)),
+            }
+            for part, share, count in zip(self.components, shares, counts, strict=True)
+        ]
 
-def compose_mixture(recipe: Recipe, table: pl.DataFrame, seed: int, held_out_scenes: Collection[str] = ()) -> Mixture:
+
+def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes: Collection[str] = ()) -> Mixture:
     """Choose the samples of every component.
 
     Scenes that the recipe holds out are left out; scenes in `held_out_scenes` (those of a test, say) must not occur.
 
     Args:
         recipe: what to choose.
-        table: clips to choose from (`olt_datasets.clip_table.read_clip_tables`).
+        table: clips to choose from (`olt_datasets.clip_table.scan_clip_tables`).
         seed: seed of the choice and of every order.
         held_out_scenes: scene ids that the mixture is checked against.
 
@@ -184,96 +222,66 @@ def compose_mixture(recipe: Recipe, table: pl.DataFrame, seed: int, held_out_sce
     shortages = find_shortages(recipe, table, selections)
     if shortages:
         raise InputError(shortages[0])
-    leaks = _find_leaks(recipe, table, selections, held_out_scenes)
+    items = samples_per_epoch(recipe, selections)
+    drawn = [
+        _draw(selection, count, seed) for selection, count in zip(selections, most_items(recipe, items), strict=True)
+    ]
+    leaks = _find_leaks(
+        [samples.lazy().unique(["store", "clip_id"]) for samples in drawn], table, recipe, held_out_scenes
+    )
     if leaks:
         raise InputError(
             f"recipe {recipe.name} leaks: {summarize_leaks(leaks)}; add these scenes to the recipe's held_out_scenes"
         )
-    counts = plan_counts(recipe, selections)
     components = [
-        _draw_samples(selection, asked, got, seed)
-        for selection, asked, got in zip(selections, _asked(recipe, counts), counts, strict=True)
+        MixtureComponent(selection.component, selection.available, samples.select(SAMPLE_SCHEMA.names()))
+        for selection, samples in zip(selections, drawn, strict=True)
     ]
-    return Mixture(recipe, seed, table_checksum(table), tuple(components))
+    return Mixture(recipe, seed, table_checksum(table), items, tuple(components))
 
 
-def check_recipe(recipe: Recipe, table: pl.DataFrame, held_out_scenes: Collection[str] = ()) -> dict[str, list[str]]:
+def check_recipe(recipe: Recipe, table: ClipTable, held_out_scenes: Collection[str] = ()) -> dict[str, list[str]]:
     """Why `compose_mixture` would refuse (`shortages`, `leaks`), and words in filters that no clip has (`absent`).
+
+    Leaks are looked for in all clips that the recipe may use, whichever of them a seed draws.
 
     Raises:
         InputError: two components select the same clip.
     """
     selections = select_clips(recipe, table)
+    clips = [selection.clips for selection in selections]
     return {
         "shortages": find_shortages(recipe, table, selections),
-        "leaks": [str(leak) for leak in _find_leaks(recipe, table, selections, held_out_scenes)],
+        "leaks": [str(leak) for leak in _find_leaks(clips, table, recipe, held_out_scenes)],
         "absent": find_absent_words(recipe, table),
     }
 
 
-@dataclass(frozen=True)
-class TrainingArithmetic:
-    """Steps of a training run, counted as Hugging Face's Trainer does with `drop_last` off.
-
-    Attributes:
-        samples: samples of the mixture.
-        global_batch: samples per optimizer step.
-        steps_per_epoch, total_steps: optimizer steps.
-        samples_per_epoch: samples that the steps of an epoch have room for.
-        padded_samples: the part of that room which the mixture does not fill.
-    """
-
-    samples: int
-    global_batch: int
-    steps_per_epoch: int
-    total_steps: int
-    samples_per_epoch: int
-    padded_samples: int
-
-    def to_dict(self) -> dict[str, int]:
-        """The attributes by name."""
-        return asdict(self)
-
-
-def training_arithmetic(
-    samples: int, devices: int, per_device_batch: int, accumulation: int, epochs: int
-) -> TrainingArithmetic:
-    """Steps and samples of a training run (facts sheet paper_notes, section SFT arithmetic).
-
-    Args:
-        samples: samples of the mixture.
-        devices: number of processes that train.
-        per_device_batch: samples per device and forward pass.
-        accumulation: forward passes per optimizer step.
-        epochs: passes over the mixture.
-    """
-    global_batch = devices * per_device_batch * accumulation
-    steps = math.ceil(samples / global_batch)
-    room = steps * global_batch
-    return TrainingArithmetic(samples, global_batch, steps, epochs * steps, room, room - samples)
-
-
 def _find_leaks(
-    recipe: Recipe, table: pl.DataFrame, selections: Sequence[Selection], held_out_scenes: Collection[str]
+    clips: Sequence[pl.LazyFrame], table: ClipTable, recipe: Recipe, held_out_scenes: Collection[str]
 ) -> list[Leak]:
-    chosen = pl.concat([selection.clips for selection in selections])
-    return find_leaks(chosen, table, recipe.split, [*recipe.held_out_scenes, *held_out_scenes])
+    if not clips:
+        return []
+    used = pl.concat([part.select(LEAK_COLUMNS) for part in clips])
+    return find_leaks(used, table, recipe.split, [*recipe.held_out_scenes, *held_out_scenes])
 
 
-def _asked(recipe: Recipe, counts: Sequence[int]) -> list[float]:
-    if recipe.components[0].share is None:
-        return [float(count) for count in counts]
-    return [float(share * sum(counts)) for share in exact_shares(recipe)]
-
-
-def _draw_samples(selection: Selection, asked: float, got: int, seed: int) -> MixtureComponent:
-    clips = selection.clips
-    samples = explode_samples(clips.select(pl.int_range(pl.len()).alias("clip"), "sample_t0_us"))
-    order = make_generator("mixture samples", seed, selection.component.name).permutation(len(samples))
-    samples = samples[np.sort(order[:got])]
-    chosen = clips.select("store", "clip_id", *GROUPS)[samples["clip"]]
-    chosen = chosen.with_columns(samples["t0_us"]).select(*KEY_COLUMNS, *GROUPS)
-    return MixtureComponent(selection.component, asked, got, selection.available, chosen)
+def _draw(selection: Selection, most: int, seed: int) -> pl.DataFrame:
+    """Draw the samples of a component that gives at most so many items to an epoch; with `LEAK_COLUMNS` besides."""
+    component, count = selection.component, min(most, selection.available)
+    category = pl.col("category")
+    others = selection.clips.filter(~category.is_in(list(component.caps)))
+    pools = [(others, selection.other_samples, count)] + [
+        (selection.clips.filter(category == name), available, min(count, component.caps[name]))
+        for name, available in selection.capped_samples.items()
+    ]
+    columns = tuple(name for name in dict.fromkeys([*SAMPLE_SCHEMA, *LEAK_COLUMNS]) if name != "t0_us")
+    drawn = [
+        draw_samples(clips, component, available, min(wanted, available), seed, columns)
+        for clips, available, wanted in pools
+    ]
+    first = pl.concat(drawn).sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
+    return first.sort("clip_id", "kind", "source", "store", "t0_us")
 
 
 def _check_slice(epoch: int, batch_size: int, rank: int, world_size: int, start_batch: int) -> None:
@@ -285,19 +293,9 @@ def _check_slice(epoch: int, batch_size: int, rank: int, world_size: int, start_
         raise InputError(f"epoch {epoch} and start batch {start_batch} must not be negative")
 
 
-def _describe_component(part: MixtureComponent) -> dict[str, Any]:
-    return {
-        "name": part.component.name,
-        "where": part.component.where.model_dump(mode="json", exclude_defaults=True),
-        "share": part.component.share,
-        "asked": part.asked,
-        "got": part.got,
-        "available": part.available,
-        "distinct": len(part.samples),
-        "repeats": math.ceil(part.got / len(part.samples)),
-    }
-
-
 def _describe_group(values: pl.Series, uses: Rows) -> dict[str, dict[str, int]]:
-    table = pl.DataFrame({"value": values, "got": uses}).group_by("value").agg(pl.col("got").sum(), distinct=pl.len())
-    return {value: {"got": got, "distinct": distinct} for value, got, distinct in table.sort("value").iter_rows()}
+    table = pl.DataFrame({"value": values, "got": uses})
+    if values.dtype == pl.List:
+        table = table.explode("value", empty_as_null=False)
+    groups = table.group_by(pl.col("value").fill_null(NOT_TOLD)).agg(pl.col("got").sum(), distinct=pl.len())
+    return {value: {"got": got, "distinct": distinct} for value, got, distinct in groups.sort("value").iter_rows()}

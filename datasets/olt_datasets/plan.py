@@ -1,87 +1,72 @@
-"""A composed mixture as a file: everything that training needs to repeat it without the clip table."""
+"""A composed mixture as a file: everything that training needs to repeat it without the clip table.
 
+Two forms hold the same: JSON for people and small mixtures, Parquet (with what is not a sample as JSON in its metadata)
+for those of any size.
+"""
+
+import json
 from pathlib import Path
 from typing import Any, Literal
 
 import polars as pl
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
-from olt_datasets.mixture import GROUPS, KEY_COLUMNS, Mixture, MixtureComponent
+from olt_datasets.mixture import SAMPLE_SCHEMA, Mixture, MixtureComponent
 from olt_datasets.recipe import Recipe
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_toolkit import __version__
 
-PLAN_SUFFIX = ".json"
+PLAN_SUFFIXES = (".json", ".parquet")
+METADATA_KEY = "openlongtail mixture"
 
 
-class _Strict(BaseModel):
+class _Plan(BaseModel):
+    """All of a mixture but its samples."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
-
-class _Samples(_Strict):
-    """Columns of equal length; `store` counts into the stores of the plan."""
-
-    store: list[int]
-    clip_id: list[str]
-    t0_us: list[int]
-    kind: list[str]
-    category: list[str]
-    source: list[str]
-
-    @model_validator(mode="after")
-    def _check(self) -> "_Samples":
-        if len({len(column) for _, column in self}) > 1 or not self.store:
-            raise ValueError("the columns are empty or differ in length")
-        return self
-
-
-class _PlannedComponent(_Strict):
-    asked: float
-    got: int
-    available: int
-    samples: _Samples
-
-
-class _Plan(_Strict):
     format: Literal["openlongtail mixture"] = "openlongtail mixture"
-    version: Literal[1] = 1
+    version: Literal[2] = 2
     created_with: str = __version__
     recipe: Recipe
     seed: int
     table_checksum: str
-    stores: list[str]
-    components: list[_PlannedComponent]
+    items: int
+    available: list[int]
+    distinct: list[int]
     summary: dict[str, Any]
 
     @model_validator(mode="after")
     def _check(self) -> "_Plan":
-        if len(self.components) != len(self.recipe.components):
+        if not len(self.available) == len(self.distinct) == len(self.recipe.components):
             raise ValueError("the recipe and the plan differ in their number of components")
-        if any(not 0 <= store < len(self.stores) for part in self.components for store in part.samples.store):
-            raise ValueError("a sample is of a store that is not listed")
         return self
 
 
 def write_plan(mixture: Mixture, path: Path) -> None:
-    """Write a mixture as JSON; the file appears whole.
+    """Write a mixture as JSON or Parquet, by the suffix of the file; it appears whole.
 
     Raises:
-        InputError: the name does not end in `.json`, or the folder cannot be written to.
+        InputError: the suffix is another one, or the folder cannot be written to.
     """
-    if path.suffix != PLAN_SUFFIX:
-        raise InputError(f"{path}: a mixture is written as JSON; give a name that ends in {PLAN_SUFFIX}")
-    stores = sorted({store for part in mixture.components for store in part.samples["store"].unique()})
+    if path.suffix not in PLAN_SUFFIXES:
+        raise InputError(f"{path}: a mixture is JSON or Parquet; give a name that ends in {' or '.join(PLAN_SUFFIXES)}")
     plan = _Plan(
         recipe=mixture.recipe,
         seed=mixture.seed,
         table_checksum=mixture.table_checksum,
-        stores=stores,
-        components=[_plan_component(part, stores) for part in mixture.components],
+        items=mixture.items,
+        available=[part.available for part in mixture.components],
+        distinct=[len(part.samples) for part in mixture.components],
         summary=mixture.describe(),
-    )
+    ).model_dump_json()
     with write_whole(path) as temporary:
-        temporary.write_text(plan.model_dump_json() + "\n", encoding="utf-8")
+        if path.suffix == ".parquet":
+            mixture.samples.write_parquet(temporary, metadata={METADATA_KEY: plan})
+        else:
+            samples = json.dumps(mixture.samples.to_dict(as_series=False))
+            temporary.write_text(f'{plan[:-1]},"samples":{samples}}}\n', encoding="utf-8")
 
 
 def read_plan(path: Path) -> Mixture:
@@ -91,26 +76,35 @@ def read_plan(path: Path) -> Mixture:
         InputError: the file cannot be read or is not a plan of this version; names the field.
     """
     try:
-        plan = _Plan.model_validate_json(path.read_bytes())
+        plan, samples = _read_parquet(path) if path.suffix == ".parquet" else _read_json(path)
     except OSError as error:
         raise InputError(f"{path}: cannot read this mixture ({error.strerror})") from error
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(map(str, first["loc"])) or "file"
         raise InputError(f"{path}: {field}: {first['msg']}; compose the mixture again") from error
-    components = [_read_component(plan, index, component) for index, component in enumerate(plan.components)]
-    return Mixture(plan.recipe, plan.seed, plan.table_checksum, tuple(components))
+    except (ValueError, TypeError, pl.exceptions.PolarsError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(f"{path}: not a mixture ({reason}); compose it again") from error
+    if len(samples) != sum(plan.distinct) or any(samples[name].has_nulls() for name in SAMPLE_SCHEMA.names()[:-1]):
+        raise InputError(f"{path}: samples: some are missing; compose the mixture again")
+    parts = [samples.slice(sum(plan.distinct[:index]), count) for index, count in enumerate(plan.distinct)]
+    components = map(MixtureComponent, plan.recipe.components, plan.available, parts)
+    return Mixture(plan.recipe, plan.seed, plan.table_checksum, plan.items, tuple(components))
 
 
-def _plan_component(part: MixtureComponent, stores: list[str]) -> _PlannedComponent:
-    columns = part.samples.with_columns(
-        pl.col("store").replace_strict(stores, range(len(stores)), return_dtype=pl.Int64)
-    )
-    samples = _Samples(**columns.to_dict(as_series=False))
-    return _PlannedComponent(asked=part.asked, got=part.got, available=part.available, samples=samples)
+def _read_json(path: Path) -> tuple[_Plan, pl.DataFrame]:
+    content = json.loads(path.read_bytes())
+    if not isinstance(content, dict):
+        raise ValueError("it is not a JSON object")
+    samples = content.pop("samples", None)
+    # JSON knows no tuples and no numbers as keys; pydantic allows for that in JSON text alone.
+    plan = _Plan.model_validate_json(json.dumps(content))
+    return plan, pl.DataFrame(samples, schema=SAMPLE_SCHEMA, strict=True)
 
 
-def _read_component(plan: _Plan, index: int, part: _PlannedComponent) -> MixtureComponent:
-    columns = part.samples.model_dump() | {"store": [plan.stores[store] for store in part.samples.store]}
-    samples = pl.DataFrame(columns).select(*KEY_COLUMNS, *GROUPS)
-    return MixtureComponent(plan.recipe.components[index], part.asked, part.got, part.available, samples)
+def _read_parquet(path: Path) -> tuple[_Plan, pl.DataFrame]:
+    metadata = pl.read_parquet_metadata(path)
+    if METADATA_KEY not in metadata:
+        raise ValueError("it was not written by `olt mix compose`")
+    return _Plan.model_validate_json(metadata[METADATA_KEY]), pl.read_parquet(path).match_to_schema(SAMPLE_SCHEMA)

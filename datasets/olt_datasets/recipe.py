@@ -1,14 +1,33 @@
 """Recipes: what goes into a training mixture, written in YAML.
 
 A recipe names a split and components. Each component filters the clip table and asks for a share of the epoch or for
-a count of samples, the same way in all components of one recipe.
+a count of samples, the same way in all components of one recipe. Shares may change from epoch to epoch: a curriculum.
+
+    name: cyclists_first
+    description: Long-tail drives grow from a tenth to a half of each epoch.
+    version: 1
+    samples: 12000
+    components:
+      - name: nominal
+        where: {kind: GT, category: [nominal]}
+        share_by_epoch: {0: 0.9, 2: 0.5}
+        t0: keyframe
+      - name: long_tail
+        where: {category_not: [nominal], country: [US, DE]}
+        share_by_epoch: {0: 0.1, 2: 0.5}
+        prefer: GT
+        repeats: 4
+        samples_per_clip: 3
+        caps: {cyclists: 500}
 """
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
+from fractions import Fraction
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -21,6 +40,8 @@ RECIPE_SUFFIXES = (".yaml", ".yml")
 
 # Lists are read as tuples, so that a recipe cannot change after it was checked.
 Words = Annotated[tuple[str, ...], Field(strict=False)]
+EpochShares = dict[Annotated[int, Field(ge=0)], Annotated[float, Field(ge=0.0, le=1.0)]]
+Caps = dict[str, Annotated[int, Field(gt=0)]]
 
 
 class Filter(BaseModel):
@@ -29,6 +50,7 @@ class Filter(BaseModel):
     Attributes:
         kind: "GT" (measured views), "Syn" (synthesized views), or "any" of the two.
         source: the clip's source is one of these; empty for every source.
+        country: the clip's country is one of these; empty for every country, told or not.
         category: the clip's category is one of these; empty for every category.
         category_not: the clip's category is none of these.
         factors_any, factors_all, factors_none: the clip has at least one, all, none of these scene factors.
@@ -38,6 +60,7 @@ class Filter(BaseModel):
 
     kind: Literal["GT", "Syn", "any"] = "any"
     source: Words = ()
+    country: Words = ()
     category: Words = ()
     category_not: Words = ()
     factors_any: Words = ()
@@ -50,15 +73,22 @@ class Filter(BaseModel):
 
 
 class Component(BaseModel):
-    """One part of a mixture.
+    """One part of a mixture; it gives exactly one of `share`, `share_by_epoch` and `count`.
 
     Attributes:
         name: unique in the recipe; it also seeds the draw, so that components of one name draw alike in all recipes.
         where: which clips it may use.
-        share: its part of the epoch, between 0 and 1; or
+        share: its part of every epoch, between 0 and 1.
+        share_by_epoch: its part of some epochs, the first among them 0; see `Recipe.between_epochs` for the others.
+            The last one named holds from there on.
         count: its number of samples per epoch.
         repeats: how often one sample may be used per epoch.
-        prefer: which kind to keep of a scene that has clips of both kinds; None keeps both.
+        t0: which sample times of a clip are used: "every", or the "keyframe", the one nearest to 5.1 s, as the public
+            loader takes it.
+        samples_per_clip: at most so many of them in a clip, spread evenly; None for no limit.
+        prefer: which kind to use where GT and Syn clips show the same scene in the same time window: "GT" takes
+            measured views where there are any and synthesized ones elsewhere. None uses both.
+        caps: by category, the most samples that may be used.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -66,17 +96,47 @@ class Component(BaseModel):
     name: str = Field(min_length=1)
     where: Filter = Filter()
     share: float | None = Field(default=None, gt=0.0, le=1.0)
+    share_by_epoch: EpochShares | None = None
     count: int | None = Field(default=None, gt=0)
     repeats: int = Field(default=1, ge=1)
+    t0: Literal["every", "keyframe"] = "every"
+    samples_per_clip: int | None = Field(default=None, gt=0)
     prefer: Literal["GT", "Syn"] | None = None
+    caps: Caps = {}
 
     @model_validator(mode="after")
     def _check(self) -> "Component":
-        if (self.share is None) == (self.count is None):
-            raise ValueError("give exactly one of 'share' and 'count'")
+        if [self.share, self.share_by_epoch, self.count].count(None) != 2:
+            raise ValueError("give exactly one of 'share', 'share_by_epoch' and 'count'")
+        if self.share_by_epoch is not None and 0 not in self.share_by_epoch:
+            raise ValueError("'share_by_epoch' does not say the share of epoch 0; add it")
+        if self.share_by_epoch is not None and not any(self.share_by_epoch.values()):
+            raise ValueError("'share_by_epoch' is 0 in every epoch; remove the component")
+        if self.t0 == "keyframe" and self.samples_per_clip is not None:
+            raise ValueError("'t0: keyframe' is one sample per clip; remove 'samples_per_clip'")
         if self.prefer is not None and self.where.kind != "any":
             raise ValueError(f"'prefer' chooses between kinds, but 'where' asks for kind {self.where.kind} only")
         return self
+
+    @property
+    def named_epochs(self) -> list[int]:
+        """The epochs whose share is written down, in order; empty for a component with a count."""
+        return sorted(self._epoch_shares)
+
+    def share_at(self, epoch: int, between: Literal["linear", "steps"]) -> Fraction:
+        """The share of an epoch, as the decimal fractions of the recipe give it."""
+        epochs = self.named_epochs
+        after = bisect_right(epochs, epoch)
+        start = epochs[after - 1]
+        share = Fraction(str(self._epoch_shares[start]))
+        if between == "steps" or after == len(epochs):
+            return share
+        progress = Fraction(epoch - start, epochs[after] - start)
+        return share + progress * (Fraction(str(self._epoch_shares[epochs[after]])) - share)
+
+    @property
+    def _epoch_shares(self) -> EpochShares:
+        return self.share_by_epoch or ({} if self.share is None else {0: self.share})
 
 
 class Recipe(BaseModel):
@@ -87,7 +147,10 @@ class Recipe(BaseModel):
         version: version of the recipe format.
         split: the split that samples are drawn from.
         samples: samples per epoch of a recipe with shares; None for as many as the scarcest component allows.
-        components: the parts; shares sum to 1.
+        components: the parts; shares sum to 1 in every epoch. None at all is a recipe for a base model that is
+            evaluated as it is: its mixture has no samples, and training on it is refused.
+        between_epochs: how shares go from one named epoch to the next: in equal steps each epoch ("linear"), or at
+            once when it comes ("steps").
         held_out_scenes: scene ids whose clips are left out, whatever their split.
     """
 
@@ -99,6 +162,7 @@ class Recipe(BaseModel):
     split: Literal["train", "val", "test"] = "train"
     samples: int | None = Field(default=None, gt=0)
     components: Annotated[tuple[Component, ...], Field(strict=False)]
+    between_epochs: Literal["linear", "steps"] = "linear"
     held_out_scenes: Words = ()
 
     @model_validator(mode="after")
@@ -107,20 +171,31 @@ class Recipe(BaseModel):
             raise ValueError(
                 f"version {self.version} of the recipe format is not known; this release reads {RECIPE_VERSION}"
             )
-        if not self.components:
-            raise ValueError("'components' is empty; a mixture needs at least one")
         names = [component.name for component in self.components]
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"two components are called {twice[0]!r}; give each its own name")
-        shares = [component.share for component in self.components if component.share is not None]
-        if shares and len(shares) != len(names):
+        counted = [component.count is not None for component in self.components]
+        if any(counted) and not all(counted):
             raise ValueError("some components give 'share' and some 'count'; use the same in all of them")
-        if shares and not math.isclose(math.fsum(shares), 1.0, abs_tol=1e-6):
-            raise ValueError(f"the shares sum to {math.fsum(shares):.6g}; change them to sum to 1")
-        if not shares and self.samples is not None:
+        if all(counted) and self.samples is not None:
             raise ValueError("'samples' follows from the counts of the components; remove it")
+        for epoch in self.named_epochs:
+            total = math.fsum(component.share_at(epoch, self.between_epochs) for component in self.components)
+            if not math.isclose(total, 1.0, abs_tol=1e-6):
+                when = f" in epoch {epoch}" if len(self.named_epochs) > 1 else ""
+                raise ValueError(f"the shares sum to {total:.6g}{when}; change them to sum to 1")
         return self
+
+    @property
+    def named_epochs(self) -> list[int]:
+        """The epochs at which some share is written down, in order; between them shares are linear or constant."""
+        return sorted({epoch for component in self.components for epoch in component.named_epochs})
+
+    def shares(self, epoch: int) -> list[Fraction]:
+        """The exact shares of the components in an epoch, summing to exactly 1."""
+        shares = [component.share_at(epoch, self.between_epochs) for component in self.components]
+        return [share / sum(shares) for share in shares]
 
 
 def read_recipe(path: Path) -> Recipe:
@@ -138,11 +213,20 @@ def parse_recipe(content: dict[Any, Any], where: str) -> Recipe:
     Raises:
         InputError: the first field that is wrong.
     """
+    return _validate(Recipe, content, where)
+
+
+def parse_filter(text: str, where: str) -> Filter:
+    """Read a filter written as a YAML mapping, such as `{category: [cyclists], country: [US]}`.
+
+    Raises:
+        InputError: it is no mapping, or a field is wrong.
+    """
     try:
-        return Recipe.model_validate(content)
-    except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise InputError(f"{where}: {_explain(first['type'], first['loc'], first['msg'], first['input'])}") from error
+        content = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(f"{where}: {text!r} is not YAML; write a mapping such as {{category: [cyclists]}}") from error
+    return _validate(Filter, content, where)
 
 
 def builtin_recipes() -> list[str]:
@@ -174,10 +258,22 @@ def find_recipe(path_or_name: str) -> Recipe:
     return builtin_recipe(path_or_name)
 
 
-def _explain(kind: str, location: Sequence[str | int], message: str, value: object) -> str:
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def _validate(model: type[Model], content: object, where: str) -> Model:
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        told = _explain(model, first["type"], first["loc"], first["msg"], first["input"])
+        raise InputError(f"{where}: {told}") from error
+
+
+def _explain(model: type[BaseModel], kind: str, location: Sequence[str | int], message: str, value: object) -> str:
     field = _field_name(location)
     if kind == "extra_forbidden":
-        return f"unknown key {field!r}; known here: {_known(_model_at(location))}"
+        return f"unknown key {field!r}; known here: {_known(_model_at(model, location))}"
     if kind == "missing":
         return f"key {field!r} is missing; add it"
     prefix = f"{field}: " if field else ""
@@ -194,11 +290,11 @@ def _field_name(location: Sequence[str | int]) -> str:
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
 
 
-def _model_at(location: Sequence[str | int]) -> type[BaseModel]:
+def _model_at(model: type[BaseModel], location: Sequence[str | int]) -> type[BaseModel]:
     parents = location[:-1]
     if "where" in parents:
         return Filter
-    return Component if "components" in parents else Recipe
+    return Component if "components" in parents else model
 
 
 def _known(model: type[BaseModel]) -> str:

@@ -1,15 +1,17 @@
 import json
 import re
 
+import polars as pl
 import pytest
 from typer.testing import CliRunner
 
 from olt_datasets.clip_table import read_clip_tables
 from olt_datasets.commands.mix import app
 from olt_datasets.mixture import compose_mixture
-from olt_datasets.plan import read_plan
+from olt_datasets.plan import PLAN_SUFFIXES, read_plan
 from olt_datasets.recipe import builtin_recipe
 from olt_generator.errors import InputError
+from olt_toolkit.clip_table import CLIP_TABLE
 
 
 def run(*arguments):
@@ -27,9 +29,9 @@ def stores(write_store, make_clip):
     return ["--stores", write_store(*nominal, name="gt"), "--stores", write_store(*work_zones, name="syn")]
 
 
-@pytest.fixture
-def plan(stores, tmp_path):
-    path = tmp_path / "mixture.json"
+@pytest.fixture(params=PLAN_SUFFIXES)
+def plan(stores, tmp_path, request):
+    path = (tmp_path / "mixture").with_suffix(request.param)
     run("compose", "toy_nominal_long_tail", *stores, "--out", path)
     return path
 
@@ -67,7 +69,7 @@ def test_refused_mixture_leaves_nothing_behind(stores, tmp_path):
     out = tmp_path / "out" / "mixture.json"
     with pytest.raises(InputError, match=r"component 'all' \{\} asks for 1000 samples"):
         run("compose", recipe, *stores, "--out", out)
-    with pytest.raises(InputError, match=re.escape("give a name that ends in .json")):
+    with pytest.raises(InputError, match=re.escape("give a name that ends in .json or .parquet")):
         run("compose", "toy_nominal", *stores, "--out", out.with_suffix(".txt"))
     assert not out.parent.exists()
 
@@ -87,7 +89,7 @@ def test_check_lists_shortages_and_leaks(stores, write_store, make_clip):
     status, out = run("check", "toy_nominal", *stores, "--stores", write_store(twin, name="twin"), "--json")
     findings = json.loads(out)
     assert status == 1 and not findings["accepted"]
-    assert findings["leaks"] == ["scene scene_1: its GT clips are in split train, its front_only clips in test"]
+    assert len(findings["leaks"]) == 1 and findings["leaks"][0].startswith("scene scene_1: its GT clips in split train")
     status, out = run("check", "toy_nominal_long_tail", *stores[:2])
     assert status == 1 and "refused" in out and "'long_tail'" in out
 
@@ -95,19 +97,21 @@ def test_check_lists_shortages_and_leaks(stores, write_store, make_clip):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda plan: plan.update(version=2), "version: Input should be 1"),
+        (lambda plan: plan.update(version=1), "version: Input should be 2"),
         (lambda plan: plan.pop("seed"), "seed: Field required"),
         (lambda plan: plan.update(more=1), "more: Extra inputs are not permitted"),
-        (lambda plan: plan["stores"].pop(), "file: Value error, a sample is of a store that is not listed"),
-        (lambda plan: plan["components"].pop(), "file: Value error, the recipe and the plan differ"),
-        (
-            lambda plan: plan["components"][0]["samples"]["t0_us"].pop(),
-            "components.0.samples: Value error, the columns",
-        ),
+        (lambda plan: plan["available"].pop(), "file: Value error, the recipe and the plan differ"),
         (lambda plan: plan["recipe"]["components"][0].update(share=0.4), "recipe: Value error, the shares sum to 0.9"),
+        (lambda plan: plan["distinct"].insert(0, plan["distinct"].pop() + 1), "samples: some are missing"),
+        (lambda plan: plan["samples"]["clip_id"].__setitem__(3, None), "samples: some are missing"),
+        (lambda plan: plan["samples"]["t0_us"].pop(), "not a mixture ("),
+        (lambda plan: plan["samples"]["t0_us"].__setitem__(3, "soon"), "not a mixture ("),
+        (lambda plan: plan.update(samples=[1, 2]), "not a mixture ("),
     ],
 )
-def test_damaged_mixture_is_refused_by_field(plan, change, message):
+def test_damaged_mixture_is_refused_by_field(stores, tmp_path, change, message):
+    plan = tmp_path / "mixture.json"
+    run("compose", "toy_nominal_long_tail", *stores, "--out", plan)
     content = json.loads(plan.read_text())
     change(content)
     plan.write_text(json.dumps(content))
@@ -115,10 +119,63 @@ def test_damaged_mixture_is_refused_by_field(plan, change, message):
         read_plan(plan)
 
 
-def test_files_that_hold_no_mixture_are_refused(tmp_path):
-    path = tmp_path / "mixture.json"
+@pytest.mark.parametrize("suffix", PLAN_SUFFIXES)
+def test_files_that_hold_no_mixture_are_refused(stores, tmp_path, suffix):
+    path = tmp_path / f"mixture{suffix}"
     with pytest.raises(InputError, match="cannot read this mixture"):
         run("show", path)
-    path.write_text("not json")
-    with pytest.raises(InputError, match="Invalid JSON"):
-        run("show", path)
+    for content in (b"no mixture", b"[]", b""):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="not a mixture"):
+            run("show", path)
+    table = stores[1] / CLIP_TABLE
+    with pytest.raises(InputError, match="not a mixture"):
+        run("show", table)
+
+
+def test_compose_counts_steps_for_the_stages_that_are_given(stores):
+    training = json.loads(run("compose", "toy_nominal", *stores, "--json")[1])["training"]
+    assert {stage: numbers["total_steps"] for stage, numbers in training.items()} == {"8x1x4x3": 48, "8x1x1x3": 192}
+    training = json.loads(run("compose", "toy_nominal", *stores, "--stage", "2x3x1x5", "--json")[1])["training"]
+    assert training["2x3x1x5"] | {"steps_per_epoch": 86, "total_steps": 430, "padded_samples": 4} == training["2x3x1x5"]
+    assert "2x3x1x5" in run("compose", "toy_nominal", *stores, "--stage", "2x3x1x5")[1]
+    with pytest.raises(InputError, match="stage 'all': write DEVICESx"):
+        run("compose", "toy_nominal", *stores, "--stage", "all")
+
+
+def test_compose_draws_its_shares(stores, tmp_path):
+    pictures = [tmp_path / "one.png", tmp_path / "two.png"]
+    for picture in pictures:
+        run("compose", "toy_nominal_long_tail", *stores, "--picture", picture)
+    assert pictures[0].read_bytes()[:4] == b"\x89PNG" and pictures[0].read_bytes() == pictures[1].read_bytes()
+
+
+def test_a_base_model_is_composed_of_nothing(stores, tmp_path):
+    out = tmp_path / "base.json"
+    status, text = run("compose", "base_r1", *stores, "--out", out, "--picture", tmp_path / "base.png", "--json")
+    summary = json.loads(text)
+    assert status == 0 and (summary["samples_per_epoch"], summary["components"], summary["by_kind"]) == (0, [], {})
+    assert run("show", out)[0] == 0 and run("show", "base_r1")[0] == 0
+    with pytest.raises(InputError, match="recipe base_r1 has no samples to train on"):
+        read_plan(out).epoch(0, 32)
+
+
+def test_diff_tells_recipes_samples_and_shares_apart(stores, tmp_path):
+    paths = [tmp_path / "nominal.json", tmp_path / "long_tail.parquet"]
+    for path, recipe in zip(paths, ("toy_nominal", "toy_nominal_long_tail"), strict=True):
+        run("compose", recipe, *stores, "--out", path)
+    only = tmp_path / "only.parquet"
+    found = json.loads(run("diff", *paths, "--out", only, "--json")[1])
+    assert found["samples"] == {"both": 60, "only_first": 0, "only_second": 30}
+    assert found["components"]["long_tail"] == {"both": 0, "only_first": 0, "only_second": 30}
+    assert found["recipe"]["components.nominal.share"] == [1.0, 0.5]
+    assert found["recipe"]["components.long_tail.repeats"] == [None, 16]
+    assert found["by_kind"] == {"GT": [1.0, 0.5], "Syn": [0.0, 0.5]}
+    samples = pl.read_parquet(only)
+    assert (
+        samples["mixture"].unique().to_list() == ["second"] and set(samples["kind"]) == {"Syn"} and len(samples) == 30
+    )
+    text = run("diff", *paths)[1]
+    assert "+50.00%" in text and "long_tail" in text
+    same = json.loads(run("diff", paths[0], paths[0], "--json")[1])
+    assert same["recipe"] == {} and same["samples"] == {"both": 60, "only_first": 0, "only_second": 0}

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_datasets.mixture import check_recipe, compose_mixture, training_arithmetic
+from olt_datasets.mixture import check_recipe, compose_mixture
 from olt_datasets.recipe import builtin_recipe, parse_recipe
 from olt_generator.errors import InputError
 
@@ -47,10 +47,10 @@ def mixtures(draw, table):
 def test_every_batch_is_within_one_item_of_its_share(toy_table, data, batch_size, epoch):
     mixture = data.draw(mixtures(toy_table))
     batches = mixture.epoch(epoch, batch_size)
-    assert sum(map(len, batches)) == len(mixture) == sum(mixture.counts)
+    assert sum(map(len, batches)) == len(mixture) == sum(mixture.counts())
     for batch in batches:
         got = sum(int(key.clip_id[-12:]) < 100 for key in batch)
-        assert abs(got - len(batch) * mixture.counts[0] / len(mixture)) < 1
+        assert abs(got - len(batch) * mixture.counts()[0] / len(mixture)) < 1
 
 
 @SETTINGS
@@ -145,13 +145,13 @@ def test_preference_decides_only_where_a_scene_has_both_kinds(make_clip, make_ta
 
 def test_without_samples_the_scarcest_component_sets_the_epoch(toy_table):
     components = {**NOMINAL, "share": 0.7}, {**WORK_ZONES, "share": 0.3}
-    assert compose_mixture(make_recipe(*components), toy_table, 0).counts == [37, 16]  # floor(16 / 0.3) = 53
-    assert compose_mixture(make_recipe(*components, samples=50), toy_table, 0).counts == [35, 15]
+    assert compose_mixture(make_recipe(*components), toy_table, 0).counts() == [37, 16]  # floor(16 / 0.3) = 53
+    assert compose_mixture(make_recipe(*components, samples=50), toy_table, 0).counts() == [35, 15]
 
 
 def test_toy_recipes_compare_mixtures_of_one_size(toy_table):
-    assert compose_mixture(builtin_recipe("toy_nominal"), toy_table, 0).counts == [512]
-    assert compose_mixture(builtin_recipe("toy_nominal_long_tail"), toy_table, 0).counts == [256, 256]
+    assert compose_mixture(builtin_recipe("toy_nominal"), toy_table, 0).counts() == [512]
+    assert compose_mixture(builtin_recipe("toy_nominal_long_tail"), toy_table, 0).counts() == [256, 256]
 
 
 def test_shortage_names_component_filter_and_what_was_found(toy_table):
@@ -162,12 +162,12 @@ def test_shortage_names_component_filter_and_what_was_found(toy_table):
         "matches 8 clips with 16 samples (repeats 1); split train holds 20 GT nominal from world, 8 Syn work_zone "
         "from world; change the filter, ask for fewer or allow more repeats"
     )
-    assert compose_mixture(make_recipe({**WORK_ZONES, "count": 17, "repeats": 2}), toy_table, 0).counts == [17]
+    assert compose_mixture(make_recipe({**WORK_ZONES, "count": 17, "repeats": 2}), toy_table, 0).counts() == [17]
 
 
 def test_a_share_too_small_for_one_item_is_a_shortage(toy_table):
     recipe = make_recipe({**NOMINAL, "share": 0.99}, {**WORK_ZONES, "share": 0.01}, samples=40)
-    with pytest.raises(InputError, match=r"share 0\.01 of 40 samples per epoch gives component 'work_zones' none"):
+    with pytest.raises(InputError, match="the share of component 'work_zones' of 40 samples per epoch gives it none"):
         compose_mixture(recipe, toy_table, 0)
 
 
@@ -201,7 +201,7 @@ def test_leaking_mixture_is_refused(toy_table, make_clip, make_table):
     with pytest.raises(InputError, match=r"recipe mine leaks: scene scene_7: clip .* shows a held-out scene"):
         compose_mixture(recipe, toy_table, 0, held_out_scenes=["scene_7"])
     twins = make_table(make_clip(1, scene_id="s"), make_clip(2, scene_id="s", kind="Syn", split="test"))
-    with pytest.raises(InputError, match="scene s: its GT clips are in split train, its Syn clips in test"):
+    with pytest.raises(InputError, match="scene s: its GT clips in split train and its Syn clips in test"):
         compose_mixture(recipe, twins, 0)
 
 
@@ -233,17 +233,3 @@ def test_slices_that_do_not_fit_are_refused(toy_table, arguments):
     mixture = compose_mixture(make_recipe({**NOMINAL, "share": 1.0}), toy_table, 0)
     with pytest.raises(InputError, match="must"):
         mixture.epoch(0, **arguments)
-
-
-@pytest.mark.parametrize("samples", range(12_241, 12_249))
-def test_arithmetic_of_the_paper(samples):
-    first = training_arithmetic(samples, devices=8, per_device_batch=1, accumulation=4, epochs=3)
-    assert (first.samples_per_epoch, first.steps_per_epoch, first.total_steps) == (12_256, 383, 1_149)
-    second = training_arithmetic(samples, devices=8, per_device_batch=1, accumulation=1, epochs=3)
-    assert (second.samples_per_epoch, second.steps_per_epoch, second.total_steps) == (12_248, 1_531, 4_593)
-    assert second.padded_samples == 12_248 - samples
-
-
-@pytest.mark.parametrize("samples", [12_240, 12_249])
-def test_no_other_number_of_samples_gives_the_paper_s_arithmetic(samples):
-    assert training_arithmetic(samples, 8, 1, 1, 3).steps_per_epoch != 1_531

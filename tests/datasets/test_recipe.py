@@ -45,7 +45,7 @@ def test_built_in_recipes_are_sound_and_named_as_their_files():
     assert {"toy_nominal", "toy_nominal_long_tail"} <= set(builtin_recipes())
     for name in builtin_recipes():
         assert builtin_recipe(name).name == name
-    with pytest.raises(InputError, match="no built-in recipe 'toy'; there are toy_nominal, "):
+    with pytest.raises(InputError, match="no built-in recipe 'toy'; there are base_1_5, "):
         find_recipe("toy")
 
 
@@ -53,8 +53,8 @@ def test_built_in_recipes_are_sound_and_named_as_their_files():
     ("old", "new", "message"),
     [
         ("samples: 100", "sample: 100", "unknown key 'sample'; known here: name, description, version, split, samples"),
-        ("kind: GT", "kinds: GT", "unknown key 'components[0].where.kinds'; known here: kind, source, category"),
-        ("repeats: 2", "repeat: 2", "unknown key 'components[1].repeat'; known here: name, where, share, count"),
+        ("kind: GT", "kinds: GT", "unknown key 'components[0].where.kinds'; known here: kind, source, country"),
+        ("repeats: 2", "repeat: 2", "unknown key 'components[1].repeat'; known here: name, where, share, share_by"),
         ("version: 1", "", "key 'version' is missing"),
         ("version: 1", "version: 2", "version 2 of the recipe format is not known; this release reads 1"),
         ("version: 1", "version: '1'", "version: input should be a valid integer, got '1'"),
@@ -63,8 +63,12 @@ def test_built_in_recipes_are_sound_and_named_as_their_files():
         ("{kind: GT, category: [nominal]}", "all", "components[0].where: write a mapping, got 'all'"),
         ("share: 0.3", "share: 0.2", "the shares sum to 0.9; change them to sum to 1"),
         ("share: 0.3", "count: 3", "some components give 'share' and some 'count'"),
-        ("share: 0.3", "", "components[1]: give exactly one of 'share' and 'count'"),
-        ("share: 0.7", "share: 0.7\n    count: 3", "components[0]: give exactly one of 'share' and 'count'"),
+        ("share: 0.3", "", "components[1]: give exactly one of 'share', 'share_by_epoch' and 'count'"),
+        (
+            "share: 0.7",
+            "share: 0.7\n    count: 3",
+            "components[0]: give exactly one of 'share', 'share_by_epoch' and 'count'",
+        ),
         ("share: 0.7", "share: .nan", "components[0].share: input should be"),
         ("share: 0.7", "share: -0.7", "components[0].share: input should be greater than 0"),
         ("repeats: 2", "repeats: true", "components[1].repeats: input should be a valid integer, got True"),

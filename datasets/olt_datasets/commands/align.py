@@ -1,0 +1,110 @@
+"""`olt mix align`: which sources a target slice asks for."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from olt_datasets.alignment import Alignment, Gap
+    from olt_datasets.selection import ClipTable
+
+
+def align(
+    tables: Annotated[
+        list[Path] | None, typer.Argument(metavar="TABLE...", help="Clip stores, or tables of indexed clips.")
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option(help="Filter of the target slice, as in recipes: '{category: [cyclists]}'.")
+    ] = None,
+    target_split: Annotated[str, typer.Option(help="Split that the target slice is taken from.")] = "test",
+    target_weights: Annotated[
+        str | None, typer.Option(help="Instead of a slice, the target by hand: FACTOR=WEIGHT,FACTOR=WEIGHT.")
+    ] = None,
+    where: Annotated[str, typer.Option(help="Filter of the clips that sources may give.")] = "{}",
+    split: Annotated[str, typer.Option(help="Split that sources may give clips from.")] = "train",
+    by: Annotated[str, typer.Option(help="What is compared: factors, category or country.")] = "factors",
+    samples: Annotated[int | None, typer.Option(min=1, help="Clips to be taken, none of them twice.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the intervals.")] = 0,
+    example: Annotated[bool, typer.Option("--example", help="Show the paper's counts instead of tables.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Compare how sources cover a target slice, and propose shares of them that come closest to it.
+
+    `olt mix align --example` shows what the paper found: Waymo E2E has none of NV's human-guided traffic control.
+    """
+    from olt_datasets.alignment import PAPER_COVERAGE, align_sources, measure_coverage
+    from olt_datasets.clip_table import scan_clip_tables
+    from olt_generator.errors import InputError
+    from olt_toolkit.console import print_json
+
+    if example:
+        found = align_sources(PAPER_COVERAGE, PAPER_COVERAGE["nv"], samples=samples, seed=seed)
+    else:
+        if not tables or (target is None) == (target_weights is None):
+            raise InputError("olt mix align: give TABLE and one of --target and --target-weights, or --example")
+        if by not in ("factors", "category", "country"):
+            raise InputError(f"--by is {by!r}; it must be factors, category or country")
+        clips = scan_clip_tables(tables)
+        coverage = measure_coverage(_slice(clips, split, where, "--where"), by)
+        if target is not None:
+            slices = measure_coverage(_slice(clips, target_split, target, "--target"), by)
+            found = align_sources(coverage, _pool(slices), target_is_sample=True, samples=samples, seed=seed)
+        else:
+            found = align_sources(coverage, _read_weights(str(target_weights)), samples=samples, seed=seed)
+    if as_json:
+        print_json(found.to_dict())
+    else:
+        _show(found)
+
+
+def _slice(clips: "ClipTable", split: str, text: str, where: str) -> "ClipTable":
+    import polars as pl
+
+    from olt_datasets.recipe import parse_filter
+    from olt_datasets.selection import matches
+
+    return clips.lazy().filter((pl.col("split") == split) & matches(parse_filter(text, where)))
+
+
+def _pool(coverage: dict[str, dict[str, float]]) -> dict[str, float]:
+    values = sorted({value for part in coverage.values() for value in part})
+    return {value: sum(part.get(value, 0.0) for part in coverage.values()) for value in values}
+
+
+def _read_weights(text: str) -> dict[str, float]:
+    import math
+
+    from olt_generator.errors import InputError
+
+    weights = {}
+    for part in text.split(","):
+        name, _, number = part.partition("=")
+        try:
+            weights[name.strip()] = float(number)
+        except ValueError:
+            weights[name.strip()] = math.nan
+        if not name.strip() or not 0.0 <= weights[name.strip()] < math.inf:
+            raise InputError(f"--target-weights: {part!r}: write FACTOR=WEIGHT with a weight that is not negative")
+    return weights
+
+
+def _show(found: "Alignment") -> None:
+    from olt_toolkit.console import print_line, print_table
+
+    factors = list(found.target)
+    rows: list[list[Any]] = [
+        [source.name, *(f"{found.coverage[source.name][factor]:g}" for factor in factors)] for source in found.sources
+    ]
+    rows.append(["target", *(f"{share:.1%}" for share in found.target.values())])
+    print_table("Clips by source", ("source", *factors), rows)
+    gaps = [(source.name, f"{source.clips:g}", *_cells(source.gap), f"{source.share:.1%}") for source in found.sources]
+    gaps.append(("all clips together", "", *_cells(found.pooled_gap), ""))
+    gaps.append(("proposed shares", "", *_cells(found.proposed_gap), ""))
+    print_table("Alignment gap", ("source", "clips", "gap", "95 %", "proposed share"), gaps)
+    for finding in found.findings:
+        print_line(finding)
+
+
+def _cells(gap: "Gap") -> tuple[str, str]:
+    return f"{gap.median:.3f}", f"{gap.low:.3f} - {gap.high:.3f}"
