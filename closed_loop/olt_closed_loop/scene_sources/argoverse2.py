@@ -28,6 +28,10 @@ over the rear axle is an estimate."""
 AXLE_HEIGHT = 0.32
 """Metres from the ground to the ego frame's origin on the rear axle: median over the public sensor log and its map."""
 
+_T_EGO_RIG = make_pose(np.eye(3), [0.0, 0.0, -AXLE_HEIGHT])
+_EGO_COLUMNS = "timestamp_ns qw qx qy qz tx_m ty_m tz_m"
+_NORM_TOLERANCE = 1e-3
+_EGO_TRACK = "AV"
 _VEHICLE_LANES = ("VEHICLE", "BUS")
 _SENSOR_LABELS = {
     "ANIMAL": "animal",
@@ -85,7 +89,7 @@ def read_sensor_log(folder: Path) -> Scene:
     )
     sweeps_ns, sweep = np.unique(boxes["timestamp_ns"], return_inverse=True)
     T_city_ego = _ego_poses(folder / "city_SE3_egovehicle.feather", sweeps_ns)
-    T_city_rig = T_city_ego @ make_pose(np.eye(3), [0.0, 0.0, -AXLE_HEIGHT])
+    T_city_rig = T_city_ego @ _T_EGO_RIG
     origin = T_city_rig[0, :3, 3].copy()
     T_city_rig[:, :3, 3] -= origin
 
@@ -120,15 +124,13 @@ def read_motion_scenario(folder: Path) -> Scene:
     path = _single(folder, "scenario_*.parquet")
     tracks = _table(path, "track_id object_type timestep position_x position_y heading scenario_id")
     times_us = STEP_US * tracks["timestep"].astype(np.int64)
+    ego, first = _motion_ego(tracks, path)
     rows_of = dict(_rows_of(tracks["track_id"], times_us))
-    av = rows_of.pop("AV", None)
-    if av is None:
-        raise InputError(f"{path}: no track AV, which is the ego; give another scenario")
-    origin = np.array([tracks["position_x"][av[0]], tracks["position_y"][av[0]], 0.0])
+    del rows_of[_EGO_TRACK]
+    origin = np.array([tracks["position_x"][first], tracks["position_y"][first], 0.0])
     x, y, heading = tracks["position_x"] - origin[0], tracks["position_y"] - origin[1], tracks["heading"]
 
-    first_us = times_us[av[0]]
-    ego = Trajectory(times_us[av] - first_us, planar_pose(x[av], y[av], heading[av]))
+    first_us = times_us[first]
     motions = np.column_stack([x, y, np.zeros_like(x), heading])
     agents, left_out = _motion_agents(rows_of, tracks["object_type"], times_us - first_us, motions, path)
     lanes, areas = _read_map(folder, origin, flat=True)
@@ -142,7 +144,7 @@ def read_motion_scenario(folder: Path) -> Scene:
         lanes=tuple(lanes),
         road_edges=edges([shapely.Polygon(area[:, :2]) for area in areas]),
         drivable=areas,
-        route=route_along(ego.positions, float(heading[av[-1]]), lanes),
+        route=route_along(ego.positions, float(yaw_of(ego.T_world_rig[-1])), lanes),
         assumptions=(
             "ego box: data sheet of a Ford Fusion without mirrors, its rear axle at the recorded position (its "
             "sideways speed in bends is that of the rear axle)",
@@ -151,6 +153,33 @@ def read_motion_scenario(folder: Path) -> Scene:
             f"{left_out} tracks of unknown size ({', '.join(_WITHOUT_SIZE)}) left out",
         ),
     )
+
+
+def read_sensor_ego(folder: Path) -> Trajectory:
+    """The ego's motion in a sensor log at its full rate, from its first pose on; the frame is the city's.
+
+    Raises:
+        InputError: the file or a column is missing, or a pose is damaged.
+    """
+    path = folder / "city_SE3_egovehicle.feather"
+    table = _table(path, _EGO_COLUMNS)
+    norms = np.linalg.norm([table[name] for name in ("qw", "qx", "qy", "qz")], axis=0)
+    if len(norms) == 0 or np.abs(norms - 1.0).max() > _NORM_TOLERANCE:
+        raise InputError(f"{path}: holds no poses, or a quaternion qw, qx, qy, qz whose length is not 1")
+    order = np.argsort(table["timestamp_ns"])
+    times_ns = table["timestamp_ns"][order]
+    T_city_ego = _poses({name: values[order] for name, values in table.items()})
+    return Trajectory(np.round((times_ns - times_ns[0]) / 1000).astype(np.int64), T_city_ego @ _T_EGO_RIG)
+
+
+def read_motion_ego(folder: Path) -> Trajectory:
+    """The ego's motion in a motion scenario, in the plane, from its first position.
+
+    Raises:
+        InputError: the file or a column is missing, or there is no track `AV`.
+    """
+    path = _single(folder, "scenario_*.parquet")
+    return _motion_ego(_table(path, "track_id timestep position_x position_y heading"), path)[0]
 
 
 Columns = dict[str, NDArray[Any]]
@@ -170,7 +199,11 @@ def _table(path: Path, names: str) -> Columns:
     missing = [name for name in columns if name not in table.column_names]
     if missing:
         raise InputError(f"{path}: column {missing[0]} is missing; give an unchanged copy of the log")
-    return {name: table[name].to_numpy() for name in columns}
+    values = {name: table[name].to_numpy() for name in columns}
+    for name, column in values.items():
+        if column.dtype.kind == "f" and not np.all(np.isfinite(column)):
+            raise InputError(f"{path}: column {name} holds what is no finite number; give an unchanged copy of the log")
+    return values
 
 
 def _poses(table: Columns) -> Array:
@@ -178,9 +211,24 @@ def _poses(table: Columns) -> Array:
     return pose_from_quaternion(quaternions, np.column_stack([table[name] for name in ("tx_m", "ty_m", "tz_m")]))
 
 
+def _motion_ego(tracks: Columns, path: Path) -> tuple[Trajectory, int]:
+    """The ego's motion from its first position, and the row of that."""
+    rows = np.flatnonzero(tracks["track_id"] == _EGO_TRACK)
+    if len(rows) == 0:
+        raise InputError(f"{path}: no track {_EGO_TRACK}, which is the ego; give another scenario")
+    rows = rows[np.argsort(tracks["timestep"][rows])]
+    steps = tracks["timestep"][rows].astype(np.int64)
+    if np.any(np.diff(steps) == 0):
+        twice = steps[np.argmin(np.diff(steps))]
+        raise InputError(f"{path}: track {_EGO_TRACK} has two rows of timestep {twice}; give an unchanged copy")
+    times_us = STEP_US * steps
+    x, y, heading = (tracks[name][rows] for name in ("position_x", "position_y", "heading"))
+    return Trajectory(times_us - times_us[0], planar_pose(x - x[0], y - y[0], heading)), int(rows[0])
+
+
 def _ego_poses(path: Path, times_ns: NDArray[np.int64]) -> Array:
     """Ego poses (n, 4, 4) at exactly these times."""
-    table = _table(path, "timestamp_ns qw qx qy qz tx_m ty_m tz_m")
+    table = _table(path, _EGO_COLUMNS)
     order = np.argsort(table["timestamp_ns"])
     known = table["timestamp_ns"][order]
     at = np.minimum(np.searchsorted(known, times_ns), len(known) - 1)

@@ -1,0 +1,110 @@
+"""Argoverse 2 as a data set of trajectories: motion scenarios, and the ego motion of sensor logs.
+
+Layout: `<split>/<scenario>/scenario_*.parquet` or `<split>/<log>/city_SE3_egovehicle.feather`, or such folders without
+splits. Motion scenarios have no images at all, and those of sensor logs are not read: the drives serve trajectory
+priors and statistics of actions, and cannot be opened as recordings.
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from olt_closed_loop.scene_sources.argoverse2 import read_motion_ego, read_sensor_ego
+from olt_datasets.drives import Drive, Licence
+from olt_generator.errors import InputError
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.clip import Split
+from olt_toolkit.policy_window import Span
+from olt_toolkit.recording import OpenOptions, Recording
+
+NAME = "argoverse2"
+LICENCE = Licence(
+    "CC BY-NC-SA 4.0",
+    "Free download from the Argoverse page.",
+    "Non-commercial use only, with attribution, and derived data under the same licence.",
+)
+_SCENARIO, _LOG = "scenario_*.parquet", "city_SE3_egovehicle.feather"
+_DEPTHS = ("", "*/", "*/*/")
+_SPLITS: tuple[Split, ...] = ("train", "val", "test")
+_NOTES = {
+    _SCENARIO: (
+        "It has no images: trajectories only, 11 s at 10 Hz in the plane.",
+        "The recorded position is taken for the rear axle, whose sideways speed in bends it has.",
+    ),
+    _LOG: ("Images of sensor logs are not read: trajectories only.",),
+}
+
+
+class Argoverse2:
+    """Scenarios and logs in a folder; see `Dataset`."""
+
+    source = NAME
+    licence = LICENCE
+
+    def __init__(self, root: Path) -> None:
+        self._root = root
+        self._scenarios = _folders(root, _SCENARIO)
+        self._logs = _folders(root, _LOG)
+
+    def keys(self) -> list[str]:
+        """See `Dataset.keys`: paths of the folders; `.` for the folder itself."""
+        return sorted({*self._scenarios, *self._logs})
+
+    def drive(self, key: str) -> Drive:
+        """See `Dataset.drive`; drive time 0 is the first pose, as there are no images."""
+        ego = self.ego_motion(key)
+        folder = (self._root / key).resolve()
+        return Drive(
+            source=NAME,
+            scene_id=f"{NAME}/{folder.name}",
+            key=key,
+            front_us=np.empty(0, np.int64),
+            cameras=(),
+            ego_span_us=(0, int(ego.timestamps_us[-1])),
+            true_views=(),
+            country="US",
+            split=next((split for split in _SPLITS if split == folder.parent.name), None),
+            notes=_NOTES[_SCENARIO if key in self._scenarios else _LOG],
+        )
+
+    def ego_motion(self, key: str) -> Trajectory:
+        """The motion of the rig over a drive; its frame is that of the city, moved to the start of a scenario.
+
+        Raises:
+            InputError: there is no such drive, or its file is damaged.
+        """
+        if key in self._scenarios:
+            return read_motion_ego(self._scenarios[key])
+        if key in self._logs:
+            return read_sensor_ego(self._logs[key])
+        raise InputError(f"{self._root}: there is no Argoverse 2 drive {key!r}")
+
+    def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
+        """See `Dataset.open`; always refused."""
+        raise InputError(
+            f"Argoverse 2 drive {key}: has no images to open; take its trajectory with `ego_motion`, or drive it in "
+            "the closed loop as a scene"
+        )
+
+
+class Argoverse2Reader:
+    """Opens folders of scenarios or logs; see `DatasetReader`."""
+
+    name = NAME
+    licence = LICENCE
+
+    def recognises(self, root: Path) -> bool:
+        """See `DatasetReader.recognises`; judged by the names of files."""
+        return any(any(root.glob(depth + file)) for file in (_SCENARIO, _LOG) for depth in _DEPTHS)
+
+    def open(self, root: Path, cache: Path) -> Argoverse2:
+        """See `DatasetReader.open`; nothing is cached."""
+        return Argoverse2(root)
+
+
+def _folders(root: Path, file: str) -> dict[str, Path]:
+    found = (path.parent for depth in _DEPTHS for path in root.glob(depth + file))
+    return {folder.relative_to(root).as_posix(): folder for folder in found}
+
+
+DATASET = Argoverse2Reader()
