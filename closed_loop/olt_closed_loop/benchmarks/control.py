@@ -123,7 +123,7 @@ def _settings() -> Sequence[Setting]:
 BENCHMARK = Benchmark(
     name="control",
     title="Tracking of AlpaSim's 120 references of 10 s on AlpaSim's vehicle; time of 400 calls",
-    error_name="position error, root mean square",
+    error_name="position error, rms",
     error_unit="m",
     reference="the references themselves; the vehicle is AlpaSim's, written a second time in numpy",
     settings=_settings,
