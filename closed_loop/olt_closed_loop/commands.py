@@ -9,6 +9,15 @@ import typer
 if TYPE_CHECKING:
     from olt_closed_loop.score_table import ScoreRow, ScoreTable
 
+EVENT_WORDS = {
+    "policy_errors": "the policy raised an error",
+    "plans_refused": "a plan was refused and the last one held",
+    "saturations": "a command reached a limit of the vehicle",
+    "solves_failed": "the controller found no command and held the last ones",
+    "solves_late": "the controller was late and held the last commands",
+}
+"""What the counts of `olt_closed_loop.rollout.Events` are called in print."""
+
 app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and score them.")
 
 
@@ -53,7 +62,13 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Drive scenes with a policy and print AS and CR by category; the gate must hold on every scene."""
-    from olt_closed_loop.evaluation import count_left_out, find_scenes, run_closed_loop, save_results
+    from olt_closed_loop.evaluation import (
+        count_left_out,
+        count_vehicle_steps,
+        find_scenes,
+        run_closed_loop,
+        save_results,
+    )
     from olt_closed_loop.score_table import summarize_scores
     from olt_closed_loop.simulation_settings import SimulationSettings
     from olt_toolkit.console import make_progress, print_json, print_line
@@ -96,12 +111,18 @@ def run(
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],
                 "left_out": left_out,
+                "vehicle_steps": count_vehicle_steps(results),
             }
         )
     else:
         _print_scores(f"{policy}, {traffic.value} traffic", table)
         for line in sorted({f"{score.scene}: not valid: {score.reason}" for score in scores if not score.valid}):
             print_line(line)
+        for name, count in table.overall.events.items():
+            if count:
+                print_line(f"{EVENT_WORDS[name]}: {count} times")
+        for way, count in count_vehicle_steps(results).items():
+            print_line(f"vehicle moved by {way} in {count} steps")
         for note, count in left_out.items():
             print_line(f"left out in {count} of {len(results)} rollouts: {note}")
     if table.overall.valid < table.overall.rollouts:
@@ -201,7 +222,7 @@ def score_rollout(
 def _print_scores(policy: str, table: "ScoreTable") -> None:
     from olt_toolkit.console import print_table
 
-    columns = ["category", "valid / rollouts", "AS", "95 %", "CR", "95 %"]
+    columns = ["category", "valid / rollouts", "AS", "95 %", "CR", "95 %", "solves failed / late"]
     print_table(f"{policy}, definition {table.definition}", columns, [_cells(row) for row in table.rows])
 
 
@@ -216,4 +237,5 @@ def _cells(row: "ScoreRow") -> list[object]:
         interval(row.alpasim_score_interval),
         row.collision_rate,
         interval(row.collision_rate_interval),
+        f"{row.events['solves_failed']} / {row.events['solves_late']}" if row.events else None,
     ]

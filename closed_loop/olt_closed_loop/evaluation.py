@@ -1,7 +1,8 @@
 """Many rollouts: policies by name, scenes by path or seed, batches of rollouts on several processes."""
 
 import json
-from collections import Counter
+import re
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -27,7 +28,8 @@ SceneSource = str | Scene
 Result = tuple[Rollout, RolloutScore]
 
 LARGEST_BATCH = 16
-"""Rollouts that run in step: enough to share the calls of policy and vehicle, few enough to show progress."""
+"""Rollouts that run in step: enough to share the calls of the policy, few enough to show progress."""
+_SHARE = re.compile(r"\b(\d+) of (\d+)\b")
 
 
 def run_closed_loop(
@@ -119,9 +121,28 @@ def load_scene(source: SceneSource) -> Scene:
 
 
 def count_left_out(results: Sequence[Result]) -> dict[str, int]:
-    """What was not computed and why, and in how many of the rollouts."""
-    notes = Counter(note for rollout, score in results for note in {*rollout.left_out, *score.left_out})
-    return dict(sorted(notes.items()))
+    """What was not computed and why, and in how many of the rollouts.
+
+    Notes that differ in their "N of M" alone are put together, and their numbers added up.
+    """
+    rollouts: Counter[str] = Counter()
+    shares: defaultdict[str, list[int]] = defaultdict(lambda: [0, 0])
+    for rollout, score in results:
+        for note in {*rollout.left_out, *score.left_out}:
+            kind = _SHARE.sub("{} of {}", note)
+            rollouts[kind] += 1
+            for part, whole in _SHARE.findall(note):
+                shares[kind][0] += int(part)
+                shares[kind][1] += int(whole)
+    return {kind.format(*shares[kind]): count for kind, count in sorted(rollouts.items())}
+
+
+def count_vehicle_steps(results: Sequence[Result]) -> dict[str, int]:
+    """Steps of all vehicles by the model and method that were taken."""
+    steps: Counter[str] = Counter()
+    for rollout, _ in results:
+        steps.update(rollout.vehicle_steps)
+    return dict(sorted(steps.items()))
 
 
 def save_results(folder: Path, results: Sequence[Result]) -> None:

@@ -57,6 +57,7 @@ class Rollout:
         failure: why the rollout is not valid, or None.
         rendered_images: number of images rendered for each camera; empty when none was.
         left_out: what was not computed, and why.
+        vehicle_steps: steps of the vehicle by the model and the method that were taken (`olt_closed_loop.integrators`).
         timings: seconds spent by kind of work; the only part that differs between equal runs.
         traffic: whether the agents replayed the recording ("recorded") or reacted to the ego ("idm").
         reacted: the agents that came to differ from the recording, as they moved.
@@ -77,6 +78,7 @@ class Rollout:
     failure: str | None = None
     rendered_images: dict[str, int] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+    vehicle_steps: dict[str, int] = field(default_factory=dict)
     timings: dict[str, float] = field(default_factory=dict)
     traffic: Traffic = "recorded"
     reacted: tuple[Agent, ...] = ()
@@ -110,6 +112,7 @@ class Rollout:
             "failure": self.failure,
             "rendered_images": self.rendered_images,
             "left_out": list(self.left_out),
+            "vehicle_steps": self.vehicle_steps,
             "timings": self.timings,
             "traffic": self.traffic,
             "reacted": [

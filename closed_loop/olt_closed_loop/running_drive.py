@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.control import TrackingController
+from olt_closed_loop.integrators import make_stepper
 from olt_closed_loop.plans import PlanRefused, WorldPlan, place_plan
 from olt_closed_loop.progress import PathTracker
 from olt_closed_loop.reactive_agents import ReactiveAgents
@@ -44,9 +45,7 @@ class RunningDrive:
 
     Attributes:
         seed: seeds the rollout.
-        parameters: of the vehicle.
         times: (n,) int64 times of the steps, microseconds.
-        state: of the vehicle now, in its model's size.
         events: counted so far.
         failure: why the drive cannot go on, or None.
     """
@@ -66,11 +65,13 @@ class RunningDrive:
             InputError: the recording is too short.
         """
         self.seed, self.times = seed, step_times(scene, settings)
-        self.parameters = settings.vehicle_of(scene)
+        self._parameters = settings.vehicle_of(scene)
+        self._ground = scene.ego.positions.copy()
         self.events: Counter[str] = Counter()
         self.failure: str | None = None
         self._scene, self._policy, self._settings, self._sensors = scene, policy, settings, sensors
-        self._controller = TrackingController(self.parameters, settings.control)
+        self._controller = TrackingController(self._parameters, settings.control)
+        self._stepper = make_stepper(self._parameters, settings.method, settings.substeps, STEP_SECONDS)
         self._plans: list[WorldPlan] = []
         self._frames: deque[NDArray[np.uint8]] = deque(maxlen=IMAGE_FRAMES)
         self._timings: defaultdict[str, float] = defaultdict(float)
@@ -84,10 +85,10 @@ class RunningDrive:
     def _follow_recording(self) -> None:
         recorded = recorded_motion(self._scene, self.times[: self._driven + 1])
         count = len(recorded.states)
-        self._states = np.full((len(self.times), self.parameters.state_size), np.nan)
+        self._states = np.full((len(self.times), self._parameters.state_size), np.nan)
         self._heights = np.full(len(self.times), np.nan)
         self._controls = np.full((len(self.times) - 1, 2), np.nan)
-        self._states[:count] = with_rolling_tyres(recorded.states, self.parameters)
+        self._states[:count] = with_rolling_tyres(recorded.states, self._parameters)
         self._heights[:count] = recorded.heights
         x, y, yaw, speed = recorded.states[0, : STATE.steering]
         back = STEP_SECONDS * speed * np.arange(-_BEFORE, 0)
@@ -104,11 +105,6 @@ class RunningDrive:
     def runs_at(self, step: int) -> bool:
         """Whether the vehicle is still to be driven on from this step."""
         return not self.failure and step < len(self.times) - 1
-
-    @property
-    def state(self) -> Array:
-        """See the class."""
-        return self._states[self._driven]
 
     def past_poses(self, step: int) -> Array:
         """x, y, z, yaw (16, 4) of the rig at this step and the 15 before it."""
@@ -166,24 +162,27 @@ class RunningDrive:
         self.events["policy_errors"] += 1
         self.failure = f"the policy raised {type(error).__name__} at {self.times[step] * 1e-6:.1f} s: {error}"
 
-    def control(self, step: int) -> Array:
-        """The command (2,) that follows the plan in force at a step: the newest that is older than the delay."""
-        latest_us = self.times[step] - self._settings.planner_delay_us
-        plan = next(plan for plan in reversed(self._plans) if plan.timestamps_us[0] <= latest_us)
-        with self.timed("control"):
-            control = self._controller.control(self.state, plan, int(self.times[step]))
-        low, high = self.parameters.control_limits
-        self.events["saturations"] += bool(np.any((control <= low) | (control >= high)))
-        self._controls[step] = control
-        return control
-
-    def move_to(self, state: Array, step: int) -> None:
-        """Take the vehicle's state after a step, and let the agents react to where the ego was before it."""
+    def move(self, step: int) -> None:
+        """Control the vehicle and move it on by one step; the agents react to where it was before."""
+        control = self._control(step)
+        with self.timed("vehicle"):
+            state = self._stepper(self._states[step], control)
         if self._agents is not None:
             self._agents.step(int(self.times[step]), *self._ego_box(step))
         self._driven = step + 1
         self._states[step + 1] = state
         self._heights[step + 1] = self._height_at(state)
+
+    def _control(self, step: int) -> Array:
+        """The command (2,) that follows the plan in force at a step: the newest that is older than the delay."""
+        latest_us = self.times[step] - self._settings.planner_delay_us
+        plan = next(plan for plan in reversed(self._plans) if plan.timestamps_us[0] <= latest_us)
+        with self.timed("control"):
+            control = self._controller.control(self._states[step], plan, int(self.times[step]))
+        low, high = self._parameters.control_limits
+        self.events["saturations"] += bool(np.any((control <= low) | (control >= high)))
+        self._controls[step] = control
+        return control
 
     def _ego_box(self, step: int) -> tuple[Array, tuple[float, float], float]:
         """Pose (3,) of the centre of the ego's box, its length and width, and the ego's speed."""
@@ -195,9 +194,8 @@ class RunningDrive:
 
     def _height_at(self, state: Array) -> float:
         """Height of the ground under the rig, taken from the nearest recorded pose."""
-        positions = self._scene.ego.positions
-        nearest = np.argmin((positions[:, 0] - state[STATE.x]) ** 2 + (positions[:, 1] - state[STATE.y]) ** 2)
-        return float(positions[nearest, 2])
+        x, y, z = self._ground.T
+        return float(z[np.argmin((x - state[STATE.x]) ** 2 + (y - state[STATE.y]) ** 2)])
 
     @contextmanager
     def timed(self, work: str) -> Iterator[None]:
@@ -214,7 +212,7 @@ class RunningDrive:
         """What has been driven."""
         count = self._driven + 1
         plans = [plan.poses for plan in self._plans]
-        solves = self._controller.events
+        solves, integration = self._controller.events, self._stepper.report()
         return Rollout(
             scene=self._scene.name,
             category=self._scene.category,
@@ -230,7 +228,8 @@ class RunningDrive:
             events=Events(**self.events, solves_failed=solves.failed, solves_late=solves.late),
             failure=self.failure,
             rendered_images=dict.fromkeys(self._policy.cameras, self._rendered),
-            left_out=left_out,
+            left_out=(*left_out, *integration.left_out),
+            vehicle_steps={way.partition(" (")[0]: count for way, count in integration.taken.items()},
             timings=dict(self._timings),
             traffic=self._settings.traffic,
             reacted=self._agents.reacted() if self._agents else (),

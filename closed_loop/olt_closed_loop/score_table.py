@@ -7,6 +7,7 @@ rollouts of one scene are not quite. The distance between incidents is all that 
 AlpaSim has it, where an incident is a collision or leaving the road.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -34,6 +35,7 @@ class ScoreRow:
         alpasim_score_interval: 95 % interval of AS (Student t, cut to 0..1); needs two different scores.
         collision_rate: CR, share of valid rollouts with any collision.
         collision_rate_interval: 95 % interval of CR (Wilson).
+        events: how often something went another way than planned, over all rollouts (`olt_closed_loop.rollout.Events`).
         km_between_incidents, km_between_incidents_at_fault: driven by valid rollouts per incident; None without one.
     """
 
@@ -46,6 +48,7 @@ class ScoreRow:
     alpasim_score_interval: Interval | None
     collision_rate: float | None
     collision_rate_interval: Interval | None
+    events: dict[str, int]
     km_between_incidents: float | None
     km_between_incidents_at_fault: float | None
 
@@ -99,9 +102,17 @@ def _row(category: str, scores: Sequence[RolloutScore]) -> ScoreRow:
         alpasim_score_interval=mean_interval(values),
         collision_rate=collided / valid if valid else None,
         collision_rate_interval=wilson_interval(collided, valid) if valid else None,
+        events=_add_up([score.events for score in scores if score.events]),
         km_between_incidents=driven_km / incidents if incidents else None,
         km_between_incidents_at_fault=driven_km / at_fault if at_fault else None,
     )
+
+
+def _add_up(counts: Sequence[dict[str, int]]) -> dict[str, int]:
+    total: Counter[str] = Counter()
+    for count in counts:
+        total.update(count)
+    return dict(total)
 
 
 def mean_interval(values: np.ndarray) -> Interval | None:

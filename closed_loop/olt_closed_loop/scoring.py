@@ -71,6 +71,8 @@ class RolloutScore:
         reason: why the score is 0 by rule ("collision_at_fault", "offroad"), why there is none, or None.
         metrics: further figures by name (`driving_metrics`, or AlpaSim's metrics).
         left_out: what was not computed, and why.
+        events: how often something went another way than planned (`olt_closed_loop.rollout.Events`); None when nobody
+            counted.
     """
 
     scene: str
@@ -93,6 +95,7 @@ class RolloutScore:
     reason: str | None = None
     metrics: dict[str, float | bool | None] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+    events: dict[str, int] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The score as JSON can hold it."""
@@ -120,6 +123,7 @@ def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition:
         "policy": rollout.policy,
         "seed": rollout.seed,
         "definition": definition,
+        "events": vars(rollout.events).copy(),
     }
     reason = rollout.failure or _unscorable(rollout)
     if reason:

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from olt_closed_loop.batch_policy import BatchPolicy, ObservationBatch
-from olt_closed_loop.integrators import DEFAULT_TOLERANCE, VehicleStepper, make_batch_stepper
 from olt_closed_loop.recorded_motion import RecordedMotion, recorded_motion
 from olt_closed_loop.rollout import Rollout
 from olt_closed_loop.running_drive import RunningDrive, Sensors
@@ -25,7 +24,7 @@ from olt_closed_loop.simulation_settings import SimulationSettings, step_times
 from olt_closed_loop.vehicle import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import planar_pose
-from olt_toolkit.policy import FUTURE_STEPS, IMAGE_FRAMES, STEP_SECONDS, Observation, Plan, Policy
+from olt_toolkit.policy import FUTURE_STEPS, IMAGE_FRAMES, Observation, Plan, Policy
 from olt_toolkit.rig import CAMERA_INDEX
 
 
@@ -74,10 +73,8 @@ def simulate_batch(
 
 
 def _simulate_in_step(requests: Sequence[DriveRequest], policy: Policy, settings: SimulationSettings) -> list[Rollout]:
-    """All drives side by side, step by step; they share the policy's calls and the vehicle's."""
+    """All drives side by side, step by step; they share the policy's calls."""
     drives = [_start(request, policy, settings) for request in requests]
-    vehicles = [drive.parameters for drive in drives]
-    stepper = make_batch_stepper(vehicles, len(vehicles), settings.method, settings.substeps, STEP_SECONDS)
     delay = settings.planner_delay
     first = settings.handover - delay
     for step in range(first - IMAGE_FRAMES + 1, first):
@@ -86,7 +83,9 @@ def _simulate_in_step(requests: Sequence[DriveRequest], policy: Policy, settings
     for step in range(first, max(len(drive.times) for drive in drives) - 1):
         _plan([drive for drive in drives if drive.runs_at(step + delay)], policy, step)
         if step >= settings.handover:
-            _move([drive for drive in drives if drive.runs_at(step)], drives, stepper, step)
+            for drive in drives:
+                if drive.runs_at(step):
+                    drive.move(step)
     left_out = _left_out(policy, settings)
     return [drive.rollout(left_out) for drive in drives]
 
@@ -176,18 +175,6 @@ def _observation(drive: RunningDrive, policy: Policy, seen: ObservationBatch) ->
     )
 
 
-def _move(drives: Sequence[RunningDrive], everyone: Sequence[RunningDrive], stepper: VehicleStepper, step: int) -> None:
-    """Control and move these drives; vehicles whose drive has ended are computed along and left where they are."""
-    controls = {drive: drive.control(step) for drive in drives}
-    started = time.perf_counter()
-    commands = np.stack([controls.get(drive, np.zeros(2)) for drive in everyone])
-    moved = dict(zip(everyone, stepper(np.stack([drive.state for drive in everyone]), commands), strict=True))
-    seconds = (time.perf_counter() - started) / max(len(drives), 1)
-    for drive in drives:
-        drive.add_time("vehicle", seconds)
-        drive.move_to(moved[drive], step)
-
-
 def _ignores_route(policy: Policy, settings: SimulationSettings) -> bool:
     return settings.skip and isinstance(policy, BatchPolicy) and not policy.uses_route
 
@@ -199,8 +186,6 @@ def _left_out(policy: Policy, settings: SimulationSettings) -> tuple[str, ...]:
         notes.append(f"rendering of {', '.join(unused)}: policy {policy.name} does not look at them")
     if settings.vehicle == "kinematic":
         notes.append("tyre dynamics: the vehicle is kinematic")
-    elif settings.method == "auto":
-        notes.append(f"tyre dynamics in steps in which they move the vehicle less than {DEFAULT_TOLERANCE:g} m")
     if _ignores_route(policy, settings):
         notes.append(f"the route ahead: policy {policy.name} does not look at it")
     return tuple(notes)

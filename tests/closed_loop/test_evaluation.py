@@ -7,8 +7,17 @@ from typer.testing import CliRunner
 
 from olt_closed_loop import policies
 from olt_closed_loop.commands import app
-from olt_closed_loop.evaluation import count_left_out, load_scene, pass_gate, run_closed_loop, save_results
+from olt_closed_loop.control import ControlSettings
+from olt_closed_loop.evaluation import (
+    count_left_out,
+    count_vehicle_steps,
+    load_scene,
+    pass_gate,
+    run_closed_loop,
+    save_results,
+)
 from olt_closed_loop.rollout import load_rollouts
+from olt_closed_loop.score_table import summarize_scores
 from olt_closed_loop.simulation_settings import SimulationSettings
 from olt_closed_loop.stage import write_scene
 from olt_generator.errors import InputError
@@ -51,6 +60,31 @@ def test_everything_on_gives_the_same_numbers(straight_scene, moving_agent):
         assert replace(lean, timings={}, left_out=()).to_dict() == replace(full, timings={}, left_out=()).to_dict()
         assert replace(quick, left_out=()) == replace(slow, left_out=())
         assert count_left_out([(lean, quick)])
+
+
+def test_late_solves_reach_the_results_and_the_table(straight_scene, tmp_path):
+    never_in_time = replace(SHORT, control=ControlSettings(deadline_seconds=0.0))
+    results = run_closed_loop([straight_scene()], "route", rollouts=2, settings=never_in_time)
+    steps = round((4.0 - 1.7) / 0.1)
+    for rollout, score in results:
+        assert rollout.events.solves_late == steps and score.events == vars(rollout.events)
+    overall = summarize_scores([score for _, score in results]).overall
+    assert (overall.events["solves_late"], overall.events["solves_failed"]) == (2 * steps, 0)
+    save_results(tmp_path, results)
+    report = json.loads((tmp_path / "scores.json").read_text())
+    assert report["table"]["rows"][-1]["events"]["solves_late"] == 2 * steps
+    assert [score["events"]["solves_late"] for score in report["scores"]] == [steps, steps]
+
+
+def test_the_plan_says_what_moved_the_vehicle_and_what_that_left_out(straight_scene):
+    settings = replace(SHORT, vehicle="tyres")
+    results = run_closed_loop([straight_scene()], "route", rollouts=2, settings=settings)
+    steps = 2 * round((4.0 - 1.7) / 0.1)
+    taken = count_vehicle_steps(results)
+    assert sum(taken.values()) == steps
+    rolling = sum(count for way, count in taken.items() if way.startswith("kinematic"))
+    assert rolling > 0
+    assert count_left_out(results)[f"tyre slip in {rolling} of {steps} steps: below 3e-07 m in 0.1 s"] == 2
 
 
 def test_scores_are_refused_while_the_gate_fails(straight_scene, moving_agent):
