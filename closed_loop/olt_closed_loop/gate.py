@@ -56,7 +56,12 @@ def check_gate(scene: Scene, settings: SimulationSettings | None = None) -> Gate
         InputError: the recording is too short to be driven.
     """
     replayed = replay(scene, settings)
-    checks = (_check_replay(scene, replayed), _check_standing(scene, settings), _check_wall(scene, replayed))
+    recorded_m = recorded_length(scene, replayed)
+    checks = (
+        _check_replay(scene, replayed),
+        _check_standing(scene, settings, recorded_m),
+        _check_wall(scene, replayed, recorded_m),
+    )
     return GateResult(scene.name, checks)
 
 
@@ -65,18 +70,17 @@ def _check_replay(scene: Scene, replayed: Rollout) -> GateCheck:
     return GateCheck("replay scores 1", score.score == 1.0 and not score.collisions, _describe(score))
 
 
-def _check_standing(scene: Scene, settings: SimulationSettings | None) -> GateCheck:
+def _check_standing(scene: Scene, settings: SimulationSettings | None, recorded_m: float) -> GateCheck:
     name = "standing scores 0"
-    standing = stand(scene, settings)
-    if recorded_length(scene, standing) < SHORT_RECORDING:
+    if recorded_m < SHORT_RECORDING:
         return GateCheck(name, None, f"the recording drives less than {SHORT_RECORDING:g} m")
-    score = score_rollout(scene, standing)
+    score = score_rollout(scene, stand(scene, settings))
     return GateCheck(name, score.score == 0.0 and score.progress == 0.0, _describe(score))
 
 
-def _check_wall(scene: Scene, replayed: Rollout) -> GateCheck:
+def _check_wall(scene: Scene, replayed: Rollout, recorded_m: float) -> GateCheck:
     name = "a wall is hit once"
-    if recorded_length(scene, replayed) < 2.0 * scene.vehicle.length:
+    if recorded_m < 2.0 * scene.vehicle.length:
         return GateCheck(name, None, "the recording drives less than two vehicle lengths")
     score = score_rollout(replace(scene, agents=(_wall(scene, replayed),)), replayed)
     return GateCheck(name, score.score == 0.0 and len(score.collisions) == 1, _describe(score))

@@ -56,22 +56,28 @@ class PathTracker:
     def _search(self, point: Array, low: float, high: float) -> None:
         """Take the nearest point among the arc lengths from `low` to `high`.
 
-        A plain loop: the few segments within reach of one step are too short an array for numpy to pay.
+        A plain loop: the few segments within reach of one step are too short an array for numpy to pay. Where a segment
+        ends farther from the point than the nearest so far, the path cannot be nearer before it has made up for that,
+        so as much of it is left out.
         """
         self._last_point = point
         x, y = point.tolist()
-        first = max(bisect_right(self._arc_lengths, low) - 1, 0)
+        index = max(bisect_right(self._arc_lengths, low) - 1, 0)
         last = bisect_left(self._arc_lengths, high)
         # At the very end, or on a path of one point, there is no segment left.
         self.arc_length, self.distance = low, math.dist((x, y), self._vertices[last])
         nearest = math.inf
-        for index in range(first, last):
+        while index < last:
             (start_x, start_y), (unit_x, unit_y) = self._vertices[index], self._units[index]
-            start = self._arc_lengths[index]
+            start, end = self._arc_lengths[index], self._arc_lengths[index + 1]
             along = (x - start_x) * unit_x + (y - start_y) * unit_y
-            arc_length = min(max(start + along, start, low), self._arc_lengths[index + 1], high)
+            arc_length = min(max(start + along, start, low), end, high)
             along = arc_length - start
             distance = math.hypot(x - start_x - along * unit_x, y - start_y - along * unit_y)
             if distance < nearest:
                 nearest = distance
                 self.arc_length, self.distance = arc_length, distance
+            index += 1
+            end_x, end_y = self._vertices[index]
+            farther = math.hypot(x - end_x, y - end_y) - nearest
+            index = max(bisect_right(self._arc_lengths, end + farther, index) - 1, index)

@@ -76,7 +76,8 @@ def measure_road(surroundings: Surroundings) -> dict[str, MetricSeries]:
     for lanes, at in _by_lanes(road.lanes_near(positions)):
         outlines, union = surroundings.ego_outlines[at], _union(road, lanes)
         in_union = shapely.contains(union, outlines)
-        border[at[in_union]] = shapely.distance(_border(union), outlines[in_union])
+        if in_union.any():
+            border[at[in_union]] = _distances_to_border(union, outlines[in_union])
         on_lane = in_union if len(lanes) > 1 else np.zeros(len(at), dtype=bool)
         for lane in lanes:
             on_lane = on_lane | shapely.contains(road.area(lane), outlines)
@@ -112,10 +113,13 @@ def _union(road: _RoadMap, lanes: tuple[int, ...]) -> BaseGeometry:
     return union
 
 
-def _border(union: BaseGeometry) -> BaseGeometry:
-    border = shapely.boundary(union)
-    shapely.prepare(border)
-    return border
+def _distances_to_border(area: BaseGeometry, outlines: Geometries) -> Array:
+    """Distances (n,) of outlines to the border of an area; a tree of its segments finds the nearest one."""
+    rings = [shapely.get_coordinates(ring) for ring in shapely.get_parts(shapely.boundary(area))]
+    ends = np.concatenate([np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings])
+    tree = shapely.STRtree(np.asarray(shapely.linestrings(ends)))
+    _, distances = tree.query_nearest(outlines, return_distance=True, all_matches=False)
+    return distances
 
 
 def _against(road: _RoadMap, lane: int, surroundings: Surroundings, at: NDArray[np.int64]) -> Array:
