@@ -10,6 +10,7 @@ from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clip_builder import BuildOptions, build_clip
+from olt_toolkit.clip_files import describe_clip
 from olt_toolkit.recording import Recording
 from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, pav_rig
 
@@ -182,6 +183,20 @@ def test_frames_that_no_sample_shows_are_left_out_and_change_nothing(recording):
         shown = np.isin(all_.timestamps_us, few.timestamps_us)
         np.testing.assert_array_equal(few.frames, all_.frames[shown])
     assert len(some.clip.ego_motion.trajectory) == 31
+
+
+def test_sampled_frames_give_all_samples_of_the_clip(recording):
+    """The recording played at 2.5 Hz lasts 12 s; samples show 1.2 to 6 s of it."""
+    times = recording.timestamps_us * 4
+    slow = replace(recording, timestamps_us=times, reference=Trajectory(times, recording.reference.T_world_rig))
+    some, every = (
+        build_clip(slow, replace(OPTIONS, use_reference_motion=True, frames=frames)) for frames in ("sampled", "shown")
+    )
+    kept_us = some.clip.streams[CROSS_LEFT].timestamps_us
+    assert (kept_us[0], kept_us[-1]) == (1_200_000, 5_600_000)
+    assert describe_clip(some.clip, "").sample_t0_us == describe_clip(every.clip, "").sample_t0_us
+    assert len(some.distance.distance) < len(every.distance.distance)
+    assert "18 of 31 frames of each view" in some.left_out
 
 
 def test_the_same_recording_gives_the_same_clip(built, recording):
