@@ -5,6 +5,7 @@ import pytest
 
 from olt_closed_loop import compiled
 from olt_closed_loop.benchmarks.vehicle import (
+    BENCHMARK,
     VEHICLES,
     Integration,
     drive,
@@ -71,6 +72,12 @@ def test_every_model_and_method_is_measured():
     assert measured == {
         (model, method) for model in MODELS for method in ("auto", "midpoint", "rk4", "radau", "cvodes")
     }
+
+
+def test_the_benchmark_tells_error_and_batch_time_of_a_setting():
+    result = BENCHMARK.settings()[4].prepare()()
+    assert BENCHMARK.measure_error(result) < 1e-3
+    assert BENCHMARK.figures(result)["batch (us a step)"] > 0.0
 
 
 @pytest.mark.parametrize("model", MODELS)

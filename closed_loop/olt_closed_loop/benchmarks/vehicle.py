@@ -1,5 +1,6 @@
 """Vehicle integration: how far each integrator is from the exact motion, and what a step of it costs."""
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -8,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from olt_closed_loop.benchmarks.vehicle_grid import vehicle_grid
-from olt_closed_loop.integrators import Method, make_stepper
+from olt_closed_loop.integrators import Method, make_batch_stepper, make_stepper
 from olt_closed_loop.vehicle import MODELS, STATE, Model, VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle_presets import DRY_FRICTION, alpasim_vehicle
 from olt_generator.poses import Array
@@ -18,6 +19,8 @@ from olt_toolkit.rig import DEFAULT_VEHICLE
 HOLD = 0.2
 """Seconds for which a control is held, and after which positions are compared."""
 HOLDS = 10
+BATCH = 200
+"""Vehicles of the batch whose steps are timed too."""
 VEHICLES: dict[Model, VehicleParameters] = {
     "kinematic": VehicleParameters.from_dimensions(DEFAULT_VEHICLE),
     "linear": alpasim_vehicle(),
@@ -55,12 +58,12 @@ def integrations() -> Iterator[Integration]:
 
 def manoeuvres(model: Model) -> tuple[Array, Array]:
     """First states (n, s) and held controls (n, 10, 2): steering steps, braking in a bend, slalom, moving off."""
-    time = HOLD * np.arange(HOLDS)
+    times = HOLD * np.arange(HOLDS)
     rows: list[tuple[float, Array, Array]] = [
         (speed, np.full(HOLDS, 0.3), np.zeros(HOLDS)) for speed in (10.0, 20.0, 30.0, 40.0)
     ]
     rows.append((10.0, np.full(HOLDS, 0.1), np.full(HOLDS, -8.0)))
-    rows.append((15.0, 0.1 * np.sin(np.pi * time), np.zeros(HOLDS)))
+    rows.append((15.0, 0.1 * np.sin(np.pi * times), np.zeros(HOLDS)))
     rows.append((0.0, np.full(HOLDS, 0.2), np.full(HOLDS, 3.0)))
     states = np.zeros((len(rows), 6))
     states[:, STATE.speed] = [speed for speed, _, _ in rows]
@@ -151,9 +154,23 @@ def _rotation(angle: float) -> Array:
     return np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
 
 
-def _prepare(integration: Integration) -> Callable[[], tuple[int, Array]]:
-    call = _prepare_drive(integration)
-    return lambda: (MODELS.index(integration.model), call())
+def batch_microseconds(integration: Integration) -> float:
+    """Median CPU time of a step for each vehicle of a batch, all under a steering step of 0.3 rad at 20 m/s."""
+    vehicle = VEHICLES[integration.model]
+    stepper = make_batch_stepper(vehicle, BATCH, integration.method, integration.substeps, integration.step)
+    states = with_rolling_tyres(np.tile([0.0, 0.0, 0.0, 20.0, 0.0, 0.0], (BATCH, 1)), vehicle)
+    controls = np.tile([0.3, 0.0], (BATCH, 1))
+    seconds = []
+    for _ in range(HOLDS):
+        began = time.thread_time()
+        states = stepper(states, controls)
+        seconds.append(time.thread_time() - began)
+    return 1e6 * float(np.median(seconds)) / BATCH
+
+
+def _prepare(integration: Integration) -> Callable[[], tuple[int, Array, float]]:
+    call, batch = _prepare_drive(integration), batch_microseconds(integration)
+    return lambda: (MODELS.index(integration.model), call(), batch)
 
 
 def _settings() -> Sequence[Setting]:
@@ -161,8 +178,8 @@ def _settings() -> Sequence[Setting]:
     return [Setting(each.name, partial(_prepare, each), default=each == default) for each in integrations()]
 
 
-def _measure_error(result: tuple[int, Array]) -> float:
-    model, positions = result
+def _measure_error(result: tuple[int, Array, float]) -> float:
+    model, positions, _ = result
     return float(np.linalg.norm(positions - reference_positions(MODELS[model]), axis=-1).max())
 
 
@@ -174,5 +191,6 @@ BENCHMARK = Benchmark(
     reference="the same equations written in numpy, integrated by DOP853 (scipy) at tolerance 1e-12",
     settings=_settings,
     measure_error=_measure_error,
+    figures=lambda result: {"batch (us a step)": result[2]},
     grid=vehicle_grid,
 )
