@@ -6,6 +6,7 @@ import pytest
 from pyarrow import feather, parquet
 
 from olt_datasets.drives import open_dataset
+from olt_datasets.sources.argoverse2 import DATASET
 from olt_generator.errors import InputError
 from olt_generator.poses import yaw_of
 from olt_toolkit.recording import OpenOptions
@@ -60,7 +61,7 @@ def test_scenarios_and_logs_of_all_splits_are_drives(tmp_path):
 def test_trajectories_are_those_of_the_rig_on_the_ground(tmp_path):
     write_scenario(tmp_path / "train")
     write_log(tmp_path / "train" / "7fab")
-    dataset = open_dataset(tmp_path, tmp_path / "cache")
+    dataset = DATASET.open(tmp_path, tmp_path / "cache")
     bend, straight = dataset.ego_motion("train/0a1e"), dataset.ego_motion("train/7fab")
     assert bend.positions[0].tolist() == [0.0, 0.0, 0.0]
     assert bend.path_length == pytest.approx(5.0 * 10.9, rel=1e-4)

@@ -1,0 +1,141 @@
+"""The synthetic world as a data set: drives that are invented and rendered when they are opened.
+
+The folder holds one file, `synthetic.yaml`:
+
+    categories: [nominal, work_zone]    # of `olt_closed_loop.procedural.CATEGORIES`
+    seed: 0                             # scene seed of the first drive of each category
+    count: 4                            # drives of each category
+    duration: 14.0                      # seconds of each drive, up to 14; may be left out
+    frame_rate: 10.0                    # images per second; may be left out
+    split: train                        # train, val or test; may be left out
+
+Equal files give equal images. Category, scene factors, motion and all views are known exactly.
+"""
+
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+
+from olt_closed_loop.procedural import CATEGORIES, DURATION_US, generate_scene
+from olt_closed_loop.recorder import frame_times, record_drive
+from olt_closed_loop.scene import Scene
+from olt_datasets.drives import Drive, Licence
+from olt_generator.errors import InputError
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.clip import Split
+from olt_toolkit.policy_window import Span
+from olt_toolkit.recording import OpenOptions, Recording
+from olt_toolkit.rig import POLICY_CAMERAS, pav_rig
+from olt_toolkit.yaml_files import read_yaml_mapping
+
+NAME = "synthetic"
+FILE = "synthetic.yaml"
+LICENCE = Licence("Apache-2.0", "Made by the toolkit itself.", "None but those of the toolkit.")
+# Shape of the images: that of the target rig's.
+_ASPECT = 9 / 16
+_MOST_DRIVES = 1_000_000
+
+
+class _Specification(BaseModel):
+    """The content of `synthetic.yaml`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    categories: Annotated[tuple[str, ...], Field(min_length=1)]
+    seed: Annotated[int, Field(ge=0)]
+    count: Annotated[int, Field(ge=1, le=_MOST_DRIVES)]
+    duration: Annotated[float, Field(gt=0.0, le=DURATION_US * 1e-6)] = DURATION_US * 1e-6
+    frame_rate: Annotated[float, Field(gt=0.0, le=120.0)] = 10.0
+    split: Split | None = None
+
+    @field_validator("categories")
+    @classmethod
+    def _check_categories(cls, categories: tuple[str, ...]) -> tuple[str, ...]:
+        unknown = [name for name in categories if name not in CATEGORIES]
+        if unknown or len(set(categories)) < len(categories):
+            raise ValueError(f"give each category once, of {', '.join(CATEGORIES)}")
+        return categories
+
+
+class Synthetic:
+    """The drives that a specification asks for; see `Dataset`."""
+
+    source = NAME
+    licence = LICENCE
+
+    def __init__(self, root: Path) -> None:
+        self._file = root / FILE
+        self._asked = _read_specification(self._file)
+        seeds = range(self._asked.seed, self._asked.seed + self._asked.count)
+        self._drives = {f"{name}_{seed:06d}": (name, seed) for name in self._asked.categories for seed in seeds}
+
+    def keys(self) -> list[str]:
+        """See `Dataset.keys`: category and scene seed, `work_zone_000003`."""
+        return sorted(self._drives)
+
+    def drive(self, key: str) -> Drive:
+        """See `Dataset.drive`; the scene is invented and nothing is rendered."""
+        scene = self._scene(key)
+        times_us = frame_times(scene, self._asked.frame_rate)
+        return Drive(
+            source=NAME,
+            scene_id=f"{NAME}/{key}",
+            key=key,
+            front_us=times_us,
+            cameras=tuple(pav_rig().cameras),
+            ego_span_us=(0, int(times_us[-1])),
+            true_views=POLICY_CAMERAS,
+            category=scene.category,
+            factors=scene.factors,
+            split=self._asked.split,
+            notes=("The world is invented and its images are rendered, not filmed.",),
+        )
+
+    def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
+        """See `Dataset.open`; lens and mounting are those of the nominal rig, whatever the options say."""
+        size = options.width, round(options.width * _ASPECT)
+        scene = self._scene(key)
+        return record_drive(scene, *size, self._asked.frame_rate, cameras=options.views, window_us=window_us)
+
+    def _scene(self, key: str) -> Scene:
+        if key not in self._drives:
+            raise InputError(f"{self._file}: asks for no drive {key!r}")
+        scene = _generate(*self._drives[key])
+        shown = scene.ego.timestamps_us <= round(self._asked.duration * 1e6)
+        return replace(scene, ego=Trajectory(scene.ego.timestamps_us[shown], scene.ego.T_world_rig[shown]))
+
+
+class SyntheticReader:
+    """Opens a folder with `synthetic.yaml`; see `DatasetReader`."""
+
+    name = NAME
+    licence = LICENCE
+
+    def recognises(self, root: Path) -> bool:
+        """See `DatasetReader.recognises`; judged by the file."""
+        return (root / FILE).is_file()
+
+    def open(self, root: Path, cache: Path) -> Synthetic:
+        """See `DatasetReader.open`; nothing is cached."""
+        return Synthetic(root)
+
+
+@lru_cache(maxsize=8)
+def _generate(category: str, seed: int) -> Scene:
+    return generate_scene(category, seed)
+
+
+def _read_specification(file: Path) -> _Specification:
+    content = read_yaml_mapping(file, "specification of synthetic drives", _Specification.model_fields)
+    try:
+        return _Specification.model_validate(content)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        raise InputError(f"{file}: {place}: {first['msg']}") from error
+
+
+DATASET = SyntheticReader()

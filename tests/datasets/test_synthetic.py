@@ -1,0 +1,97 @@
+"""The synthetic world as a data set."""
+
+import numpy as np
+import pytest
+
+from olt_closed_loop.procedural import generate_scene
+from olt_closed_loop.recorder import record_drive
+from olt_datasets.drives import open_dataset
+from olt_generator.errors import InputError
+from olt_toolkit.recording import OpenOptions
+from olt_toolkit.rig import CROSS_LEFT, FRONT_WIDE, POLICY_CAMERAS
+
+SPECIFICATION = """
+categories: [work_zone, nominal]
+seed: 7
+count: 2
+"""
+SMALL = OpenOptions(width=64, views=(CROSS_LEFT,))
+
+
+@pytest.fixture
+def open_world(tmp_path):
+    def write_and_open(text=SPECIFICATION):
+        (tmp_path / "synthetic.yaml").write_text(text)
+        return open_dataset(tmp_path, tmp_path / "cache")
+
+    return write_and_open
+
+
+def test_drives_are_those_asked_for(open_world):
+    dataset = open_world(SPECIFICATION + "duration: 9.0\nframe_rate: 5.0\nsplit: val\n")
+    assert dataset.source == "synthetic"
+    assert dataset.keys() == ["nominal_000007", "nominal_000008", "work_zone_000007", "work_zone_000008"]
+    drive = dataset.drive("work_zone_000008")
+    assert drive.front_us.tolist() == [200_000 * k for k in range(46)]
+    assert drive.ego_span_us == (0, 9_000_000)
+    assert drive.scene_id == "synthetic/work_zone_000008"
+    assert drive.category == "work_zone"
+    assert drive.factors == generate_scene("work_zone", 8).factors != ()
+    assert drive.split == "val"
+    assert drive.true_views == POLICY_CAMERAS
+    assert set(POLICY_CAMERAS) <= set(drive.cameras)
+
+
+def test_a_window_is_that_part_of_the_whole_drive(open_world):
+    dataset = open_world()
+    window = dataset.open("nominal_000007", (1_050_000, 1_300_000), SMALL)
+    whole = record_drive(generate_scene("nominal", 7), 64, 36, 10.0, (CROSS_LEFT,), window_us=(0, 1_300_000))
+    assert window.timestamps_us.tolist() == [0, 100_000, 200_000]
+    assert np.array_equal(window.frames, whole.frames[11:14])
+    assert list(window.views) == [CROSS_LEFT]
+    assert np.array_equal(window.views[CROSS_LEFT], whole.views[CROSS_LEFT][11:14])
+    assert np.array_equal(window.reference.T_world_rig, whole.reference.T_world_rig)
+    assert (window.reference.timestamps_us + 1_100_000).tolist() == whole.reference.timestamps_us.tolist()
+    assert len(window.reference) == 141
+
+
+def test_the_same_file_gives_the_same_images(open_world):
+    first, second = (open_world().open("work_zone_000007", (0, 100_000), SMALL) for _ in range(2))
+    assert np.array_equal(first.frames, second.frames)
+    other = open_world().open("work_zone_000008", (0, 100_000), SMALL)
+    assert not np.array_equal(first.frames, other.frames)
+
+
+def test_true_views_carry_their_cameras(open_world):
+    recording = open_world().open("nominal_000007", (0, 0), SMALL)
+    assert recording.frames.shape == (1, 36, 64, 3)
+    assert recording.mounted[CROSS_LEFT].camera.width == 64
+    assert FRONT_WIDE not in recording.views
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("categories: [animals]\nseed: 0\ncount: 1", "categories: .*give each category once, of nominal"),
+        ("categories: [nominal, nominal]\nseed: 0\ncount: 1", "give each category once"),
+        ("categories: []\nseed: 0\ncount: 1", "categories: "),
+        ("categories: [nominal]\nseed: 0", "count: Field required"),
+        ("categories: [nominal]\nseed: 0\ncount: 1\ncolour: red", "colour: Extra inputs"),
+        ("categories: [nominal]\nseed: 0\ncount: 1\nduration: 15", "duration: "),
+        ("categories: [nominal]\nseed: 0\ncount: 1\nframe_rate: 0", "frame_rate: "),
+        ("[1, 2]", "is a mapping"),
+        ("a: [", "not YAML"),
+    ],
+)
+def test_a_wrong_file_is_refused(open_world, text, complaint):
+    with pytest.raises(InputError, match=rf"synthetic\.yaml: .*{complaint}") as caught:
+        open_world(text)
+    assert "\n" not in str(caught.value)
+
+
+def test_unknown_drives_and_empty_windows_are_refused(open_world):
+    dataset = open_world()
+    with pytest.raises(InputError, match="asks for no drive 'nominal_000001'"):
+        dataset.drive("nominal_000001")
+    with pytest.raises(InputError, match="no image lies between"):
+        dataset.open("nominal_000007", (15_000_000, 16_000_000), SMALL)
