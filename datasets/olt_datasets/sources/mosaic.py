@@ -49,7 +49,7 @@ class Mosaic:
         self.target = target
         self.observed: Mask = chosen != NOBODY
         self._parts = {
-            name: (_remapper(target, source, distance), chosen == number)
+            name: _Part(target, source, chosen == number, distance)
             for number, (name, source) in enumerate(sorted(sources.items()))
             if (chosen == number).any()
         }
@@ -67,9 +67,32 @@ class Mosaic:
             InputError: an image has not the size of its camera.
         """
         view = np.zeros((*self.observed.shape, 3), np.uint8)
-        for name, (remapper, mask) in self._parts.items():
-            view[mask] = remapper.remap(images[name])[mask]
+        for name, part in self._parts.items():
+            part.draw(view, images[name])
         return view
+
+
+class _Part:
+    """What one camera gives: its pixels of the view, and a box of the view that holds them and their neighbours."""
+
+    def __init__(self, target: MountedCamera, source: MountedCamera, mask: Mask, distance: float) -> None:
+        top, bottom = _span_with_neighbours(mask.any(axis=1))
+        left, right = _span_with_neighbours(mask.any(axis=0))
+        self._box = slice(top, bottom), slice(left, right)
+        self._mask = mask[self._box]
+        camera = target.camera.cropped(left, top, right - left, bottom - top)
+        rotation, shift = _to_source(target, source, distance)
+        self._remapper = Remapper(source.camera, camera, rotation, shift=shift)
+
+    def draw(self, view: Image, image: Image) -> None:
+        """Put the camera's pixels into the view."""
+        view[self._box][self._mask] = self._remapper.remap(image)[self._mask]
+
+
+def _span_with_neighbours(marked: Mask) -> tuple[int, int]:
+    """The first marked place of a line less one, and the last plus one, as a range."""
+    places = np.flatnonzero(marked)
+    return max(0, int(places[0]) - 1), min(len(marked), int(places[-1]) + 2)
 
 
 def choose_cameras(
@@ -107,11 +130,6 @@ def coverage(target: MountedCamera, sources: Mapping[str, MountedCamera], distan
     """Share of the target's view that some camera sees, from a coarse grid of its pixels."""
     coarse = MountedCamera(target.camera.resized(*_COVERAGE_SIZE), target.T_rig_camera)
     return float((choose_cameras(coarse, sources, distance) != NOBODY).mean())
-
-
-def _remapper(target: MountedCamera, source: MountedCamera, distance: float) -> Remapper:
-    rotation, shift = _to_source(target, source, distance)
-    return Remapper(source.camera, target.camera, rotation, shift=shift)
 
 
 def _to_source(target: MountedCamera, source: MountedCamera, distance: float) -> tuple[Array, Array]:

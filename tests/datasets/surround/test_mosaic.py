@@ -99,6 +99,15 @@ def test_a_stated_distance_is_exact_there_and_infinity_is_not(world):
     assert errors[np.inf] > 15
 
 
+def test_a_single_column_is_enough(world):
+    """The last column of the view lies 29.9 degrees from the camera's axis, the one before it beyond its 30."""
+    target, source = looking(59.7), looking(0.0)
+    mosaic = Mosaic(target, {"ahead": source})
+    assert np.flatnonzero(mosaic.observed.any(axis=0)).tolist() == [159]
+    view = mosaic.compose({"ahead": world.picture(source)})
+    assert world.mistakes(view, target)[mosaic.observed].max() <= 3
+
+
 def test_nobody_looks_there(world):
     behind = Mosaic(looking(180.0), {"ahead": looking(0.0)})
     assert behind.cameras == ()
