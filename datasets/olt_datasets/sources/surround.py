@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -38,18 +39,30 @@ _SAMPLES = 2
 _LARGEST_IMAGE_BYTES = 64 * 2**20
 
 
+class StoredImage(Protocol):
+    """An image file, or an image inside another file; as text it is what errors call it."""
+
+    def read_bytes(self) -> bytes:
+        """The coded image.
+
+        Raises:
+            InputError: it is damaged.
+        """
+        ...
+
+
 @dataclass(frozen=True)
 class CameraImages:
     """The images of one camera over a drive.
 
     Attributes:
         mounted: lens, at the size of the stored images, and mounting.
-        files: n image files.
+        files: n images, files or parts of files.
         times_us: (n,) int64 drive times, strictly increasing.
     """
 
     mounted: MountedCamera
-    files: tuple[Path, ...]
+    files: tuple[StoredImage, ...]
     times_us: NDArray[np.int64]
 
 
@@ -197,23 +210,29 @@ class _Views:
         )
 
 
-def read_image(file: Path, camera: Camera) -> Image:
-    """An image file as (H, W, 3) RGB, at the size of its camera.
+def read_image(stored: StoredImage, camera: Camera) -> Image:
+    """A stored image as (H, W, 3) RGB, at the size of its camera.
 
     Raises:
         InputError: it is missing, too large to be one, cannot be decoded, or has another size.
     """
+    if isinstance(stored, Path):
+        _check_file(stored)
+    content = np.frombuffer(stored.read_bytes(), np.uint8)
+    image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
+    if image is None:
+        raise InputError(f"{stored}: cannot be decoded as an image; copy it again")
+    if image.shape[:2] != (camera.height, camera.width):
+        height, width = image.shape[:2]
+        raise InputError(f"{stored}: is {width} x {height} pixels; its camera has {camera.width} x {camera.height}")
+    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+
+
+def _check_file(file: Path) -> None:
     if not file.is_file():
         raise InputError(f"{file}: no such image; copy the data set again")
     if file.stat().st_size > _LARGEST_IMAGE_BYTES:
         raise InputError(f"{file}: {file.stat().st_size} bytes are too many for an image; copy it again")
-    image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-    if image is None:
-        raise InputError(f"{file}: cannot be decoded as an image; copy it again")
-    if image.shape[:2] != (camera.height, camera.width):
-        height, width = image.shape[:2]
-        raise InputError(f"{file}: is {width} x {height} pixels; its camera has {camera.width} x {camera.height}")
-    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
 def _straightened(camera: Camera, width: int) -> tuple[Camera, Callable[[Image], Image]]:

@@ -4,28 +4,26 @@ Layout: TFRecord shards `training_*.tfrecord-*`, `val_*` and `test_*`, in the fo
 `SEQUENCE-INDEX`; frames are 0.1 s apart. Ego motion is put together from the past and future that every frame tells.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-import cv2
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from olt_datasets.drives import Drive, Licence
+from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_datasets.sources.tfrecord import map_records, read_record
 from olt_datasets.sources.waymo_frames import CAMERAS, FrameImages, read_images
 from olt_datasets.sources.waymo_index import SHARDS, build_index, positions
 from olt_datasets.sources.waymo_motion import FramePath, chain_paths
-from olt_datasets.sources.windows import from_window_start, images_within
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
-from olt_generator.video import shrink
 from olt_toolkit.clip import Split
 from olt_toolkit.policy_window import Span
 from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import FRONT_WIDE, VehicleDimensions
+from olt_toolkit.rig import MountedCamera, VehicleDimensions
 
 NAME = "waymo_e2e"
 LICENCE = Licence(
@@ -44,6 +42,7 @@ _SPLITS: dict[str, Split] = {"training": "train", "train": "train", "val": "val"
 _ASSUMPTIONS = (
     "Frames are 0.1 s apart, and all cameras of one expose at once; the data set tells no times.",
     "The motion is in the plane, and headings follow from the paths that the frames tell; the data set tells none.",
+    "The vehicle frame, to which the cameras are calibrated, is taken to be on the ground under the rear axle.",
     "The vehicle has the size of a Jaguar I-Pace, which is what most of Waymo's cars are.",
 )
 
@@ -110,42 +109,38 @@ class WaymoE2E:
     def drive(self, key: str) -> Drive:
         """See `Dataset.drive`; no image is read."""
         frames = self._frames(key)
-        front, span = frames.with_front, frames.trajectory.timestamps_us
-        rated = front.rows["rated"].to_numpy()
-        return Drive(
-            source=NAME,
-            scene_id=f"{NAME}/{key}",
-            key=key,
-            front_us=front.times_us,
-            cameras=front.cameras,
-            ego_span_us=(int(span[0]), int(span[-1])),
-            true_views=(FRONT_WIDE,),
-            country="US",
-            split=frames.split,
-            event_t0s_us=tuple(front.times_us[rated].tolist()),
-            notes=(*_ASSUMPTIONS, *_missing(frames)),
-        )
+        front = frames.with_front
+        rated = front.times_us[front.rows["rated"].to_numpy()]
+        described = self._surround(frames).describe(country="US", split=frames.split, notes=_missing(frames))
+        return replace(described, event_t0s_us=tuple(rated.tolist()))
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
-        """See `Dataset.open`; field of view and height come from the calibration, whatever the options say."""
-        frames = self._frames(key)
+        """See `Dataset.open`; the front images, which are portraits, are freed of their distortion."""
+        return self._surround(self._frames(key)).open(window_us, options)
+
+    def _surround(self, frames: _Frames) -> SurroundDrive:
+        """The images of a drive and its motion; nothing but the calibration of the first frame is read."""
         front = frames.with_front
-        inside = images_within(front.times_us, window_us, f"Waymo E2E drive {key}")
-        records = self._read_records(front.rows[inside])
-        camera = records[0].cameras[FRONT]
-        images = np.stack([_decode(record, FRONT, options.width, key) for record in records])
-        start_us = int(front.times_us[inside[0]])
-        return Recording(
-            name=key,
+        records = self._records(front.rows)
+        mounted = records[0].calibrated
+        cameras = {}
+        for name in front.cameras:
+            images = tuple(_RecordImage(record, name, mounted[name]) for record in records)
+            cameras[name] = CameraImages(mounted[name], images, front.times_us)
+        return SurroundDrive(
             source=NAME,
-            frames=images,
-            timestamps_us=front.times_us[inside] - start_us,
-            camera=camera.camera.resized(images.shape[2], images.shape[1]),
-            T_rig_camera=camera.T_rig_camera,
+            key=frames.key,
+            front=FRONT,
+            cameras=cameras,
+            ego=frames.trajectory,
             vehicle=JAGUAR_I_PACE,
             assumptions=_ASSUMPTIONS,
-            reference=from_window_start(frames.trajectory, start_us),
         )
+
+    def _records(self, rows: pl.DataFrame) -> list["_Record"]:
+        shards = {name: map_records(self._root / name) for name in rows["shard"].unique()}
+        cells = rows.select("shard", "offset", "length").iter_rows()
+        return [_Record(shards[name], offset, length, str(self._root / name)) for name, offset, length in cells]
 
     def _frames(self, key: str) -> _Frames:
         rows = pl.scan_parquet(self._index).filter(pl.col("sequence") == key).sort("index").collect()
@@ -163,13 +158,44 @@ class WaymoE2E:
             raise InputError(f"Waymo E2E drive {key}: no frame has an image of the front camera")
         return _Frames(key, rows, times_us - times_us[has_front.argmax()])
 
-    def _read_records(self, rows: pl.DataFrame) -> list[FrameImages]:
-        shards = {name: map_records(self._root / name) for name in rows["shard"].unique()}
-        images = []
-        for name, offset, length in rows.select("shard", "offset", "length").iter_rows():
-            where = f"{self._root / name}: record at byte {offset}"
-            images.append(read_images(read_record(shards[name], offset, length, str(self._root / name)), where))
-        return images
+
+class _Record:
+    """A record of a shard."""
+
+    def __init__(self, shard: memoryview, offset: int, length: int, path: str) -> None:
+        self._shard, self._offset, self._length, self._path = shard, offset, length, path
+
+    def __str__(self) -> str:
+        return f"{self._path}: record at byte {self._offset}"
+
+    @property
+    def calibrated(self) -> dict[str, MountedCamera]:
+        """The cameras, read without looking at the images, so the checksum of the record is not looked at either."""
+        return read_images(self._shard[self._offset : self._offset + self._length], str(self)).cameras
+
+    @cached_property
+    def images(self) -> FrameImages:
+        """Images and cameras, checked; all images of a record are asked for one after the other."""
+        return read_images(read_record(self._shard, self._offset, self._length, self._path), str(self))
+
+
+@dataclass(frozen=True)
+class _RecordImage:
+    """The image of a camera in a record; see `StoredImage`. `mounted` is the camera as the drive has it."""
+
+    record: _Record
+    camera: str
+    mounted: MountedCamera
+
+    def __str__(self) -> str:
+        return f"{self.record}: {self.camera}"
+
+    def read_bytes(self) -> bytes:
+        images = self.record.images
+        own = images.cameras[self.camera]
+        if own.camera != self.mounted.camera or not np.array_equal(own.T_rig_camera, self.mounted.T_rig_camera):
+            raise InputError(f"{self}: its calibration is not that of the first frame; give Waymo's shards unchanged")
+        return bytes(images.jpegs[self.camera])
 
 
 class WaymoE2EReader:
@@ -191,20 +217,6 @@ class WaymoE2EReader:
 def _prefix(shard: str) -> str:
     """What the name of a shard begins with: `training` of `folder/training_202504031202...`."""
     return Path(shard).name.partition("_")[0]
-
-
-def _decode(record: FrameImages, name: str, width: int, key: str) -> NDArray[np.uint8]:
-    """The image (H, W, 3) of a camera, shrunk to `width`."""
-    camera = record.cameras[name].camera
-    image = cv2.imdecode(np.frombuffer(record.jpegs[name], np.uint8), cv2.IMREAD_COLOR_RGB)
-    if image is None:
-        raise InputError(f"Waymo E2E drive {key}: an image of {name} cannot be decoded; copy the shard again")
-    if image.shape[1::-1] != (camera.width, camera.height):
-        raise InputError(
-            f"Waymo E2E drive {key}: an image of {name} is {image.shape[1]} x {image.shape[0]} pixels, its calibration "
-            f"says {camera.width} x {camera.height}"
-        )
-    return shrink(np.asarray(image, np.uint8), width)
 
 
 def _missing(frames: _Frames) -> tuple[str, ...]:

@@ -6,10 +6,12 @@ import pytest
 from olt_datasets.drives import open_dataset
 from olt_datasets.sources import waymo_index
 from olt_generator.errors import InputError
-from olt_generator.poses import yaw_of
+from olt_generator.poses import invert, yaw_of
 from olt_toolkit.recording import OpenOptions
+from olt_toolkit.rig import CROSS_LEFT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS
 
 WHOLE = (-10_000_000, 60_000_000)
+FRONT_ONLY = OpenOptions(views=())
 
 
 def true_poses(drive, times_us, start=0.0):
@@ -38,7 +40,7 @@ def test_drives_are_put_together_from_all_shards(open_shards, make_records, make
 def test_the_trajectory_is_that_of_the_drive(open_shards, make_records, make_drive):
     """100 chained frames: nowhere more than a centimetre and a twentieth of a degree off."""
     drive = make_drive()
-    recording = open_shards(make_records("a", 100, cameras=(1,))).open("a", (0, 200_000), OpenOptions())
+    recording = open_shards(make_records("a", 100, cameras=(1,))).open("a", (0, 200_000), FRONT_ONLY)
     times_us = recording.reference.timestamps_us
     positions, yaws = true_poses(drive, times_us)
     assert (times_us[0], times_us[-1]) == (-3_750_000, 14_900_000)
@@ -52,7 +54,7 @@ def test_the_trajectory_is_that_of_the_drive(open_shards, make_records, make_dri
 
 
 def test_a_standing_car_does_not_turn(open_shards, make_records, make_drive):
-    reference = open_shards(make_records("a", 5, make_drive(standing=True))).open("a", WHOLE, OpenOptions()).reference
+    reference = open_shards(make_records("a", 5, make_drive(standing=True))).open("a", WHOLE, FRONT_ONLY).reference
     assert np.abs(reference.positions).max() < 1e-6
     assert np.abs(yaw_of(reference.T_world_rig)).max() == 0.0
 
@@ -61,28 +63,53 @@ def test_a_car_that_backs_up_keeps_its_heading(open_shards, make_frame):
     """The only frame: forwards until now, backwards from then on."""
     past = np.stack([np.linspace(-6.0, 0.0, 16), np.zeros(16)], -1)
     future = np.stack([-np.linspace(0.2, 4.0, 20), np.zeros(20)], -1)
-    reference = open_shards([make_frame("a-000", past, future)]).open("a", WHOLE, OpenOptions()).reference
+    reference = open_shards([make_frame("a-000", past, future)]).open("a", WHOLE, FRONT_ONLY).reference
     assert np.abs(yaw_of(reference.T_world_rig)).max() < 1e-6
 
 
 def test_a_window_begins_at_its_first_image(open_shards, make_records, make_drive):
-    recording = open_shards(make_records("a", 12)).open("a", (250_000, 700_000), OpenOptions(width=24))
+    recording = open_shards(make_records("a", 12)).open("a", (250_000, 700_000), OpenOptions(width=24, views=()))
     assert recording.timestamps_us.tolist() == [0, 100_000, 200_000, 300_000, 400_000]
     assert recording.frames.shape == (5, 32, 24, 3)
     assert recording.frames[:, 0, 0, 0] == pytest.approx([13, 14, 15, 16, 17], abs=2)
     positions, yaws = true_poses(make_drive(), recording.reference.timestamps_us, start=0.3)
-    assert np.allclose(recording.reference.positions[:, :2], positions, atol=0.02)
-    assert np.allclose(yaw_of(recording.reference.T_world_rig), yaws, atol=0.01)
+    T_start_rig = invert(recording.reference.interpolate(np.array([0]))) @ recording.reference.T_world_rig
+    assert np.allclose(T_start_rig[:, :2, 3], positions, atol=0.02)
+    assert np.allclose(yaw_of(T_start_rig), yaws, atol=0.01)
 
 
 def test_the_front_camera_is_found_by_name_and_looks_ahead(open_shards, make_records):
-    recording = open_shards(make_records("a", 2)).open("a", WHOLE, OpenOptions())
+    recording = open_shards(make_records("a", 2)).open("a", WHOLE, FRONT_ONLY)
     assert recording.camera.fx == 40.0
     # The middle of Waymo's image is at width / 2, counted from the left edge of the first pixel.
     ray = recording.camera.rays(np.array([[23.5, 31.5]]))[0]
     assert recording.T_rig_camera[:3, :3] @ ray == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
     assert recording.T_rig_camera[:3, 3] == pytest.approx([1.5, 0.1, 2.0])
     assert recording.T_rig_camera[:3, :3] @ [1.0, 0.0, 0.0] == pytest.approx([0.0, -1.0, 0.0])
+
+
+def test_views_of_the_target_rig_are_mosaics_of_all_cameras(open_shards, make_records):
+    """Each camera of the test's frames is of one grey, 100 and ten times its number at frame 100."""
+    dataset = open_shards(make_records("a", 2, first=100))
+    assert dataset.drive("a").true_views == POLICY_CAMERAS
+    recording = dataset.open("a", WHOLE, OpenOptions(width=32))
+    assert list(recording.views) == list(POLICY_CAMERAS)
+    left = recording.views[CROSS_LEFT]
+    assert left.shape == (2, 18, 32, 3)
+    # It looks 66 degrees to the left: right of its middle FRONT_LEFT is nearer, left of it SIDE_LEFT.
+    assert left[0, 8, 22] == pytest.approx([120] * 3, abs=3)
+    assert left[0, 8, 8] == pytest.approx([140] * 3, abs=3)
+    assert recording.views[FRONT_TELE][0, 8, 15] == pytest.approx([110] * 3, abs=3)
+    assert recording.mounted[CROSS_LEFT].camera.width == 32
+    unseen = ~recording.observed[CROSS_LEFT]
+    assert 0 < unseen.mean() < 0.2
+    assert not left[:, unseen].any()
+
+
+def test_without_side_cameras_only_the_front_is_true(open_shards, make_records):
+    drive = open_shards(make_records("a", 2, cameras=(1,))).drive("a")
+    assert drive.cameras == ("FRONT",)
+    assert drive.true_views == (FRONT_WIDE, FRONT_TELE)
 
 
 def test_frames_without_a_future_end_the_motion(open_shards, make_records):
@@ -102,7 +129,7 @@ def test_missing_frames_are_said_and_bridged(open_shards, make_records, make_dri
     drive = dataset.drive("a")
     assert drive.front_us.tolist() == [100_000 * k for k in (0, 1, 2, 3, 4, 25, 26, 27, 28, 29)]
     assert any("20 frames" in note for note in drive.notes)
-    reference = dataset.open("a", WHOLE, OpenOptions()).reference
+    reference = dataset.open("a", WHOLE, FRONT_ONLY).reference
     positions, _ = true_poses(make_drive(), reference.timestamps_us)
     assert np.allclose(reference.positions[:, :2], positions, atol=0.02)
 
@@ -146,7 +173,7 @@ def test_the_index_reads_no_image_and_opening_checks_it(open_shards, make_record
     again = open_dataset(tmp_path / "shards", tmp_path / "other_cache")
     assert again.drive("a").front_us.tolist() == dataset.drive("a").front_us.tolist()
     with pytest.raises(InputError, match="its checksum differs"):
-        again.open("a", WHOLE, OpenOptions())
+        again.open("a", WHOLE, FRONT_ONLY)
 
 
 @pytest.mark.slow
@@ -180,7 +207,7 @@ def test_unknown_drives_windows_and_folders_are_refused(open_shards, make_record
     with pytest.raises(InputError, match="no Waymo E2E drive 'z'"):
         dataset.drive("z")
     with pytest.raises(InputError, match="no front image lies between"):
-        dataset.open("a", (5_000_000, 6_000_000), OpenOptions())
+        dataset.open("a", (5_000_000, 6_000_000), FRONT_ONLY)
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="holds no file"):
         open_dataset(tmp_path / "empty", tmp_path / "cache", "waymo_e2e")
