@@ -7,10 +7,10 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
-from enum import StrEnum
 
 import numpy as np
 
+from olt_datasets.choices import PAPER_FRAMES, PAPER_STRIDE, SampleChoice
 from olt_datasets.drives import Drive
 from olt_generator.errors import InputError
 from olt_toolkit import __version__
@@ -18,18 +18,8 @@ from olt_toolkit.clip import ClipInfo, Origin, make_clip_id
 from olt_toolkit.policy_window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, STEP_US, Coverage, Span, sample_times
 from olt_toolkit.rig import POLICY_CAMERAS
 
-PAPER_FRAMES = 41
-PAPER_STRIDE = 42
 # The moment at which the public loaders sample a clip that has no events.
 KEYFRAME_US = 5_100_000
-
-
-class SampleChoice(StrEnum):
-    """Which of the times t0 that a window can give are taken."""
-
-    EVERY = "every"
-    KEYFRAME = "keyframe"
-    EVENTS = "events"
 
 
 @dataclass(frozen=True)

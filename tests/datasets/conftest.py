@@ -7,7 +7,9 @@ import numpy as np
 import polars as pl
 import pytest
 
+import olt_datasets.drives
 from olt_datasets.clip_table import SCHEMA
+from olt_datasets.indexing import DatasetPlace
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clip import (
@@ -25,9 +27,12 @@ from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.clip_table import CLIP_TABLE, write_clip_table
 from olt_toolkit.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
 
+from .toy_drives import ToyDataset, ToyReader
+
 MakeClip = Callable[..., ClipInfo]
 MakeTable = Callable[..., pl.DataFrame]
 WriteStore = Callable[..., Path]
+OpenToy = Callable[[ToyDataset], tuple[DatasetPlace, ToyDataset]]
 
 
 def _make_clip(
@@ -89,6 +94,18 @@ def write_store(tmp_path: Path) -> WriteStore:
         return folder
 
     return write
+
+
+@pytest.fixture
+def open_toy(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> OpenToy:
+    """Makes a data set in memory the only one that is installed."""
+
+    def open_one(dataset: ToyDataset) -> tuple[DatasetPlace, ToyDataset]:
+        reader, root = ToyReader(dataset), tmp_path_factory.mktemp("toy")
+        monkeypatch.setattr(olt_datasets.drives, "readers", lambda: {reader.name: reader})
+        return DatasetPlace(root, root / "cache"), dataset
+
+    return open_one
 
 
 @pytest.fixture(scope="session")

@@ -67,6 +67,15 @@ def test_clip_table_comes_back(store, make_clip):
     assert info.no_sample_reason is None
 
 
+def test_only_times_at_which_a_clip_may_be_sampled_are_told(tmp_path, make_clip):
+    store = ClipStore(tmp_path)
+    info = store.stage(make_clip(sample_t0_us=(2_000_000, 2_100_000, 9_000_000)))
+    assert (info.sample_t0_us, info.no_sample_reason) == ((2_000_000, 2_100_000), None)
+    info = store.stage(make_clip(sample_t0_us=(9_000_000,)))
+    assert (info.sample_t0_us, info.no_sample_reason is None) == ((), False)
+    assert "6.4 s of future" in store.stage(make_clip(seconds=5.0, sample_t0_us=(2_000_000,))).no_sample_reason
+
+
 def test_checksum_follows_the_files(tmp_path, make_clip):
     store, clip = ClipStore(tmp_path), make_clip()
     first = store.stage(clip)

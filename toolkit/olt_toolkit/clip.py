@@ -179,6 +179,8 @@ class Clip:
         ego_motion: motion of the rig.
         vehicle: size of the vehicle.
         provenance: where each stream came from, by camera name.
+        sample_t0_us: the only times t0 at which it may be sampled, such as those before a crash; None for all times
+            that it covers.
     """
 
     clip_id: str
@@ -194,6 +196,7 @@ class Clip:
     ego_motion: EgoMotion
     vehicle: VehicleDimensions
     provenance: dict[str, ViewProvenance]
+    sample_t0_us: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)

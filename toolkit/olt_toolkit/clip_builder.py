@@ -273,6 +273,7 @@ def _assemble(
         ego_motion=ego_motion,
         vehicle=recording.vehicle,
         provenance={camera: views[camera].provenance for camera in options.cameras},
+        sample_t0_us=options.sample_t0_us,
     )
 
 

@@ -100,6 +100,9 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
     """The clip's row in the clip table, given the checksum of its files."""
     spans = {name: (int(s.timestamps_us[0]), int(s.timestamps_us[-1])) for name, s in clip.streams.items()}
     times, reason = sample_times(Coverage(clip.ego_motion.span_us, spans))
+    if times and clip.sample_t0_us is not None:
+        times = tuple(time for time in times if time in clip.sample_t0_us)
+        reason = None if times else "it covers none of the times at which it may be sampled"
     return ClipInfo(
         clip_id=clip.clip_id,
         name=clip.name,

@@ -142,12 +142,12 @@ def _build_or_report(job: BuildJob) -> Outcome:
 def _build_unless_found(job: BuildJob) -> Outcome:
     glance = open_recording(job.path, replace(job.opening, duration=min(_GLANCE_SECONDS, job.opening.duration)))
     clip_id = clip_id_of(glance, job.options)
-    if _is_finished(job.store, clip_id, glance.name):
+    if is_finished(job.store, clip_id, glance.name):
         return Outcome(job.path, "found", clip_id)
     return Outcome(job.path, "built", clip_id, stage_clip(job, open_recording(job.path, job.opening)))
 
 
-def _is_finished(root: Path, clip_id: str, name: str) -> bool:
+def is_finished(root: Path, clip_id: str, name: str) -> bool:
     """Whether the clip is in the store, or staged with its pictures, of which the animation is written last."""
     store = ClipStore(root)
     return clip_id in store or (store.is_staged(clip_id) and animation_path(root / PREVIEWS, name).is_file())

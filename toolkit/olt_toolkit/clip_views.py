@@ -45,6 +45,7 @@ class BuildOptions:
         name, scene_id: None for the recording's name.
         category, factors, split: see `Clip`.
         origin: what the recording was cut from; None where it is whole, and nothing more is known of it.
+        sample_t0_us: see `Clip`.
         seed: goes into the clip's id and provenance; nothing in the build is random yet.
     """
 
@@ -64,6 +65,7 @@ class BuildOptions:
     factors: tuple[str, ...] = ()
     split: Split = "train"
     origin: Origin | None = None
+    sample_t0_us: tuple[int, ...] | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:

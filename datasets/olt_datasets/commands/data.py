@@ -1,13 +1,14 @@
-"""`olt data`: index data sets, split them, build their clips and export them."""
+"""`olt data`: index data sets, split them, check them for leaks, build their clips and export them."""
 
 import typer
 
+from olt_datasets.commands.build import build
 from olt_datasets.commands.export import export
+from olt_datasets.commands.index import check, index, split
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Index, split, check, build and export driving data sets."
 )
-app.command()(export)
 
 
 @app.command()
@@ -18,3 +19,7 @@ def sources() -> None:
 
     rows = [(name, reader.licence.name, reader.licence.access) for name, reader in readers().items()]
     print_table("Data sets", ("source", "licence", "access"), rows)
+
+
+for command in (index, split, check, build, export):
+    app.command()(command)
