@@ -116,3 +116,14 @@ def test_odd_sizes_and_tiny_images():
 def test_images_of_another_size_are_refused():
     with pytest.raises(InputError, match="give the camera at their size"):
         Remapper(FISHEYE, FISHEYE, STRAIGHT).remap(np.zeros((10, 10, 3), np.uint8))
+
+
+def test_a_place_beside_is_taken_to_see_everything_at_one_distance():
+    """1 m to the right of the source a point 10 m ahead lies a tenth of the focal length to the right."""
+    camera = PinholeCamera(64, 48, 100.0, 100.0, 31.5, 23.5)
+    columns = np.broadcast_to(np.arange(64, dtype=np.uint8)[:, None], (48, 64, 3))
+    beside = Remapper(camera, camera, np.eye(3), shift=(0.1, 0.0, 0.0))
+    # Every ray is 10 m long, so that away from the axis depth is a little less and the step a little larger.
+    assert beside.remap(np.ascontiguousarray(columns))[23, 31, 0] == pytest.approx(41, abs=1)
+    assert not beside.seen[:, 54:].any()
+    assert Remapper(camera, camera, np.eye(3), shift=(0.0, 0.0, 0.0)).seen.all()

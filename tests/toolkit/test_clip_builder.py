@@ -12,7 +12,16 @@ from olt_generator.trajectory import Trajectory
 from olt_toolkit.clip_builder import BuildOptions, build_clip
 from olt_toolkit.clip_files import describe_clip
 from olt_toolkit.recording import Recording
-from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.rig import (
+    CROSS_LEFT,
+    CROSS_RIGHT,
+    DEFAULT_VEHICLE,
+    FRONT_TELE,
+    FRONT_WIDE,
+    POLICY_CAMERAS,
+    MountedCamera,
+    pav_rig,
+)
 
 SIZE = (192, 108)
 OPTIONS = BuildOptions(width=128, height=72)
@@ -140,6 +149,57 @@ def test_true_views_are_taken_as_they_are(recording):
     assert built.observed == {}
     assert built.seconds.keys() == {"views"}
     np.testing.assert_allclose(built.clip.ego_motion.velocity, [[6.0, 0.0, 0.0]] * 31, atol=1e-9)
+
+
+def test_true_views_may_have_lenses_of_their_own_and_be_mosaics(recording):
+    """Of cross-left the right half is seen; cross-right is a whole true view of the vehicle's own camera."""
+    rig = pav_rig().fitted(OPTIONS.width, OPTIONS.height)
+    lens = rig[CROSS_RIGHT].camera
+    shifted = lens.redrawn(128, 72, (1.0, 1.0), (lens.cx + 2.0, lens.cy))
+    own = MountedCamera(shifted, camera_pose_in_rig([2.0, -1.0, 1.0], 0.0, 0.0, -1.1))
+    mask = np.zeros((72, 128), bool)
+    mask[:, 64:] = True
+    partly = replace(recording, mounted={CROSS_RIGHT: own}, observed={CROSS_LEFT: mask})
+    clip = build_clip(partly, replace(OPTIONS, use_reference_views=True)).clip
+    provenance = clip.provenance[CROSS_LEFT]
+    assert (provenance.kind, provenance.observed_share, provenance.invented_share) == ("mosaic", 0.5, 0.5)
+    assert clip.provenance[CROSS_RIGHT].kind == "observed"
+    assert clip.streams[CROSS_RIGHT].camera == own.camera
+    np.testing.assert_array_equal(clip.streams[CROSS_RIGHT].T_rig_camera, own.T_rig_camera)
+    assert clip.streams[CROSS_LEFT].camera == rig[CROSS_LEFT].camera
+
+
+def test_a_mosaic_of_the_front_goes_before_the_front_images(recording):
+    wide = {**recording.views, FRONT_WIDE: np.full((31, 72, 128, 3), 77, np.uint8)}
+    seen = {FRONT_WIDE: np.ones((72, 128), bool)}
+    clip = build_clip(replace(recording, views=wide, observed=seen), replace(OPTIONS, use_reference_views=True)).clip
+    assert clip.provenance[FRONT_WIDE].kind == "mosaic"
+    assert clip.streams[FRONT_WIDE].frames.min() == clip.streams[FRONT_WIDE].frames.max() == 77
+    assert clip.streams[FRONT_WIDE].camera == pav_rig().fitted(128, 72)[FRONT_WIDE].camera
+
+
+def test_errors_are_measured_only_against_the_same_view_and_all_of_it(recording):
+    """One true view is a mosaic, the other was taken with another lens; motion may be known beyond the images."""
+    rig = pav_rig().fitted(OPTIONS.width, OPTIONS.height)
+    lens = rig[CROSS_RIGHT].camera
+    other = MountedCamera(lens.redrawn(128, 72, (1.0, 1.0), (lens.cx + 2.0, lens.cy)), rig[CROSS_RIGHT].T_rig_camera)
+    times = 100_000 * np.arange(-10, 41, dtype=np.int64)
+    partly = replace(
+        recording,
+        frames=recording.frames[:4],
+        timestamps_us=recording.timestamps_us[:4],
+        distance=recording.distance[:4],
+        views={name: images[:4] for name, images in recording.views.items()},
+        mounted={CROSS_RIGHT: other},
+        observed={CROSS_LEFT: np.ones((72, 128), bool)},
+        reference=Trajectory(times, planar_pose(6.0 * times * 1e-6, 0.0, 0.0)),
+    )
+    built = build_clip(partly, replace(OPTIONS, use_reference_motion=True))
+    assert built.view_errors == {}
+    assert built.clip.ego_motion.span_us == (-1_000_000, 4_000_000)
+    own = replace(partly, mounted={name: rig[name] for name in SIDES}, observed={})
+    kept = build_clip(own, replace(OPTIONS, use_reference_motion=True))
+    assert kept.view_errors.keys() == set(SIDES)
 
 
 def test_motion_is_measured_where_it_is_not_given(recording):

@@ -31,7 +31,7 @@ class Recording:
         T_rig_camera: (4, 4) pose of the front camera in the rig; its height above ground fixes the metric scale.
         vehicle: size of the vehicle.
         assumptions: one sentence for everything that was assumed instead of measured (lens, mounting, vehicle).
-        reference: the measured rig trajectory over the same times, where one is known.
+        reference: the measured rig trajectory over the same times or beyond them, where one is known.
         distance: (n, H, W) float32 true distance along each pixel's ray in metres (inf: sky), where it is known.
         views: true images (n, h, w, 3) by camera name, where they are known; one of the front-wide camera is put
             together from several cameras, and goes before `frames` where true views are wanted.
