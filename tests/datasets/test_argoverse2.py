@@ -70,6 +70,14 @@ def test_trajectories_are_those_of_the_rig_on_the_ground(tmp_path):
     assert straight.positions[:, 2] == pytest.approx(-0.32)
 
 
+def test_poses_of_one_microsecond_count_once(tmp_path):
+    times_ns = 315966253572412942 + 5_000_000 * np.arange(400)
+    times_ns[7] = times_ns[6] + 5
+    folder = write_log(tmp_path / "log", timestamp_ns=times_ns)
+    ego = DATASET.open(folder, tmp_path / "cache").ego_motion(".")
+    assert len(ego) == 399
+
+
 def test_nothing_can_be_opened(tmp_path):
     write_scenario(tmp_path / "train")
     dataset = open_dataset(tmp_path / "train" / "0a1e", tmp_path / "cache")
