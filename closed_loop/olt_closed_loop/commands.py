@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from olt_closed_loop.score_table import ScoreRow, ScoreTable
+    from olt_closed_loop.scoring.score_table import ScoreRow, ScoreTable
 
 EVENT_WORDS = {
     "policy_errors": "the policy raised an error",
@@ -16,27 +16,27 @@ EVENT_WORDS = {
     "solves_failed": "the controller found no command and held the last ones",
     "solves_late": "the controller was late and held the last commands",
 }
-"""What the counts of `olt_closed_loop.rollout.Events` are called in print."""
+"""What the counts of `simulation.rollout.Events` are called in print."""
 
 app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and score them.")
 
 
 class ScoreDefinition(StrEnum):
-    """The definitions of a score (`olt_closed_loop.scoring`)."""
+    """The definitions of a score (`scoring.definitions`)."""
 
     strict = "strict"
     alpasim = "alpasim"
 
 
 class TrafficModel(StrEnum):
-    """How agents move: as recorded, or braking for the ego (`olt_closed_loop.reactive_agents`)."""
+    """How agents move: as recorded, or braking for the ego (`simulation.reactive_agents`)."""
 
     recorded = "recorded"
     idm = "idm"
 
 
 class VehicleModel(StrEnum):
-    """How the ego moves (`olt_closed_loop.simulation_settings`)."""
+    """How the ego moves (`simulation.settings`)."""
 
     kinematic = "kinematic"
     tyres = "tyres"
@@ -62,15 +62,15 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Drive scenes with a policy and print AS and CR by category; the gate must hold on every scene."""
-    from olt_closed_loop.evaluation import (
+    from olt_closed_loop.scoring.score_table import summarize_scores
+    from olt_closed_loop.simulation.evaluation import (
         count_left_out,
         count_vehicle_steps,
         find_scenes,
         run_closed_loop,
         save_results,
     )
-    from olt_closed_loop.score_table import summarize_scores
-    from olt_closed_loop.simulation_settings import SimulationSettings
+    from olt_closed_loop.simulation.settings import SimulationSettings
     from olt_toolkit.console import make_progress, print_json, print_line
     from olt_toolkit.workers import default_workers
 
@@ -135,8 +135,8 @@ def gate(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Check on scenes that drives of known worth get what they are worth."""
-    from olt_closed_loop.evaluation import find_scenes, load_scene
-    from olt_closed_loop.gate import check_gate
+    from olt_closed_loop.scoring.gate import check_gate
+    from olt_closed_loop.simulation.evaluation import find_scenes, load_scene
     from olt_toolkit.console import make_progress, print_json, print_table
 
     sources = find_scenes(scenes)
@@ -159,9 +159,9 @@ def convert_scene(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write a recorded drive as a scene, and say what was assumed and whether the gate holds on it."""
-    from olt_closed_loop.evaluation import load_scene
-    from olt_closed_loop.gate import check_gate
-    from olt_closed_loop.stage import write_scene
+    from olt_closed_loop.scenes.stage import write_scene
+    from olt_closed_loop.scoring.gate import check_gate
+    from olt_closed_loop.simulation.evaluation import load_scene
     from olt_toolkit.console import make_progress, print_json, print_table
 
     if out.suffix not in (".usda", ".usdc"):
@@ -193,14 +193,14 @@ def convert_scene(
 
 @app.command()
 def score_rollout(
-    file: Annotated[Path, typer.Argument(help="One rollout as JSON (olt_closed_loop.rollout_files).")],
+    file: Annotated[Path, typer.Argument(help="One rollout as JSON (olt_closed_loop.scoring.rollout_files).")],
     definition: Annotated[ScoreDefinition, typer.Option(help="How the score is defined.")] = ScoreDefinition.strict,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Score one recorded rollout."""
-    from olt_closed_loop.alpasim.scores import score_as_alpasim
-    from olt_closed_loop.rollout_files import read_rollout_file
-    from olt_closed_loop.scoring import score_record
+    from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
+    from olt_closed_loop.scoring.definitions import score_record
+    from olt_closed_loop.scoring.rollout_files import read_rollout_file
     from olt_toolkit.console import print_json, print_table
 
     record = read_rollout_file(file)

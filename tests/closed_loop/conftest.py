@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from olt_closed_loop.scene import Agent, Scene
+from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_generator.poses import planar_pose, transform
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rig import DEFAULT_VEHICLE

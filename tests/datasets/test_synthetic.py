@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from olt_closed_loop.procedural import generate_scene
-from olt_closed_loop.recorder import record_drive
+from olt_closed_loop.scenes.procedural import generate_scene
+from olt_closed_loop.sensors.recorder import record_drive
 from olt_datasets.drives import open_dataset
 from olt_generator.errors import InputError
 from olt_toolkit.recording import OpenOptions

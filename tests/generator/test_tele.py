@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_closed_loop.procedural import generate_scene
-from olt_closed_loop.sensors import SceneRenderer
+from olt_closed_loop.scenes.procedural import generate_scene
+from olt_closed_loop.sensors.ray_casting import SceneRenderer
 from olt_generator.cameras import (
     BrownConradyCamera,
     FthetaCamera,

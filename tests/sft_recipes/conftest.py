@@ -66,8 +66,8 @@ def drives():
 @pytest.fixture(scope="session")
 def make_textured_drive():
     """Front images (n, 144, 256, 3) of a short drive through the synthetic world, at 25 frames a second."""
-    from olt_closed_loop.procedural import generate_scene
-    from olt_closed_loop.recorder import record_drive
+    from olt_closed_loop.scenes.procedural import generate_scene
+    from olt_closed_loop.sensors.recorder import record_drive
 
     frames = record_drive(generate_scene("nominal", 9), 256, 144, 25.0).frames
     return lambda count: frames[:count]

@@ -1,6 +1,6 @@
 """AlpaSim's vehicle, written from its description (facts sheet alpasim, section 4): what controllers are measured on.
 
-It shares no code with `olt_closed_loop.vehicle`, so an error in those equations shows as an error of tracking.
+It shares no code with `vehicle.models`, so an error in those equations shows as an error of tracking.
 All functions take and give whole batches of vehicles.
 """
 

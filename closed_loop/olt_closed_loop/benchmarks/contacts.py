@@ -5,11 +5,11 @@ from functools import lru_cache
 
 import numpy as np
 
-from olt_closed_loop.alpasim.surroundings import Surroundings, measure_contact
 from olt_closed_loop.benchmarks.score_drives import DURATION_US, HANDOVER_US, known_drives
-from olt_closed_loop.contacts import first_contacts
-from olt_closed_loop.drive_record import DriveRecord
-from olt_closed_loop.moving_boxes import agent_box, ego_box
+from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_contact
+from olt_closed_loop.scoring.contacts import first_contacts
+from olt_closed_loop.scoring.drive_record import DriveRecord
+from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
 from olt_generator.poses import Array
 from olt_toolkit.benchmark import Benchmark, Setting
 
@@ -19,7 +19,7 @@ DEFAULT = "continuous, 100 ms"
 
 
 def continuous_contact(record: DriveRecord) -> float:
-    """First contact in microseconds by `olt_closed_loop.contacts`; infinite if there is none."""
+    """First contact in microseconds by `scoring.contacts`; infinite if there is none."""
     boxes = [agent_box(agent) for agent in record.agents]
     return HANDOVER_US + float(first_contacts(ego_box(record), boxes, HANDOVER_US, DURATION_US).min())
 

@@ -9,9 +9,9 @@ import numpy as np
 from olt_closed_loop.benchmarks.alpasim_vehicle import REAR_TO_GRAVITY, drive_step
 from olt_closed_loop.benchmarks.control_extremes import control_grid
 from olt_closed_loop.benchmarks.control_references import Reference, alpasim_references
-from olt_closed_loop.control import ControlSettings, TrackingController
-from olt_closed_loop.vehicle import VehicleParameters
-from olt_closed_loop.vehicle_presets import alpasim_vehicle
+from olt_closed_loop.control.tracking import ControlSettings, TrackingController
+from olt_closed_loop.vehicle.models import VehicleParameters
+from olt_closed_loop.vehicle.presets import alpasim_vehicle
 from olt_generator.poses import Array
 from olt_toolkit.benchmark import Benchmark, Setting
 from olt_toolkit.policy import STEP_SECONDS, STEP_US
@@ -70,7 +70,7 @@ def track(references: Sequence[Reference], parameters: VehicleParameters, settin
 
 
 def _seen(states: Array, parameters: VehicleParameters) -> Array:
-    """States of AlpaSim's vehicle (n, 8) in the order of `olt_closed_loop.vehicle`, as many numbers as it needs."""
+    """States of AlpaSim's vehicle (n, 8) in the order of `vehicle.models`, as many numbers as it needs."""
     x, y, yaw, forward, left, yaw_rate, steering, acceleration = states.T
     rear_left = left - REAR_TO_GRAVITY * yaw_rate
     ordered = [x, y, yaw, forward, steering, acceleration, rear_left, yaw_rate]

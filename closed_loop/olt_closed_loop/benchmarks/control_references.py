@@ -11,7 +11,7 @@ from itertools import product
 
 import numpy as np
 
-from olt_closed_loop.plans import WorldPlan
+from olt_closed_loop.control.plans import WorldPlan
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 from olt_toolkit.policy import STEP_SECONDS, STEP_US

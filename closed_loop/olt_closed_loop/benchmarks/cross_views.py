@@ -7,8 +7,8 @@ from functools import lru_cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.procedural import generate_scene
-from olt_closed_loop.recorder import record_drive
+from olt_closed_loop.scenes.procedural import generate_scene
+from olt_closed_loop.sensors.recorder import record_drive
 from olt_generator.distance.depth import estimate_distance
 from olt_generator.motion.odometry import estimate_odometry
 from olt_generator.motion.smoother import ODOMETRY_SETTINGS, smooth_trajectory

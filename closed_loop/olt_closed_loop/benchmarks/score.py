@@ -6,9 +6,9 @@ from functools import lru_cache
 import numpy as np
 
 from olt_closed_loop.benchmarks.score_drives import known_drives
-from olt_closed_loop.drive_record import DriveRecord
-from olt_closed_loop.score_table import summarize_scores
-from olt_closed_loop.scoring import Definition, score_record
+from olt_closed_loop.scoring.definitions import Definition, score_record
+from olt_closed_loop.scoring.drive_record import DriveRecord
+from olt_closed_loop.scoring.score_table import summarize_scores
 from olt_generator.poses import Array
 from olt_toolkit.benchmark import Benchmark, Setting
 

@@ -6,9 +6,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from olt_closed_loop.drive_record import PLAN_STEP_US, DriveRecord, EgoBox, LaneLines, Plan
-from olt_closed_loop.moving_boxes import corners
-from olt_closed_loop.scene import Agent
+from olt_closed_loop.scenes.scene import Agent
+from olt_closed_loop.scoring.drive_record import PLAN_STEP_US, DriveRecord, EgoBox, LaneLines, Plan
+from olt_closed_loop.scoring.moving_boxes import corners
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 from olt_toolkit.policy import FUTURE_STEPS

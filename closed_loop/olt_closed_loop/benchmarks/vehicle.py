@@ -9,9 +9,9 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from olt_closed_loop.benchmarks.vehicle_grid import vehicle_grid
-from olt_closed_loop.integrators import Method, make_batch_stepper, make_stepper
-from olt_closed_loop.vehicle import MODELS, STATE, Model, VehicleParameters, with_rolling_tyres
-from olt_closed_loop.vehicle_presets import DRY_FRICTION, alpasim_vehicle
+from olt_closed_loop.vehicle.integrators import Method, make_batch_stepper, make_stepper
+from olt_closed_loop.vehicle.models import MODELS, STATE, Model, VehicleParameters, with_rolling_tyres
+from olt_closed_loop.vehicle.presets import DRY_FRICTION, alpasim_vehicle
 from olt_generator.poses import Array
 from olt_toolkit.benchmark import Benchmark, Setting
 from olt_toolkit.rig import DEFAULT_VEHICLE
@@ -108,7 +108,7 @@ def reference_positions(model: Model) -> Array:
 
 
 def exact_derivative(_time: float, state: Array, control: Array, vehicle: VehicleParameters) -> Array:
-    """The equations of `olt_closed_loop.vehicle` in the forward gear, written a second time without CasADi."""
+    """The equations of `vehicle.models` in the forward gear, written a second time without CasADi."""
     yaw, speed, steering, acceleration = state[2:6]
     command = np.clip(control, *vehicle.control_limits)
     fade = speed / (speed**4 + vehicle.standing_speed**4) ** 0.25 if acceleration < 0.0 else 1.0

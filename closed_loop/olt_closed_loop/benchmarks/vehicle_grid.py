@@ -11,10 +11,10 @@ from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 
-from olt_closed_loop.implicit import cvodes_function
-from olt_closed_loop.integrators import make_batch_stepper, make_stepper
-from olt_closed_loop.vehicle import STATE, VehicleParameters
-from olt_closed_loop.vehicle_presets import DRY_FRICTION, alpasim_vehicle
+from olt_closed_loop.vehicle.implicit import cvodes_function
+from olt_closed_loop.vehicle.integrators import make_batch_stepper, make_stepper
+from olt_closed_loop.vehicle.models import STATE, VehicleParameters
+from olt_closed_loop.vehicle.presets import DRY_FRICTION, alpasim_vehicle
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_toolkit.benchmark import Grid

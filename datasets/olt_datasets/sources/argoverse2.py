@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from olt_closed_loop.scene_sources.argoverse2 import read_motion_ego, read_sensor_ego
+from olt_closed_loop.scenes.sources.argoverse2 import read_motion_ego, read_sensor_ego
 from olt_datasets.drives import Drive, Licence
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory

@@ -2,7 +2,7 @@
 
 The folder holds one file, `synthetic.yaml`:
 
-    categories: [nominal, work_zone]    # of `olt_closed_loop.procedural.CATEGORIES`
+    categories: [nominal, work_zone]    # of `olt_closed_loop.scenes.procedural.CATEGORIES`
     seed: 0                             # scene seed of the first drive of each category
     count: 4                            # drives of each category
     duration: 14.0                      # seconds of each drive, up to 14; may be left out
@@ -19,9 +19,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from olt_closed_loop.procedural import CATEGORIES, DURATION_US, generate_scene
-from olt_closed_loop.recorder import frame_times, record_drive
-from olt_closed_loop.scene import Scene
+from olt_closed_loop.scenes.procedural import CATEGORIES, DURATION_US, generate_scene
+from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.sensors.recorder import frame_times, record_drive
 from olt_datasets.drives import Drive, Licence
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory

@@ -60,7 +60,7 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Print displacement errors."""
-    from olt_closed_loop.policies import make_policy
+    from olt_closed_loop.simulation.policies import make_policy
     from olt_generator.errors import InputError
     from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
     from olt_toolkit.clip_store import ClipStore

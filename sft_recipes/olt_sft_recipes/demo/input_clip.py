@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from olt_closed_loop.recorder import record_drive
-from olt_closed_loop.stage import read_scene
+from olt_closed_loop.scenes.stage import read_scene
+from olt_closed_loop.sensors.recorder import record_drive
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_sft_recipes.demo.settings import DemoSettings

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from olt_closed_loop.procedural import generate_scene
-from olt_closed_loop.stage import write_scene
+from olt_closed_loop.scenes.procedural import generate_scene
+from olt_closed_loop.scenes.stage import write_scene
 from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.settings import (
     EVALUATION_SEEDS,

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from olt_closed_loop.procedural import CATEGORIES
+from olt_closed_loop.scenes.procedural import CATEGORIES
 
 NOMINAL = "nominal"
 LONG_TAIL: tuple[str, ...] = tuple(category for category in CATEGORIES if category != NOMINAL)

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_closed_loop.contacts import TOUCH, first_contacts
-from olt_closed_loop.driving_metrics import box_distances, times_to_collision
-from olt_closed_loop.moving_boxes import MovingBox, separations
+from olt_closed_loop.scoring.contacts import TOUCH, first_contacts
+from olt_closed_loop.scoring.driving_metrics import box_distances, times_to_collision
+from olt_closed_loop.scoring.moving_boxes import MovingBox, separations
 
 SECOND = 1_000_000
 

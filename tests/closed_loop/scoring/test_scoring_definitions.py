@@ -1,4 +1,4 @@
-"""The table in `olt_closed_loop.scoring`: each case that `strict` and `alpasim` judge differently."""
+"""The table in `olt_closed_loop.scoring.definitions`: each case that `strict` and `alpasim` judge differently."""
 
 from dataclasses import replace
 
@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_closed_loop.alpasim.scores import score_as_alpasim
-from olt_closed_loop.rollout_files import parse_rollout
-from olt_closed_loop.score_table import summarize_scores
-from olt_closed_loop.scoring import score_record, score_rollout
-from olt_closed_loop.simulation import replay
+from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
+from olt_closed_loop.scoring.definitions import score_record, score_rollout
+from olt_closed_loop.scoring.rollout_files import parse_rollout
+from olt_closed_loop.scoring.score_table import summarize_scores
+from olt_closed_loop.simulation.closed_loop import replay
 
 
 @pytest.fixture(scope="session")

@@ -1,0 +1,1 @@
+"""Control: how the vehicle is made to follow a plan."""

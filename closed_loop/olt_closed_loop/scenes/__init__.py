@@ -1,0 +1,1 @@
+"""Scenes: invented or recorded, in memory and as OpenUSD stages."""

@@ -1,0 +1,121 @@
+"""Agents on a road, and how close two of them come."""
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from olt_closed_loop.scenes.roads import Road
+from olt_closed_loop.scenes.scene import Agent
+from olt_generator.poses import Array, transform, yaw_of
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.rig import VehicleDimensions
+
+AGENT_SAMPLE_US = 100_000
+
+# Length, width and height in metres.
+SIZES: dict[str, tuple[float, float, float]] = {
+    "automobile": (4.6, 1.85, 1.5),
+    "heavy_truck": (8.5, 2.5, 3.2),
+    "other_vehicle": (4.6, 2.3, 2.9),
+    "rider": (1.8, 0.65, 1.75),
+    "person": (0.5, 0.6, 1.75),
+    "animal": (1.7, 0.5, 1.5),
+    "cone": (0.38, 0.38, 0.75),
+    "barrier": (2.4, 0.4, 1.0),
+}
+
+
+def standing(name: str, label: str, road: Road, s: float, d: float, duration_us: int, turn: float = 0.0) -> Agent:
+    """An agent that stands at road coordinates (s, d), turned by `turn` radians from the road's direction."""
+    poses = _poses(label, road, np.full(2, s), np.full(2, d), turn)
+    return Agent(name, label, *SIZES[label], np.array([0, duration_us], dtype=np.int64), poses)
+
+
+def moving(
+    name: str, label: str, road: Road, times: Array, stations: Array, offsets: Array, turn: float = 0.0
+) -> Agent | None:
+    """An agent at road coordinates over time; it exists while it is on the road. None if it never is.
+
+    Args:
+        name: id of the agent.
+        label: class of the agent.
+        road: the road.
+        times: (n,) seconds.
+        stations, offsets: (n,) road coordinates of the box centre.
+        turn: angle from the road's direction, radians.
+    """
+    margin = SIZES[label][0]
+    present = (stations > margin) & (stations < road.length - margin)
+    if present.sum() < 2:
+        return None
+    timestamps_us = np.round(times[present] * 1e6).astype(np.int64)
+    poses = _poses(label, road, stations[present], offsets[present], turn)
+    return Agent(name, label, *SIZES[label], timestamps_us, poses)
+
+
+def sample_times(duration_us: int) -> Array:
+    """Seconds (n,) at which moving agents are recorded."""
+    return np.arange(0, duration_us + 1, AGENT_SAMPLE_US, dtype=np.float64) * 1e-6
+
+
+def agent_poses(agent: Agent, timestamps_us: NDArray[np.int64]) -> Array:
+    """Poses (n, 4) x, y, z, yaw of the box centre at times within the agent's samples; yaw takes the shorter way."""
+    known = agent.timestamps_us - agent.timestamps_us[0]
+    query = timestamps_us - agent.timestamps_us[0]
+    poses = np.empty((len(query), 4))
+    for axis, known_values in enumerate((*agent.poses[:, :3].T, np.unwrap(agent.poses[:, 3]))):
+        poses[:, axis] = np.interp(query, known, known_values)
+    return poses
+
+
+def footprints(poses: Array, length: float, width: float) -> NDArray[np.object_]:
+    """Rectangles (n,) on the ground, as shapely polygons, of boxes at poses (n, 4) x, y, z, yaw."""
+    corners = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]) * (length / 2, width / 2)
+    along, across = corners.T
+    x, y, _, yaw = poses.T[:, :, None]
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    rings = np.stack([x + cos * along - sin * across, y + sin * along + cos * across], axis=-1)
+    return np.asarray(shapely.polygons(rings))
+
+
+def ego_boxes(ego: Trajectory, vehicle: VehicleDimensions, timestamps_us: NDArray[np.int64]) -> Array:
+    """Poses (n, 4) x, y, z, yaw of the centre of the ego's box at the given times."""
+    poses = ego.interpolate(timestamps_us)
+    offset = np.array([[vehicle.rear_axle_to_bbox_center, 0.0, vehicle.height / 2]])
+    return np.concatenate([transform(poses, offset)[:, 0], yaw_of(poses)[:, None]], axis=1)
+
+
+def ego_clearance(ego: Trajectory, vehicle: VehicleDimensions, agent: Agent) -> float:
+    """Smallest distance in metres between the boxes of ego and agent, sampled every 0.1 s; inf if they never meet."""
+    times = np.arange(0, ego.timestamps_us[-1] + 1, AGENT_SAMPLE_US)
+    times = times[(times >= agent.timestamps_us[0]) & (times <= agent.timestamps_us[-1])]
+    size = (vehicle.length, vehicle.width)
+    return _smallest_distance(ego_boxes(ego, vehicle, times), size, agent_poses(agent, times), _base(agent))
+
+
+def clearance(first: Agent, second: Agent) -> float:
+    """Smallest distance in metres between two agents, sampled every 0.1 s; inf if they never exist together."""
+    start = max(first.timestamps_us[0], second.timestamps_us[0])
+    end = min(first.timestamps_us[-1], second.timestamps_us[-1])
+    times = np.arange(start, end + 1, AGENT_SAMPLE_US)
+    return _smallest_distance(agent_poses(first, times), _base(first), agent_poses(second, times), _base(second))
+
+
+def _smallest_distance(first: Array, base: tuple[float, float], second: Array, other: tuple[float, float]) -> float:
+    """Smallest distance between rectangles of fixed size that are at poses (n, 4) at the same times."""
+    if len(first) == 0:
+        return float("inf")
+    apart = np.hypot(*(first[:, :2] - second[:, :2]).T)
+    # The distance lies between `apart` less both radii and `apart`: only times that can hold the smallest are measured.
+    close = apart - (np.hypot(*base) + np.hypot(*other)) / 2 <= apart.min()
+    return float(shapely.distance(footprints(first[close], *base), footprints(second[close], *other)).min())
+
+
+def _base(agent: Agent) -> tuple[float, float]:
+    return agent.length, agent.width
+
+
+def _poses(label: str, road: Road, stations: Array, offsets: Array, turn: float) -> Array:
+    position = road.locate(stations, offsets)
+    height = np.full(len(stations), SIZES[label][2] / 2)
+    return np.stack([*position.T, height, road.heading(stations) + turn], axis=-1)

@@ -1,0 +1,100 @@
+"""How a careful human drives along a road: a smooth path, and a speed that fits its bends and the event ahead."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.integrate import cumulative_trapezoid
+from scipy.interpolate import BPoly, CubicSpline
+from scipy.ndimage import gaussian_filter1d
+
+from olt_closed_loop.scenes.roads import Road
+from olt_generator.poses import Array, planar_pose
+from olt_generator.trajectory import Trajectory
+
+SAMPLE_US = 20_000
+
+# Comfort values below the hard limits (3 lateral, -4 to 2 longitudinal), so that smoothing cannot break those.
+_LATERAL = 2.0
+_FORWARD = 1.2
+_BRAKING = 2.2
+_PATH_STEP = 0.25
+_SPEED_SMOOTHING = 4.0
+
+
+@dataclass(frozen=True)
+class Intention:
+    """What the driver means to do.
+
+    Attributes:
+        offsets: (station, offset) knots of the path, sorted; between two knots the path moves over smoothly.
+        start_slope: tangent of the angle between path and road at the first knot.
+        cruise: speed in m/s where nothing asks for less.
+        limits: (from station, to station, speed) stretches with a lower speed.
+    """
+
+    offsets: tuple[tuple[float, float], ...]
+    start_slope: float
+    cruise: float
+    limits: tuple[tuple[float, float, float], ...] = ()
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A driven trajectory and the stations (n,) of its rig origin."""
+
+    trajectory: Trajectory
+    stations: Array
+
+    @property
+    def duration_us(self) -> int:
+        """Time of the last pose, microseconds."""
+        return int(self.trajectory.timestamps_us[-1])
+
+    def time_at(self, station: float) -> float:
+        """Seconds from the start until the rig origin passes `station`; the end if it does not come so far."""
+        return float(np.interp(station, self.stations, self.trajectory.times))
+
+    def station_at(self, times: Array) -> Array:
+        """Stations (n,) of the rig origin at seconds (n,)."""
+        return np.interp(times, self.trajectory.times, self.stations)
+
+
+def offset_profile(intention: Intention) -> BPoly:
+    """Offset by station: quintic pieces whose slope and bend are 0 at every knot but the first."""
+    stations, offsets = np.array(intention.offsets).T
+    slopes = np.zeros_like(offsets)
+    slopes[0] = intention.start_slope
+    return BPoly.from_derivatives(stations, np.stack([offsets, slopes, np.zeros_like(offsets)], axis=-1))
+
+
+def drive(road: Road, intention: Intention, duration_us: int) -> Drive:
+    """Drive for `duration_us` from the first knot of the intention; the rig origin follows the path, tangent to it."""
+    profile = offset_profile(intention)
+    stations = np.arange(profile.x[0], profile.x[-1], _PATH_STEP)
+    points = road.locate(stations, profile(stations))
+    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    path = CubicSpline(arc, points)
+    speed = _plan_speed(path, arc, stations, intention)
+
+    elapsed = cumulative_trapezoid(1.0 / speed, arc, initial=0.0)
+    timestamps_us = np.arange(0, duration_us + 1, SAMPLE_US, dtype=np.int64)
+    driven = CubicSpline(elapsed, arc)(timestamps_us * 1e-6)
+    (x, y), tangent = path(driven).T, path(driven, 1)
+    poses = planar_pose(x, y, np.arctan2(tangent[:, 1], tangent[:, 0]))
+    return Drive(Trajectory(timestamps_us, poses), np.interp(driven, arc, stations))
+
+
+def _plan_speed(path: CubicSpline, arc: Array, stations: Array, intention: Intention) -> Array:
+    """Speed (n,) by path length: the limit of the place, reached with the comfortable accelerations."""
+    tangent, bend = path(arc, 1), path(arc, 2)
+    curvature = np.abs(tangent[:, 0] * bend[:, 1] - tangent[:, 1] * bend[:, 0])
+    limit = np.minimum(intention.cruise, np.sqrt(_LATERAL / np.maximum(curvature, 1e-4)))
+    for start, end, speed in intention.limits:
+        limit = np.where((stations >= start) & (stations <= end), np.minimum(limit, speed), limit)
+    squared = limit**2
+    steps = np.diff(arc)
+    for i in range(1, len(arc)):
+        squared[i] = min(squared[i], squared[i - 1] + 2.0 * _FORWARD * steps[i - 1])
+    for i in range(len(arc) - 2, -1, -1):
+        squared[i] = min(squared[i], squared[i + 1] + 2.0 * _BRAKING * steps[i])
+    return gaussian_filter1d(np.sqrt(squared), _SPEED_SMOOTHING / _PATH_STEP, mode="nearest")

@@ -1,0 +1,256 @@
+"""What happens on the road: how the ego means to drive through each event, and the agents that make it.
+
+An event starts at the station `onset`, where the ego begins to react. Agents that move are placed after the drive is
+known, so that they meet the ego where the event needs them.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from olt_closed_loop.scenes.actors import SIZES, moving, sample_times, standing
+from olt_closed_loop.scenes.driving import Drive, Intention, offset_profile
+from olt_closed_loop.scenes.roads import LANE_WIDTH, Road
+from olt_closed_loop.scenes.scene import Agent
+from olt_generator.poses import Array
+from olt_toolkit.rig import DEFAULT_VEHICLE
+
+HALF_EGO = DEFAULT_VEHICLE.width / 2
+EGO_FRONT = DEFAULT_VEHICLE.rear_axle_to_bbox_center + DEFAULT_VEHICLE.length / 2
+
+Knots = tuple[tuple[float, float], ...]
+Limits = tuple[tuple[float, float, float], ...]
+
+
+@dataclass(frozen=True)
+class Approach:
+    """How the ego comes to the event: station of its onset, offset of the ego's lane, cruising speed."""
+
+    onset: float
+    center: float
+    cruise: float
+
+
+@dataclass(frozen=True)
+class Event:
+    """An event on the road.
+
+    Attributes:
+        factors: scene factors that hold.
+        offsets: (station, offset) knots of the ego's path from the onset on.
+        limits: (from station, to station, speed) stretches where the ego is slower.
+        place_agents: the agents, given the ego's drive.
+    """
+
+    factors: tuple[str, ...]
+    offsets: Knots
+    limits: Limits
+    place_agents: Callable[[Drive], list[Agent]]
+
+
+def nominal(road: Road, approach: Approach, generator: np.random.Generator) -> Event:
+    """Nothing but other cars: some parked on the shoulder, sometimes one ahead."""
+    bays = np.arange(60.0, road.length - 20.0, 8.0)
+    parked = generator.choice(bays, size=generator.integers(2, 6), replace=False)
+    gap = generator.uniform(22.0, 32.0)
+    leads = generator.random() < 0.5
+
+    def place_agents(drive: Drive) -> list[Agent]:
+        offset = -road.half_width + SIZES["automobile"][1] / 2 + 0.1
+        agents = [
+            standing(f"parked_{i}", "automobile", road, s, offset, drive.duration_us) for i, s in enumerate(parked)
+        ]
+        if leads:
+            times = sample_times(drive.duration_us)
+            stations = drive.station_at(times) + gap
+            agents += _present(
+                moving("lead", "automobile", road, times, stations, np.full_like(stations, approach.center))
+            )
+        return agents
+
+    return Event((), (), (), place_agents)
+
+
+def work_zone(road: Road, approach: Approach, generator: np.random.Generator) -> Event:
+    """Cones and barriers close the outer part of the ego's lane; the ego keeps to the other side."""
+    closed = -road.lane_edge + generator.uniform(1.2, 2.0)
+    passing = closed + 0.2 + generator.uniform(0.5, 0.7) + HALF_EGO
+    shifted = approach.onset + generator.uniform(32.0, 38.0)
+    start, end = shifted + 10.0, shifted + generator.uniform(35.0, 50.0)
+    with_truck = generator.random() < 0.6
+    limit = generator.uniform(7.0, 9.0)
+
+    def place_agents(drive: Drive) -> list[Agent]:
+        duration, border = drive.duration_us, -road.lane_edge + 0.1
+        taper = np.linspace(start - 20.0, start, 6)
+        exit_taper = np.linspace(end, end + 8.0, 4)
+        agents = _cone_row("cone", road, taper, np.linspace(border, closed, 6), duration)
+        agents += _cone_row("exit_cone", road, exit_taper, np.linspace(closed, border, 4), duration)
+        agents += [
+            standing(f"barrier_{i}", "barrier", road, s, closed, duration)
+            for i, s in enumerate(np.arange(start + 2.5, end - 2.0, 3.0))
+        ]
+        shoulder = -road.lane_edge - road.shoulder / 2
+        if with_truck:
+            agents.append(standing("work_truck", "heavy_truck", road, start + 9.0, shoulder, duration))
+        agents.append(standing("worker", "person", road, end - 3.0, shoulder, duration, turn=np.pi / 2))
+        return agents
+
+    knots = _sidestep(approach, passing, shifted, end + 3.0)
+    return Event(("work_zone", "cone_delineated"), knots, ((shifted - 10.0, end, limit),), place_agents)
+
+
+def path_reassignment(road: Road, approach: Approach, generator: np.random.Generator) -> Event:
+    """Two rows of cones lead out of the ego's lane and along the next one, against the marking."""
+    shifted = approach.onset + generator.uniform(36.0, 42.0)
+    end = shifted + generator.uniform(20.0, 35.0)
+    knots = _sidestep(approach, approach.center + LANE_WIDTH, shifted, end, length=40.0)
+    limit = generator.uniform(7.0, 9.0)
+    half_channel = generator.uniform(1.85, 2.0)
+
+    def place_agents(drive: Drive) -> list[Agent]:
+        path = offset_profile(Intention(((0.0, approach.center), *knots, (road.length, approach.center)), 0.0, 1.0))
+        stations = np.arange(approach.onset + 2.0, end + 36.0, 4.0)
+        agents: list[Agent] = []
+        for side, sign in (("left", 1.0), ("right", -1.0)):
+            row = path(stations) + sign * half_channel
+            agents += _cone_row(f"cone_{side}", road, stations, row, drive.duration_us)
+        return agents
+
+    factors = ("temporary_path_reassignment", "cone_delineated")
+    return Event(factors, knots, ((approach.onset, end + 20.0, limit),), place_agents)
+
+
+def cyclists(road: Road, approach: Approach, generator: np.random.Generator) -> Event:
+    """One or two riders at the edge of the lane; the ego passes with room or stays behind."""
+    offset = -road.lane_edge + generator.uniform(0.4, 0.5)
+    passing = offset + SIZES["rider"][1] / 2 + generator.uniform(1.0, 1.3) + HALF_EGO
+    riders = int(generator.integers(1, 3))
+    speed = generator.uniform(4.0, 5.0)
+    slow = _Slow("rider", riders, 5.0, offset, speed)
+    if generator.random() < 0.3:
+        return _follow(road, approach, slow, ("cyclists",), gap=generator.uniform(9.0, 13.0))
+    return _overtake(road, approach, slow, ("cyclists",), passing)
+
+
+def uncommon_vehicle(road: Road, approach: Approach, generator: np.random.Generator) -> Event:
+    """A slow tractor that the ego follows or overtakes, or a truck that stands half in the lane."""
+    factors = ("uncommon_vehicle",)
+    kind = generator.choice(["follow", "overtake", "truck"])
+    if kind == "truck":
+        return _stopped_truck(road, approach, generator)
+    slow = _Slow("other_vehicle", 1, 0.0, -road.lane_edge + 1.4, generator.uniform(3.5, 5.0))
+    if kind == "follow":
+        return _follow(road, approach, slow, factors, gap=generator.uniform(10.0, 14.0))
+    passing = slow.offset + SIZES[slow.label][1] / 2 + generator.uniform(0.8, 1.0) + HALF_EGO
+    return _overtake(road, approach, slow, factors, passing)
+
+
+def animal(road: Road, approach: Approach, generator: np.random.Generator) -> Event:
+    """A deer crosses; the ego brakes until it has passed."""
+    crossing = approach.onset + generator.uniform(30.0, 45.0)
+    crawl = generator.uniform(2.5, 4.0)
+    speed = generator.uniform(3.0, 4.0)
+    side = generator.choice([-1.0, 1.0])
+
+    def place_agents(drive: Drive) -> list[Agent]:
+        in_lane = drive.time_at(crossing - EGO_FRONT - 12.0)
+        times = sample_times(drive.duration_us)
+        limit = road.half_width + 5.0
+        offsets = np.clip(approach.center + side * speed * (times - in_lane), -limit, limit)
+        stations = np.full_like(times, crossing)
+        return _present(moving("deer", "animal", road, times, stations, offsets, turn=side * np.pi / 2))
+
+    slow_down = (crossing - EGO_FRONT - 9.0, crossing - EGO_FRONT - 4.0, crawl)
+    return Event(("animal",), (), (slow_down,), place_agents)
+
+
+EVENTS: dict[str, Callable[[Road, Approach, np.random.Generator], Event]] = {
+    "nominal": nominal,
+    "work_zone": work_zone,
+    "cyclists": cyclists,
+    "uncommon_vehicle": uncommon_vehicle,
+    "animal": animal,
+    "path_reassignment": path_reassignment,
+}
+
+
+@dataclass(frozen=True)
+class _Slow:
+    """Slow road users of one label in a row, `spacing` metres apart, at one offset and speed."""
+
+    label: str
+    count: int
+    spacing: float
+    offset: float
+    speed: float
+
+    def place(self, road: Road, times: Array, stations: Array) -> list[Agent]:
+        """The agents, the rearmost at `stations` (n,)."""
+        offsets = np.full_like(times, self.offset)
+        return [
+            agent
+            for i in range(self.count)
+            for agent in _present(
+                moving(f"{self.label}_{i}", self.label, road, times, stations + i * self.spacing, offsets)
+            )
+        ]
+
+
+def _overtake(road: Road, approach: Approach, slow: _Slow, factors: tuple[str, ...], passing: float) -> Event:
+    """Move over, pass the slow ones, and come back when they are well behind."""
+    closing = max(approach.cruise - slow.speed, 3.0) / approach.cruise
+    shifted = approach.onset + 34.0
+    length = SIZES[slow.label][0]
+    beside = shifted + (9.0 + length) / closing
+    done = beside + (length + 6.0 + slow.spacing * (slow.count - 1)) / closing
+
+    def place_agents(drive: Drive) -> list[Agent]:
+        times = sample_times(drive.duration_us)
+        return slow.place(road, times, beside + slow.speed * (times - drive.time_at(beside)))
+
+    return Event(factors, _sidestep(approach, passing, shifted, done), (), place_agents)
+
+
+def _follow(road: Road, approach: Approach, slow: _Slow, factors: tuple[str, ...], gap: float) -> Event:
+    """Slow down to the speed of the slow ones and stay behind them."""
+    settled = approach.onset + 30.0
+
+    def place_agents(drive: Drive) -> list[Agent]:
+        times = sample_times(drive.duration_us)
+        rear = settled + EGO_FRONT + gap + SIZES[slow.label][0] / 2
+        return slow.place(road, times, rear + slow.speed * (times - drive.time_at(settled)))
+
+    return Event(factors, (), ((settled, road.length, slow.speed),), place_agents)
+
+
+def _stopped_truck(road: Road, approach: Approach, generator: np.random.Generator) -> Event:
+    offset = -road.lane_edge - generator.uniform(0.0, 0.4)
+    length, width, _ = SIZES["heavy_truck"]
+    passing = offset + width / 2 + generator.uniform(0.7, 1.0) + HALF_EGO
+    shifted = approach.onset + 34.0
+    station = shifted + EGO_FRONT + 2.0 + length / 2
+
+    def place_agents(drive: Drive) -> list[Agent]:
+        return [standing("stopped_truck", "heavy_truck", road, station, offset, drive.duration_us)]
+
+    knots = _sidestep(approach, passing, shifted, station + length / 2 + 3.0)
+    return Event(("uncommon_vehicle",), knots, ((shifted, station, generator.uniform(7.0, 9.0)),), place_agents)
+
+
+def _sidestep(approach: Approach, passing: float, shifted: float, returning: float, length: float = 34.0) -> Knots:
+    """Leave the lane centre at the onset, be at offset `passing` from `shifted` to `returning`, and come back."""
+    center = approach.center
+    return (approach.onset, center), (shifted, passing), (returning, passing), (returning + length, center)
+
+
+def _cone_row(name: str, road: Road, stations: Array, offsets: Array, duration_us: int) -> list[Agent]:
+    return [
+        standing(f"{name}_{i}", "cone", road, float(s), float(d), duration_us)
+        for i, (s, d) in enumerate(zip(stations, offsets, strict=True))
+    ]
+
+
+def _present(agent: Agent | None) -> list[Agent]:
+    return [] if agent is None else [agent]

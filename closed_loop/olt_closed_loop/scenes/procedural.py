@@ -1,0 +1,91 @@
+"""Invented driving scenes: a road, an event on it, and what a careful human does about it."""
+
+import numpy as np
+
+from olt_closed_loop.scenes.actors import clearance, ego_clearance, moving, sample_times
+from olt_closed_loop.scenes.driving import Drive, Intention, drive
+from olt_closed_loop.scenes.events import EVENTS, Approach, Event
+from olt_closed_loop.scenes.roads import Road, generate_road
+from olt_closed_loop.scenes.scene import Agent, Scene
+from olt_generator.errors import InputError
+from olt_generator.seeds import make_generator
+from olt_toolkit.rig import DEFAULT_VEHICLE
+
+CATEGORIES: tuple[str, ...] = tuple(EVENTS)
+DURATION_US = 14_000_000
+START_STATION = 40.0
+
+_TRAFFIC_CLEARANCE = 0.5
+_RECOVERY_LENGTH = 30.0
+
+
+def generate_scene(category: str, seed: int) -> Scene:
+    """Invent a scene; the same category and seed give the same scene.
+
+    Half of the recordings start up to 0.6 m off the lane centre and a few degrees askew, and return to it.
+
+    Raises:
+        InputError: there is no such category.
+    """
+    if category not in EVENTS:
+        raise InputError(f"category {category!r} is not one of {', '.join(CATEGORIES)}")
+    generator = make_generator("scene", category, seed)
+    road = generate_road(generator, length=generator.uniform(310.0, 350.0), lanes=int(generator.integers(1, 3)))
+    lane = int(generator.integers(road.lanes)) if category == "nominal" else road.lanes - 1
+    approach = Approach(
+        onset=START_STATION + _RECOVERY_LENGTH + generator.uniform(1.0, 20.0),
+        center=road.lane_offset(lane),
+        cruise=generator.uniform(9.0, 13.5),
+    )
+    event = EVENTS[category](road, approach, generator)
+    ego = drive(road, _intend(road, approach, event, generator), DURATION_US)
+    agents = event.place_agents(ego)
+    agents += _oncoming_traffic(road, ego, agents, generator)
+    return Scene(
+        name=f"{category}_{seed:06d}",
+        category=category,
+        factors=event.factors,
+        vehicle=DEFAULT_VEHICLE,
+        ego=ego.trajectory,
+        agents=tuple(agents),
+        lanes=road.driving_lanes(),
+        road_edges=road.edges,
+        drivable=(road.outline,),
+        route=road.polyline(approach.center),
+    )
+
+
+def _intend(road: Road, approach: Approach, event: Event, generator: np.random.Generator) -> Intention:
+    """The event's path and speed, after a start that is sometimes off the lane centre."""
+    recovers = generator.random() < 0.5
+    offset = generator.uniform(-0.6, 0.6) if recovers else 0.0
+    slope = generator.uniform(-0.05, 0.05) if recovers else 0.0
+    middle = event.offsets or ((approach.onset, approach.center),)
+    offsets = (
+        (START_STATION, approach.center + offset),
+        (START_STATION + _RECOVERY_LENGTH, approach.center),
+        *middle,
+        (road.length, approach.center),
+    )
+    return Intention(offsets, slope, approach.cruise, event.limits)
+
+
+def _oncoming_traffic(road: Road, ego: Drive, others: list[Agent], generator: np.random.Generator) -> list[Agent]:
+    """Cars of the other direction that come close to nobody."""
+    times = sample_times(ego.duration_us)
+    traffic: list[Agent] = []
+    for i in range(int(generator.integers(2, 6))):
+        start, speed = generator.uniform(100.0, 1.4 * road.length), generator.uniform(8.0, 13.0)
+        offset = road.lane_offset(int(generator.integers(road.lanes)), oncoming=True)
+        stations = start - speed * times
+        label = "heavy_truck" if generator.random() < 0.2 else "automobile"
+        car = moving(f"oncoming_{i}", label, road, times, stations, np.full_like(times, offset), turn=np.pi)
+        if car is not None and _keeps_clear(car, ego, [*others, *traffic]):
+            traffic.append(car)
+    return traffic
+
+
+def _keeps_clear(car: Agent, ego: Drive, others: list[Agent]) -> bool:
+    if ego_clearance(ego.trajectory, DEFAULT_VEHICLE, car) < _TRAFFIC_CLEARANCE:
+        return False
+    return all(clearance(car, other) >= _TRAFFIC_CLEARANCE for other in others)

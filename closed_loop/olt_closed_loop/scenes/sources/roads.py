@@ -1,0 +1,166 @@
+"""Lanes, outlines, edges and routes from what maps of recorded drives hold."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+from shapely.geometry.base import BaseGeometry
+
+from olt_closed_loop.scenes.scene import Lane
+from olt_generator.poses import Array
+
+ROUTE_BEYOND = 400.0
+"""Metres that a route goes on after the recording ends: 20 s at 20 m/s."""
+_ROUTE_SPACING = 0.2
+_LANE_DISTANCE, _LANE_TURN = 4.0, np.radians(22.5)
+"""How near a lane must be, and how well aligned, to be the one that is driven on (facts sheet alpasim, section 6)."""
+_JOINING_DISTANCE = 5.0
+"""Metres after which a route that leaves the recording is on the lane's centre line."""
+_SUCCESSOR_GAP, _SUCCESSOR_TURN = 0.5, np.radians(60.0)
+
+
+def lane_between(name: str, left: Array, right: Array, successors: tuple[str, ...]) -> Lane:
+    """A lane between two borders (n, 3) and (m, 3); all its lines get the same number of points."""
+    count = max(len(left), len(right), 2 + int(max(length_of(left), length_of(right)) / 2.0))
+    left, right = resample(left, count), resample(right, count)
+    return Lane(name, 0.5 * (left + right), left, right, successors)
+
+
+def lane_around(name: str, center: Array, half_width: float) -> Lane:
+    """A lane of constant width around its centre line (n, 3), n >= 2."""
+    direction = np.gradient(center[:, :2], axis=0)
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    to_left = half_width * np.column_stack([-direction[:, 1], direction[:, 0], np.zeros(len(center))])
+    return Lane(name, center, center + to_left, center - to_left)
+
+
+def resample(line: Array, count: int) -> Array:
+    """`count` points (count, d) evenly along a polyline (n, d); a line of one point is repeated."""
+    arc = arc_lengths(line)
+    at = np.linspace(0.0, arc[-1], count)
+    return np.stack([np.interp(at, arc, column) for column in line.T], axis=-1)
+
+
+def arc_lengths(line: Array) -> Array:
+    """Distance (n,) of each point of a polyline (n, d) along it, in the plane, metres."""
+    steps = np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def length_of(line: Array) -> float:
+    """Length of a polyline (n, d) in the plane, metres."""
+    return float(arc_lengths(line)[-1])
+
+
+def without_repeats(line: Array) -> Array:
+    """A polyline (n, d) without points that repeat the one before them in the plane."""
+    moved = np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1) > 1e-6
+    return line[np.concatenate([[True], moved])]
+
+
+def outlines(areas: Sequence[BaseGeometry]) -> tuple[Array, ...]:
+    """Valid counter-clockwise outlines (n, 3) at height 0 whose union is that of the areas, which have no holes."""
+    parts = shapely.get_parts([shapely.make_valid(area) for area in areas])
+    polygons = [part for part in parts if part.geom_type == "Polygon" and part.area > 0.0]
+    return tuple(_ring(shapely.orient_polygons(polygon).exterior)[:-1] for polygon in polygons)
+
+
+def edges(areas: Sequence[BaseGeometry]) -> tuple[Array, ...]:
+    """The borders of the union of areas as closed polylines (n, 3) at height 0 with the area to their left."""
+    union = shapely.union_all([shapely.make_valid(area) for area in areas])
+    polygons = [shapely.orient_polygons(part) for part in shapely.get_parts(union) if part.geom_type == "Polygon"]
+    rings = [ring for polygon in polygons for ring in (polygon.exterior, *polygon.interiors)]
+    return tuple(_ring(ring) for ring in rings)
+
+
+def _ring(ring: BaseGeometry) -> Array:
+    points = shapely.get_coordinates(ring)
+    return np.column_stack([points, np.zeros(len(points))])
+
+
+def link_by_place(lanes: Sequence[Lane]) -> list[Lane]:
+    """The lanes with those as successors that begin where they end and go on in about the same direction."""
+    starts, ends = (np.stack([lane.center[at, :2] for lane in lanes]) for at in (0, -1))
+    first = np.array([heading_at(lane.center, 0.0) for lane in lanes])
+    last = np.array([heading_at(lane.center, length_of(lane.center)) for lane in lanes])
+    gap = np.linalg.norm(ends[:, None] - starts[None], axis=-1)
+    follows = (gap < _SUCCESSOR_GAP) & (np.abs(wrap(first[None] - last[:, None])) < _SUCCESSOR_TURN)
+    return [
+        Lane(lane.id, lane.center, lane.left, lane.right, tuple(lanes[j].id for j in np.flatnonzero(row).tolist()))
+        for lane, row in zip(lanes, follows, strict=True)
+    ]
+
+
+def route_along(path: Array, yaw: float, lanes: Sequence[Lane]) -> Array:
+    """The line (n, 3) that a recorded drive follows, and goes on after its end.
+
+    Beyond the recording it follows the lane in which the recording ends, at forks the successor whose direction is
+    closest, and straight on where the lanes end.
+
+    Args:
+        path: (m, 3) recorded positions.
+        yaw: recorded heading at the last of them.
+        lanes: lanes of the map.
+    """
+    recorded = _thinned(path)
+    beyond = _lanes_ahead(path[-1], yaw, lanes)
+    line = without_repeats(np.concatenate([recorded, beyond])) if len(beyond) else recorded
+    heading, missing = yaw, ROUTE_BEYOND
+    if len(beyond):
+        heading, missing = heading_at(line, length_of(line)), ROUTE_BEYOND - length_of(beyond)
+    if missing <= 0.0:
+        return line
+    end = line[-1] + missing * np.array([np.cos(heading), np.sin(heading), 0.0])
+    return np.concatenate([line, end[None]])
+
+
+def heading_at(line: Array, distance: float) -> float:
+    """Heading of a polyline (n, d), n >= 2, at a distance along it."""
+    line = without_repeats(line)
+    index = int(np.clip(np.searchsorted(arc_lengths(line), distance, side="right") - 1, 0, len(line) - 2))
+    step = line[index + 1, :2] - line[index, :2]
+    return float(np.arctan2(step[1], step[0]))
+
+
+def wrap(angle: Array) -> Array:
+    """Angles in -pi to pi."""
+    return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
+
+
+def _thinned(path: Array) -> Array:
+    kept = [path[0]]
+    for point in path[1:]:
+        if np.linalg.norm(point[:2] - kept[-1][:2]) >= _ROUTE_SPACING:
+            kept.append(point)
+    return np.stack(kept)
+
+
+def _lanes_ahead(position: Array, yaw: float, lanes: Sequence[Lane]) -> Array:
+    """Centre line (n, 3) from the lane at a pose on, at most ROUTE_BEYOND long; (0, 3) where there is no lane."""
+    lane, along = _lane_at(position, yaw, lanes)
+    by_id = {lane.id: lane for lane in lanes}
+    points, length, seen = np.zeros((0, 3)), 0.0, set[str]()
+    start = along + _JOINING_DISTANCE
+    while lane is not None and lane.id not in seen and length < ROUTE_BEYOND:
+        seen.add(lane.id)
+        points = np.concatenate([points, lane.center[arc_lengths(lane.center) >= start]])
+        length, start = length_of(points) if len(points) else 0.0, 0.0
+        lane = _straightest(lane, [by_id[name] for name in lane.successors if name in by_id])
+    return points[arc_lengths(points) <= ROUTE_BEYOND] if len(points) else points
+
+
+def _lane_at(position: Array, yaw: float, lanes: Sequence[Lane]) -> tuple[Lane | None, float]:
+    """The nearest lane that leads along `yaw`, and how far along it the position is."""
+    here = shapely.Point(position[:2])
+    best, nearest, along = None, _LANE_DISTANCE, 0.0
+    for lane in lanes:
+        line = shapely.LineString(lane.center[:, :2])
+        distance, at = line.distance(here), line.project(here)
+        if distance < nearest and abs(wrap(np.array(heading_at(lane.center, at) - yaw))) < _LANE_TURN:
+            best, nearest, along = lane, distance, at
+    return best, along
+
+
+def _straightest(lane: Lane, successors: Sequence[Lane]) -> Lane | None:
+    heading = heading_at(lane.center, length_of(lane.center))
+    return min(successors, key=lambda other: abs(wrap(np.array(heading_at(other.center, 0.0) - heading))), default=None)

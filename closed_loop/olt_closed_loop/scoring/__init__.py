@@ -1,0 +1,1 @@
+"""Scoring: what a drive is worth, and whether that can be trusted."""

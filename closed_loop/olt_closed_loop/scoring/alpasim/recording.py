@@ -1,0 +1,57 @@
+"""Where the ego is along, and how far it is from, the recorded drive."""
+
+import numpy as np
+import shapely
+
+from olt_closed_loop.scoring.alpasim.series import MetricSeries, UnmeasuredError
+from olt_closed_loop.scoring.alpasim.surroundings import Surroundings
+from olt_closed_loop.scoring.alpasim.tracks import Geometries, Single, ego_track
+from olt_generator.poses import Array
+
+UNCOMPUTED = 2
+"""The first samples, at which nothing is computed and fixed values stand instead."""
+
+
+def measure_along_recording(surroundings: Surroundings) -> dict[str, MetricSeries]:
+    """Progress along the recorded path, distances to it, and lengths.
+
+    Raises:
+        UnmeasuredError: the recording does not cover the drive or is a single pose, or the drive has under 3 samples.
+    """
+    record = surroundings.record
+    times = record.timestamps_us
+    recorded = ego_track(record.recorded_us, record.recorded_poses, record.box)
+    if len(recorded.times_us) < 2 or len(times) <= UNCOMPUTED:
+        raise UnmeasuredError("progress needs two recorded poses and three samples")
+    path, driven = (shapely.linestrings(track.positions) for track in (recorded, surroundings.ego))
+    shapely.prepare(path)
+    along, _ = recorded.at(times)
+    centers = surroundings.ego_centers[UNCOMPUTED:]
+
+    progress = shapely.line_locate_point(path, centers, normalized=True)
+    progress = np.concatenate([np.linspace(0.0, progress[0], 3)[:UNCOMPUTED], progress])
+    so_far = shapely.line_locate_point(_paths_so_far(along), centers, normalized=True)
+    to_path = shapely.distance(path, centers)
+    to_location = shapely.distance(shapely.points(along[UNCOMPUTED:]), centers)
+    distance = shapely.line_locate_point(driven, centers)
+    return {
+        "progress": MetricSeries(times, progress, "last"),
+        "progress_rel_to_total": MetricSeries(times, progress, "last"),
+        "progress_rel": MetricSeries(times, _behind(1.0, so_far), "min"),
+        "dist_to_gt_trajectory": MetricSeries(times, _behind(0.0, to_path), "max"),
+        "dist_to_gt_location": MetricSeries(times, _behind(0.0, to_location), "max"),
+        "dist_traveled_m": MetricSeries(times, _behind(0.0, distance), "last"),
+        "gt_dist_traveled_m": MetricSeries(times, np.full(len(times), shapely.length(path)), "last"),
+    }
+
+
+def _paths_so_far(along: Single) -> Geometries:
+    """For each computed sample (n - 2,), the line through the recorded positions (n, 2) up to then."""
+    counts = np.arange(UNCOMPUTED + 1, len(along) + 1)
+    points = np.concatenate([along[:count] for count in counts])
+    return np.asarray(shapely.linestrings(points, indices=np.repeat(np.arange(len(counts)), counts)))
+
+
+def _behind(first: float, values: Array) -> Array:
+    """Values (n,) whose first two are `first`."""
+    return np.concatenate([np.full(UNCOMPUTED, first), values])

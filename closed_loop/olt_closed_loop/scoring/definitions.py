@@ -1,0 +1,252 @@
+"""What a rollout is worth, by one of two definitions: `strict`, the default, and `alpasim`.
+
+`alpasim` (`scoring.alpasim`) gives the values of AlpaSim's own evaluation. `strict` keeps their intent:
+
+- Only what happens after the hand-over counts.
+- The score is 0 after a collision at fault or off the road, else min(progress / 0.8, 1).
+- Progress is the arc length along the recorded path, as a share of what the recording drives from the hand-over to the
+  end of the rollout; where that is under 5 m the progress score is 1. It is not counted from the first time on at which
+  the ego is 4 m or more from the recorded path.
+
+Where the two differ, and the case that shows it (`tests/closed_loop/test_scoring_definitions.py` holds each):
+
+| | `alpasim` | `strict` | case |
+| --- | --- | --- | --- |
+| time | samples only | continuous between them | a fast crossing between two samples is hit |
+| boxes | 2 % smaller, corners rounded | as they are | clipping a corner by 2 cm is a hit |
+| height | ignored | counts | a bridge above the road is no hit |
+| several contacts | one of them decides, by place | each has its side | hit ahead and behind at once, heading west |
+| first contact | ends the rollout | only its own fault counts | tapped from behind, then driving into a parked car |
+| fault | front or side, whoever moved | who moved into whom | a standing ego that is hit from the side |
+| off the road | at the edge only | also beyond it | the whole drive 8 m beside the road |
+| lane direction | angles not wrapped | wrapped | the proper lane, heading west |
+| progress | nearest point of the whole path | only ahead of the last one | a path that passes the same place twice |
+| whole | recording, warm-up included | what was recorded after the hand-over | a perfect drive of the first half |
+| precision | single | double | coordinates of 5e6 m |
+| failure | stops the summary | this rollout is not valid | a pose that is not finite |
+"""
+
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
+from olt_closed_loop.scoring.collisions import Collision, find_collisions
+from olt_closed_loop.scoring.drivable import first_departure, road_of
+from olt_closed_loop.scoring.drive_record import DriveRecord, record_drive_in_scene
+from olt_closed_loop.scoring.driving_metrics import measure_driving
+from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
+from olt_closed_loop.scoring.progress import PathTracker
+from olt_closed_loop.simulation.rollout import Rollout
+from olt_generator.errors import InputError
+from olt_generator.poses import Array
+
+FULL_PROGRESS = 0.8
+SHORT_RECORDING = 5.0
+MAX_PATH_DISTANCE = 4.0
+
+Definition = Literal["strict", "alpasim"]
+DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
+
+
+@dataclass(frozen=True)
+class RolloutScore:
+    """The score of one rollout.
+
+    Attributes:
+        scene, category, policy, seed: which rollout; the seed is None where nobody knows it.
+        definition: how the score is defined.
+        valid: whether the rollout can be scored; if not, `reason` says why and what was not measured is None.
+        score: the scene score, 0 to 1.
+        progress: share of the recorded path that was driven, 0 to 1.
+        collided, collided_at_fault: whether the ego touched anything, and whether that was its fault.
+        collisions: first contact with each agent, in order of time; () when none was found. `strict` only.
+        offroad: whether the ego left the road; None when the scene has none.
+        offroad_us: when it first did. `strict` only.
+        left_path_us: when the ego was first 4 m or more from the recorded path. `strict` only.
+        distance_m: driven after the hand-over; for `alpasim` along the whole path up to the first incident.
+        incidents, incidents_at_fault: collisions and departures from the road; for `alpasim` at most one.
+        reason: why the score is 0 by rule ("collision_at_fault", "offroad"), why there is none, or None.
+        metrics: further figures by name (`driving_metrics`, or AlpaSim's metrics).
+        left_out: what was not computed, and why.
+        events: how often something went another way than planned (`simulation.rollout.Events`); None when nobody
+            counted.
+    """
+
+    scene: str
+    category: str
+    policy: str
+    seed: int | None
+    definition: Definition = "strict"
+    valid: bool = False
+    score: float | None = None
+    progress: float | None = None
+    collided: bool | None = None
+    collided_at_fault: bool | None = None
+    collisions: tuple[Collision, ...] = ()
+    offroad: bool | None = None
+    offroad_us: int | None = None
+    left_path_us: int | None = None
+    distance_m: float | None = None
+    incidents: int | None = None
+    incidents_at_fault: int | None = None
+    reason: str | None = None
+    metrics: dict[str, float | bool | None] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    events: dict[str, int] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The score as JSON can hold it."""
+        collisions = [collision.to_dict() for collision in self.collisions]
+        return {**vars(self), "collisions": collisions, "left_out": list(self.left_out)}
+
+
+def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition: Definition = "strict") -> RolloutScore:
+    """Score one rollout of the scene. One that failed, or whose states are not finite, is not valid.
+
+    Args:
+        scene: the scene that was driven.
+        rollout: the drive.
+        skip: whether what cannot change the result is left out; the result is the same without, only slower.
+        definition: how the score is defined.
+
+    Raises:
+        InputError: the rollout is one of another scene.
+    """
+    if rollout.scene != scene.name:
+        raise InputError(f"rollout of scene {rollout.scene} cannot be scored on scene {scene.name}; give its own scene")
+    named: dict[str, Any] = {
+        "scene": scene.name,
+        "category": scene.category,
+        "policy": rollout.policy,
+        "seed": rollout.seed,
+        "definition": definition,
+        "events": vars(rollout.events).copy(),
+    }
+    reason = rollout.failure or _unscorable(rollout)
+    if reason:
+        return RolloutScore(**named, reason=reason)
+    record = record_drive_in_scene(scene, rollout)
+    return _score(record, named, skip)
+
+
+def score_record(record: DriveRecord, definition: Definition = "strict", skip: bool = True) -> RolloutScore:
+    """Score one drive of which nothing but the record is known (`rollout_files`)."""
+    unknown = {"scene": record.name, "category": "unknown", "policy": "unknown", "seed": None}
+    return _score(record, {**unknown, "definition": definition}, skip)
+
+
+def _score(record: DriveRecord, named: dict[str, Any], skip: bool) -> RolloutScore:
+    if int((record.timestamps_us >= record.handover_us).sum()) < 2:
+        return RolloutScore(**named, reason="the drive ends before the hand-over")
+    values = _strict(record, skip) if named["definition"] == "strict" else _as_alpasim(record)
+    return RolloutScore(**named, **values)
+
+
+def _unscorable(rollout: Rollout) -> str | None:
+    finite = np.isfinite(rollout.states).all(axis=1) & np.isfinite(rollout.heights)
+    return None if finite.all() else f"the state at {rollout.timestamps_us[np.argmin(finite)]} us is not finite"
+
+
+def _strict(record: DriveRecord, skip: bool) -> dict[str, Any]:
+    ego, road = ego_box(record), road_of(record)
+    boxes = [agent_box(agent) for agent in record.agents]
+    span = _scored_span(record)
+    collisions, unreachable = find_collisions(ego, record.agents, boxes, *span, skip_unreachable=skip)
+    offroad_us = first_departure(road, ego, *span, skip=skip) if road else None
+    progress, left_path_us = _progress(record)
+    metrics = measure_driving(record, ego, boxes)
+    at_fault = sum(collision.at_fault for collision in collisions)
+    left_road = int(offroad_us is not None)
+    reason = "collision_at_fault" if at_fault else "offroad" if left_road else None
+    return {
+        "valid": True,
+        "score": 0.0 if reason else _progress_score(record, progress),
+        "progress": progress,
+        "collided": bool(collisions),
+        "collided_at_fault": at_fault > 0,
+        "collisions": collisions,
+        "offroad": bool(left_road) if road else None,
+        "offroad_us": offroad_us,
+        "left_path_us": left_path_us,
+        "distance_m": metrics.distance_m,
+        "incidents": len(collisions) + left_road,
+        "incidents_at_fault": at_fault + left_road,
+        "reason": reason,
+        "metrics": metrics.to_dict(),
+        "left_out": _left_out(record, unreachable, road is not None),
+    }
+
+
+def _as_alpasim(record: DriveRecord) -> dict[str, Any]:
+    scores = score_as_alpasim(record)
+    missing = tuple(f"{name}: {reason}" for name, reason in scores.missing.items())
+    if scores.scene.score is None:
+        why = "; ".join(missing) or "progress has no value"
+        return {"reason": f"AlpaSim gives no scene score ({why})", "metrics": scores.final, "left_out": missing}
+    final = {name: value for name, value in scores.final.items() if value is not None}
+    return {
+        "valid": True,
+        "score": scores.scene.score,
+        "progress": min(max(final["progress_clipped_rel"], 0.0), 1.0),
+        "collided": final["collision_any"] > 0.0,
+        "collided_at_fault": final["collision_at_fault"] > 0.0,
+        "offroad": final["offroad"] > 0.0,
+        "distance_m": final["dist_traveled_m"],
+        "incidents": int(final["offroad_or_collision"]),
+        "incidents_at_fault": int(final["offroad_or_collision_at_fault"]),
+        "reason": scores.scene.failure_reason,
+        "metrics": scores.final,
+        "left_out": missing,
+    }
+
+
+def _scored_span(record: DriveRecord) -> tuple[int, int]:
+    """First and last microsecond that count."""
+    return max(record.handover_us, int(record.timestamps_us[0])), int(record.timestamps_us[-1])
+
+
+def _progress(record: DriveRecord) -> tuple[float, int | None]:
+    """Progress of the drive, and when it left the path."""
+    tracker = PathTracker(record.recorded_poses[:, :2])
+    handed_over, reached, left_path_us = 0.0, 0.0, None
+    for time_us, position in zip(record.timestamps_us.tolist(), record.poses[:, :2], strict=True):
+        arc_length = tracker.advance(position)
+        if tracker.distance >= MAX_PATH_DISTANCE:
+            left_path_us = time_us
+            break
+        reached = arc_length
+        if time_us <= record.handover_us:
+            handed_over = reached
+    recorded = _recorded_length(record)
+    return (min((reached - handed_over) / recorded, 1.0) if recorded > 0.0 else 1.0), left_path_us
+
+
+def recorded_length(scene: Scene, rollout: Rollout) -> float:
+    """Metres that the recording drives from the rollout's hand-over to its end."""
+    return _recorded_length(record_drive_in_scene(scene, rollout))
+
+
+def _recorded_length(record: DriveRecord) -> float:
+    times = record.recorded_us
+    steps: Array = np.linalg.norm(np.diff(record.recorded_poses[:, :2], axis=0), axis=1)
+    driven = np.concatenate([[0.0], np.cumsum(steps)])
+    start, end = np.interp(np.array(_scored_span(record)) - times[0], times - times[0], driven)
+    return float(end - start)
+
+
+def _progress_score(record: DriveRecord, progress: float) -> float:
+    if _recorded_length(record) < SHORT_RECORDING:
+        return 1.0
+    return min(progress / FULL_PROGRESS, 1.0)
+
+
+def _left_out(record: DriveRecord, unreachable: tuple[str, ...], road: bool) -> tuple[str, ...]:
+    notes = []
+    if unreachable:
+        notes.append(f"collision tests of {len(unreachable)} of {len(record.agents)} agents: never within reach")
+    if not road:
+        notes.append("road test: the scene has no drivable area, nor lanes with road edges")
+    return tuple(notes)

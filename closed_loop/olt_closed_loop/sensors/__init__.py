@@ -1,0 +1,1 @@
+"""Cameras in a scene: images by ray casting, and drives recorded with them."""

@@ -1,0 +1,170 @@
+"""Everything in a scene that stands on the ground, as upright boxes."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_closed_loop.scenes.looks import Color, Looks, SceneryBox
+from olt_closed_loop.scenes.scene import Agent
+from olt_closed_loop.sensors.textures import SURFACE_INDEX, FloatImage
+from olt_generator.poses import Array
+
+# Faces in the order +x, -x, +y, -y, +z, -z: the axes that run across and up the face.
+FACE_ACROSS = np.array([1, 1, 0, 0, 0, 0])
+FACE_UP = np.array([2, 2, 2, 2, 1, 1])
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Upright boxes.
+
+    Attributes:
+        center: (n, 3) metres.
+        half: (n, 3) half of length, width, height.
+        yaw: (n,) radians.
+        color: (n, 3) base colour, 0 ... 255.
+        surface: (n, 6) index of the surface on each face.
+        repeats: (n, 3) how often surfaces repeat along each axis.
+    """
+
+    center: Array
+    half: Array
+    yaw: Array
+    color: FloatImage
+    surface: NDArray[np.int32]
+    repeats: FloatImage
+
+    def __len__(self) -> int:
+        return len(self.center)
+
+    def select(self, chosen: NDArray[np.bool_]) -> "Boxes":
+        """Some of the boxes."""
+        return Boxes(*(getattr(self, field.name)[chosen] for field in fields(self)))
+
+    @classmethod
+    def concatenate(cls, groups: "Sequence[Boxes]") -> "Boxes":
+        """All boxes of some groups."""
+        return cls(*(np.concatenate([getattr(group, field.name) for group in groups]) for field in fields(cls)))
+
+    def moved(self, pose: Array) -> "Boxes":
+        """The boxes of a body, given relative to it, in the world where the body's pose (4,) is x, y, z, yaw."""
+        cos, sin = np.cos(pose[3]), np.sin(pose[3])
+        turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return replace(self, center=self.center @ turn + pose[:3], yaw=self.yaw + pose[3])
+
+    def corners(self) -> Array:
+        """Corners (n, 8, 3) in the world."""
+        signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
+        local = signs * self.half[:, None]
+        cos, sin = np.cos(self.yaw)[:, None], np.sin(self.yaw)[:, None]
+        turned = [cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1], local[..., 2]]
+        return self.center[:, None] + np.stack(turned, axis=-1)
+
+
+@dataclass(frozen=True)
+class Part:
+    """A box of a body: its extent as shares of the body's (low and high corner, 0 ... 1), surfaces and colour.
+
+    `surfaces` are those of the front, rear, sides and top.
+    """
+
+    low: tuple[float, float, float]
+    high: tuple[float, float, float]
+    surfaces: tuple[str, str, str, str] = ("plain", "plain", "plain", "plain")
+    color: Color | None = None
+
+
+_DARK: Color = (40.0, 40.0, 44.0)
+_WHOLE = Part((0, 0, 0), (1, 1, 1))
+
+_BODIES: dict[str, tuple[Part, ...]] = {
+    "automobile": (
+        Part((0, 0, 0.08), (1, 1, 0.62), ("car_front", "car_rear", "car_side", "plain")),
+        Part((0.18, 0.06, 0.62), (0.72, 0.94, 1), ("glass", "glass", "glass", "plain")),
+    ),
+    "heavy_truck": (
+        Part((0.78, 0.02, 0.1), (1, 0.98, 0.85), ("car_front", "plain", "glass", "plain")),
+        Part((0, 0, 0.05), (0.76, 1, 1), ("plain", "car_rear", "panels", "plain")),
+    ),
+    "other_vehicle": (
+        Part((0.45, 0.28, 0.2), (1, 0.72, 0.62), ("car_front", "plain", "plain", "plain")),
+        Part((0.08, 0.18, 0.35), (0.45, 0.82, 1), ("glass", "glass", "glass", "plain")),
+        Part((0, 0, 0), (0.42, 0.24, 0.58), ("plain", "plain", "wheel", "plain"), _DARK),
+        Part((0, 0.76, 0), (0.42, 1, 0.58), ("plain", "plain", "wheel", "plain"), _DARK),
+        Part((0.72, 0.06, 0), (0.98, 0.24, 0.36), ("plain", "plain", "wheel", "plain"), _DARK),
+        Part((0.72, 0.76, 0), (0.98, 0.94, 0.36), ("plain", "plain", "wheel", "plain"), _DARK),
+    ),
+    "rider": (
+        Part((0, 0.42, 0), (0.38, 0.58, 0.38), ("plain", "plain", "wheel", "plain"), _DARK),
+        Part((0.62, 0.42, 0), (1, 0.58, 0.38), ("plain", "plain", "wheel", "plain"), _DARK),
+        Part((0.3, 0.25, 0.2), (0.6, 0.75, 0.5), color=_DARK),
+        Part((0.3, 0.1, 0.48), (0.65, 0.9, 0.84)),
+        Part((0.5, 0.33, 0.84), (0.66, 0.67, 1), ("skin", "plain", "plain", "plain")),
+    ),
+    "person": (
+        Part((0.2, 0.15, 0), (0.8, 0.85, 0.48), color=_DARK),
+        Part((0.1, 0, 0.46), (0.9, 1, 0.85)),
+        Part((0.25, 0.3, 0.85), (0.75, 0.7, 1), ("skin", "skin", "skin", "plain")),
+    ),
+    "animal": (
+        Part((0.1, 0.1, 0.4), (0.85, 0.9, 0.72)),
+        Part((0.75, 0.3, 0.6), (1, 0.7, 1)),
+        Part((0.12, 0.15, 0), (0.2, 0.85, 0.42)),
+        Part((0.72, 0.15, 0), (0.8, 0.85, 0.42)),
+    ),
+    "cone": (
+        Part((0, 0, 0), (1, 1, 0.06), color=_DARK),
+        Part((0.2, 0.2, 0.06), (0.8, 0.8, 0.5), ("cone", "cone", "cone", "plain")),
+        Part((0.34, 0.34, 0.5), (0.66, 0.66, 1), ("cone", "cone", "cone", "plain")),
+    ),
+    "barrier": (Part((0, 0, 0), (1, 1, 1), ("stripes", "stripes", "stripes", "plain")),),
+}
+
+
+def body_boxes(agent: Agent, color: Color) -> Boxes:
+    """The boxes that make up an agent, relative to the centre of its own box; a plain box for a label unknown here."""
+    parts = _BODIES.get(agent.label, (_WHOLE,))
+    size = np.array([agent.length, agent.width, agent.height])
+    low, high = (np.array([getattr(part, end) for part in parts]) for end in ("low", "high"))
+    return Boxes(
+        center=((low + high) / 2 - 0.5) * size,
+        half=(high - low) / 2 * size,
+        yaw=np.zeros(len(parts)),
+        color=np.array([part.color or color for part in parts], dtype=np.float32),
+        surface=np.array([_faces(*part.surfaces) for part in parts], dtype=np.int32),
+        repeats=np.ones((len(parts), 3), dtype=np.float32),
+    )
+
+
+def scenery_boxes(looks: Looks) -> Boxes:
+    """The buildings, trees and poles."""
+    size = np.array([box.size for box in looks.scenery]).reshape(-1, 3)
+    return Boxes(
+        center=np.array([box.center for box in looks.scenery]).reshape(-1, 3),
+        half=size / 2,
+        yaw=np.array([box.yaw for box in looks.scenery]),
+        color=np.array([box.color for box in looks.scenery], dtype=np.float32).reshape(-1, 3),
+        surface=np.array([_scenery_faces(box) for box in looks.scenery], dtype=np.int32).reshape(-1, 6),
+        repeats=np.array([_scenery_repeats(box) for box in looks.scenery], dtype=np.float32).reshape(-1, 3),
+    )
+
+
+def _scenery_faces(box: SceneryBox) -> list[int]:
+    if box.kind == "building":
+        return _faces("building", "building", "building", "plain")
+    if box.kind == "crown":
+        return _faces("foliage", "foliage", "foliage", "foliage")
+    return _faces("plain", "plain", "plain", "plain")
+
+
+def _scenery_repeats(box: SceneryBox) -> tuple[float, float, float]:
+    """A building's surface shows two storeys of 3 m and is 9 m wide; foliage is spread over 3 m."""
+    across, up = {"building": (9.0, 6.0), "crown": (3.0, 3.0)}.get(box.kind, (np.inf, np.inf))
+    length, width, height = box.size
+    return max(1.0, round(length / across)), max(1.0, round(width / across)), max(0.5, round(2.0 * height / up) / 2.0)
+
+
+def _faces(front: str, rear: str, side: str, top: str) -> list[int]:
+    return [SURFACE_INDEX[name] for name in (front, rear, side, side, top, "plain")]

@@ -1,0 +1,92 @@
+"""Drives recorded in invented scenes: what a real vehicle with the PhysicalAI-AV rig would have brought home."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.sensors.ray_casting import SceneRenderer, render_rig
+from olt_generator.errors import InputError
+from olt_generator.progress import Progress, silent
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.policy_window import Span
+from olt_toolkit.recording import Recording
+from olt_toolkit.rig import FRONT_WIDE, pav_rig
+
+
+def record_drive(
+    scene: Scene,
+    width: int,
+    height: int,
+    frame_rate: float,
+    cameras: tuple[str, ...] = (FRONT_WIDE,),
+    with_distance: bool = False,
+    on_progress: Progress = silent,
+    window_us: Span | None = None,
+) -> Recording:
+    """Drive the recorded ego's way through a scene and film it.
+
+    Args:
+        scene: the scene.
+        width, height: size of all images in pixels.
+        frame_rate: images per second.
+        cameras: which cameras of the rig film; the front-wide one always does and gives `Recording.frames`.
+        with_distance: whether to keep the true distance of the front-wide pixels.
+        on_progress: called with the share that is done.
+        window_us: keep only the images between these times, both included; None for the whole length. The reference
+            covers all of the drive in any case, so it may reach before the first image and beyond the last.
+
+    Raises:
+        InputError: the frame rate is not positive, the rig has no such camera, or no image lies in the window.
+    """
+    rig = pav_rig().fitted(width, height)
+    names = tuple(dict.fromkeys((FRONT_WIDE, *cameras)))
+    drive_us = frame_times(scene, frame_rate)
+    T_world_rig = scene.ego.interpolate(drive_us + scene.ego.timestamps_us[0])
+    filmed = np.ones(len(drive_us), np.bool_) if window_us is None else _within(drive_us, window_us, scene.name)
+    timestamps_us = drive_us[filmed]
+    renderer = SceneRenderer(scene)
+
+    images = {name: np.empty((len(timestamps_us), height, width, 3), dtype=np.uint8) for name in names}
+    distance = np.empty((len(timestamps_us), height, width), dtype=np.float32) if with_distance else None
+    for index, (time_us, pose) in enumerate(zip(timestamps_us.tolist(), T_world_rig[filmed], strict=True)):
+        pictures = render_rig(renderer, rig, names, pose, time_us)
+        for name, picture in pictures.items():
+            images[name][index] = picture.rgb
+        if distance is not None:
+            distance[index] = pictures[FRONT_WIDE].distance
+        on_progress((index + 1) / len(timestamps_us))
+
+    front = rig[FRONT_WIDE]
+    return Recording(
+        name=scene.name,
+        source="synthetic",
+        frames=images.pop(FRONT_WIDE),
+        timestamps_us=timestamps_us - timestamps_us[0],
+        camera=front.camera,
+        T_rig_camera=front.T_rig_camera,
+        vehicle=scene.vehicle,
+        reference=Trajectory(drive_us - timestamps_us[0], T_world_rig),
+        distance=distance,
+        views=images,
+        mounted={name: rig[name] for name in images},
+    )
+
+
+def frame_times(scene: Scene, frame_rate: float) -> NDArray[np.int64]:
+    """Times (n,) of the images of a recorded drive, in microseconds from its start.
+
+    Raises:
+        InputError: the frame rate is not positive.
+    """
+    if not frame_rate > 0.0:
+        raise InputError(f"frame rate {frame_rate}: must be more than 0 images per second")
+    duration_us = int(scene.ego.timestamps_us[-1] - scene.ego.timestamps_us[0])
+    count = int(np.floor(duration_us * 1e-6 * frame_rate + 1e-9)) + 1
+    return np.round(np.arange(count) * (1e6 / frame_rate)).astype(np.int64)
+
+
+def _within(times_us: NDArray[np.int64], window_us: Span, name: str) -> NDArray[np.bool_]:
+    inside = (times_us >= window_us[0]) & (times_us <= window_us[1])
+    if not inside.any():
+        raise InputError(f"{name}: no image lies between {window_us[0]} and {window_us[1]} us of the drive")
+    return inside

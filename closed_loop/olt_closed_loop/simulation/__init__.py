@@ -1,0 +1,1 @@
+"""Simulation: a policy drives the vehicle through a scene."""

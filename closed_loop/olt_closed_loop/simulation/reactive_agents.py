@@ -1,0 +1,192 @@
+"""Recorded vehicles that brake for the ego: the Intelligent Driver Model along their own recorded ways.
+
+A vehicle plays its recording by a clock of its own. While nothing is in its way the clock runs with the time, so the
+vehicle is where the recording has it; with something ahead it slows down, its clock falls behind, and it follows the
+same way later. It never overtakes its recording, so it still waits where the recorded driver waited.
+
+Only the ego, and vehicles that lag their recordings already, can be in the way: everyone else is where the recording
+has them, and the recording shows that the way past them is free. Braking is the interaction term of the model (Treiber,
+Hennecke, Helbing, Phys. Rev. E 62, 2000); in place of its free-road term the recorded speed is the limit:
+
+    v' = max(a, recorded v') - a (s* / s)^2,    s* = s0 + v T + v (v - v_leader) / (2 sqrt(a b)),    v <= recorded v
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from olt_closed_loop.scenes.scene import Agent
+from olt_generator.poses import Array
+from olt_toolkit.policy import STEP_SECONDS, STEP_US
+
+ACCELERATION = 1.5
+"""a, m/s^2."""
+COMFORTABLE_BRAKING = 2.0
+"""b, m/s^2."""
+HARDEST_BRAKING = 8.0
+MINIMUM_GAP = 2.0
+"""s0, metres."""
+HEADWAY = 1.5
+"""T, seconds."""
+REACTING_LABELS = ("automobile", "heavy_truck", "bus", "trailer", "other_vehicle", "rider")
+
+_LOOK_AHEAD, _SPACING = 60.0, 1.0
+_SHORTEST_WAY = 2.0
+"""A vehicle that moves less than this many metres stands."""
+_STANDING = 1e-3
+"""Recorded speeds below this, m/s, are waiting: the clock runs on."""
+_ROUNDING = 1e-9
+
+
+class ReactiveAgents:
+    """The agents of one rollout from the hand-over on."""
+
+    def __init__(self, agents: Sequence[Agent], handover_us: int) -> None:
+        moving = [agent for agent in agents if agent.label in REACTING_LABELS and len(agent.timestamps_us) > 1]
+        recordings = [_Recording(agent) for agent in moving if agent.timestamps_us[-1] > handover_us]
+        self._drivers = [_Driver(way, handover_us) for way in recordings if way.length >= _SHORTEST_WAY]
+
+    def step(self, time_us: int, ego_pose: Array, ego_size: tuple[float, float], ego_speed: float) -> None:
+        """Move all agents from `time_us` on by 0.1 s, seeing the ego as it is at `time_us`.
+
+        Args:
+            time_us: now.
+            ego_pose: (3,) x, y of the ego's box centre, and yaw.
+            ego_size: length and width of its box.
+            ego_speed: m/s along its yaw.
+        """
+        ego = _Obstacle(ego_pose, ego_size, ego_speed)
+        present = [driver for driver in self._drivers if driver.is_present(time_us)]
+        lagging = [(driver, driver.obstacle()) for driver in present if driver.lags]
+        for driver in present:
+            driver.step(time_us, [ego, *(obstacle for other, obstacle in lagging if other is not driver)])
+
+    def reacted(self) -> tuple[Agent, ...]:
+        """The agents that came to differ from the recording, as they moved so far."""
+        return tuple(driver.moved_agent() for driver in self._drivers if driver.lags)
+
+
+class _Obstacle:
+    """A box in the plane: pose (3,), length and width, and its velocity (2,)."""
+
+    def __init__(self, pose: Array, size: tuple[float, float], speed: float) -> None:
+        self.pose, self.size = pose, size
+        self.velocity = speed * np.array([np.cos(pose[2]), np.sin(pose[2])])
+
+    def half_extents(self, yaw: Array) -> tuple[Array, Array]:
+        """Half of its extent along and across directions (n,)."""
+        cos, sin = np.abs(np.cos(self.pose[2] - yaw)), np.abs(np.sin(self.pose[2] - yaw))
+        length, width = self.size
+        return 0.5 * (length * cos + width * sin), 0.5 * (length * sin + width * cos)
+
+
+class _Recording:
+    """An agent's way: poses (n, 4) with unwrapped yaw, and arc length (n,) over microseconds from its first sample."""
+
+    def __init__(self, agent: Agent) -> None:
+        self.agent = agent
+        self.times = (agent.timestamps_us - agent.timestamps_us[0]).astype(np.float64)
+        self.poses = np.column_stack([agent.poses[:, :3], np.unwrap(agent.poses[:, 3])])
+        steps = np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1)
+        self.arc = np.concatenate([[0.0], np.cumsum(steps)])
+        self.length = float(self.arc[-1])
+
+    def pose_at(self, clock: float) -> Array:
+        return np.array([np.interp(clock, self.times, column) for column in self.poses.T])
+
+    def arc_at(self, clock: float) -> float:
+        return float(np.interp(clock, self.times, self.arc))
+
+    def way_from(self, arc: float) -> Array:
+        """x, y, yaw (n, 3) of the way ahead from an arc length on, every metre."""
+        ahead = np.arange(arc, min(arc + _LOOK_AHEAD, self.length), _SPACING)
+        return np.stack([np.interp(ahead, self.arc, self.poses[:, column]) for column in (0, 1, 3)], axis=-1)
+
+
+class _Driver:
+    """One vehicle: its clock in microseconds from its first sample, and its speed."""
+
+    def __init__(self, recording: _Recording, handover_us: int) -> None:
+        self._recording = recording
+        self._start_us = int(recording.agent.timestamps_us[0])
+        self._clock = float(max(handover_us - self._start_us, 0))
+        self._speed = self._recorded_speed(self._clock)
+        self._moved: list[tuple[int, Array]] = []
+
+    @property
+    def lags(self) -> bool:
+        """Whether it has ever been held up."""
+        return bool(self._moved)
+
+    def is_present(self, time_us: int) -> bool:
+        """Whether it has appeared and not come to its recording's end."""
+        return time_us >= self._start_us and self._clock < self._recording.times[-1]
+
+    def obstacle(self) -> _Obstacle:
+        """Itself as others see it."""
+        agent, pose = self._recording.agent, self._recording.pose_at(self._clock)
+        return _Obstacle(pose[[0, 1, 3]], (agent.length, agent.width), self._speed)
+
+    def step(self, time_us: int, obstacles: Sequence[_Obstacle]) -> None:
+        """Move on by 0.1 s."""
+        if not self.lags:
+            self._clock = float(time_us - self._start_us)
+            self._speed = self._recorded_speed(max(self._clock - STEP_US, 0.0))
+        recorded = self._recorded_speed(self._clock)
+        before = self._recorded_speed(max(self._clock - STEP_US, 0.0))
+        gain = max(ACCELERATION, (recorded - before) / STEP_SECONDS)
+        change = max(gain - self._hindrance(obstacles), -HARDEST_BRAKING)
+        self._speed = max(min(recorded, self._speed + change * STEP_SECONDS), 0.0)
+        rate = self._speed / recorded if recorded > _STANDING else 1.0
+        if rate < 1.0 - _ROUNDING and not self.lags:
+            self._moved.append((time_us, self._recording.pose_at(self._clock)))
+        self._clock = min(self._clock + rate * STEP_US, float(self._recording.times[-1]))
+        if self.lags:
+            self._moved.append((time_us + STEP_US, self._recording.pose_at(self._clock)))
+
+    def moved_agent(self) -> Agent:
+        """The recording until it was first held up, and its own motion from then on."""
+        agent = self._recording.agent
+        times = np.array([time_us for time_us, _ in self._moved], dtype=np.int64)
+        kept = agent.timestamps_us < times[0]
+        return Agent(
+            agent.id,
+            agent.label,
+            agent.length,
+            agent.width,
+            agent.height,
+            np.concatenate([agent.timestamps_us[kept], times]),
+            np.concatenate([agent.poses[kept], np.stack([pose for _, pose in self._moved])]),
+        )
+
+    def _recorded_speed(self, clock: float) -> float:
+        """Mean recorded speed over the 0.1 s from the clock on, m/s; 0 at the recording's end."""
+        return (self._recording.arc_at(clock + STEP_US) - self._recording.arc_at(clock)) / STEP_SECONDS
+
+    def _hindrance(self, obstacles: Sequence[_Obstacle]) -> float:
+        """Deceleration that the nearest obstacle on the way asks for, a (s* / s)^2, m/s^2; 0 without one."""
+        way = self._recording.way_from(self._recording.arc_at(self._clock))
+        leaders = [_leader(way, self._recording.agent, obstacle) for obstacle in obstacles]
+        gaps = [leader for leader in leaders if leader is not None]
+        if not gaps:
+            return 0.0
+        gap, speed = min(gaps)
+        closing = self._speed * (self._speed - speed) / (2.0 * np.sqrt(ACCELERATION * COMFORTABLE_BRAKING))
+        desired = max(MINIMUM_GAP + self._speed * HEADWAY + closing, 0.0)
+        return ACCELERATION * (desired / max(gap, 1e-3)) ** 2
+
+
+def _leader(way: Array, agent: Agent, obstacle: _Obstacle) -> tuple[float, float] | None:
+    """Gap in metres to an obstacle on the way (n, 3) ahead and its speed along the way; None if it is not on it."""
+    offset = obstacle.pose[:2] - way[:, :2]
+    cos, sin = np.cos(way[:, 2]), np.sin(way[:, 2])
+    along, across = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
+    half_length, half_width = obstacle.half_extents(way[:, 2])
+    touched = (np.abs(across) < half_width + 0.5 * agent.width) & (np.abs(along) < half_length + 0.5 * _SPACING)
+    if not touched.any():
+        return None
+    index = int(np.argmax(touched))
+    if index == 0 and along[0] <= 0.0:
+        return None
+    gap = index * _SPACING + along[index] - half_length[index] - 0.5 * agent.length
+    return float(gap), float(obstacle.velocity @ [cos[index], sin[index]])

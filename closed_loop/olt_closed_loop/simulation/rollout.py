@@ -1,0 +1,175 @@
+"""One simulated drive, as it is kept, scored and drawn."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_closed_loop.scenes.scene import Agent, Scene
+from olt_closed_loop.vehicle.models import STATE, STATE_SIZE
+from olt_generator.errors import InputError
+from olt_generator.files import write_whole
+from olt_generator.poses import Array, planar_pose
+from olt_generator.trajectory import Trajectory
+
+Traffic = Literal["recorded", "idm"]
+
+
+@dataclass(frozen=True)
+class Events:
+    """How often something went another way than planned, over the steps of one rollout.
+
+    Attributes:
+        policy_errors: calls in which the policy raised; the first ends the rollout.
+        plans_refused: plans of a wrong shape or not finite; the last feasible plan was held.
+        saturations: steps in which a command reached a limit of the vehicle.
+        solves_failed: steps in which the controller found no command; its last feasible ones were held.
+        solves_late: steps in which it found them after its deadline; its last feasible ones were held.
+    """
+
+    policy_errors: int = 0
+    plans_refused: int = 0
+    saturations: int = 0
+    solves_failed: int = 0
+    solves_late: int = 0
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """A drive of one policy through one scene.
+
+    Attributes:
+        scene, category: name and category of the scene.
+        policy: name of the policy.
+        seed: what the rollout was seeded with.
+        handover_us: when the policy took over; before it the recording drives.
+        timestamps_us: (n,) int64, every 0.1 s.
+        states: (n, 6) float64 vehicle states (`vehicle.models`).
+        heights: (n,) float64 height of the rig in the world, metres, as recorded at the nearest place.
+        controls: (n - 1, 2) float64 commands held after each time; those of the warm-up are NaN: nobody gave them.
+        plan_times_us: (m,) int64, when each accepted plan was made.
+        plans: (m, 65, 3) float64 x, y, yaw in the world at the plan's time + 0, 0.1, ... 6.4 s.
+        events: counted events.
+        failure: why the rollout is not valid, or None.
+        rendered_images: number of images rendered for each camera; empty when none was.
+        left_out: what was not computed, and why.
+        vehicle_steps: steps of the vehicle by the model and the method that were taken (`vehicle.integrators`).
+        timings: seconds spent by kind of work; the only part that differs between equal runs.
+        traffic: whether the agents replayed the recording ("recorded") or reacted to the ego ("idm").
+        reacted: the agents that came to differ from the recording, as they moved.
+    """
+
+    scene: str
+    category: str
+    policy: str
+    seed: int
+    handover_us: int
+    timestamps_us: NDArray[np.int64]
+    states: Array
+    heights: Array
+    controls: Array
+    plan_times_us: NDArray[np.int64]
+    plans: Array
+    events: Events = Events()
+    failure: str | None = None
+    rendered_images: dict[str, int] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+    vehicle_steps: dict[str, int] = field(default_factory=dict)
+    timings: dict[str, float] = field(default_factory=dict)
+    traffic: Traffic = "recorded"
+    reacted: tuple[Agent, ...] = ()
+
+    def driven_scene(self, scene: Scene) -> Scene:
+        """The scene with its agents as they moved in this rollout."""
+        reacted = {agent.id: agent for agent in self.reacted}
+        return replace(scene, agents=tuple(reacted.get(agent.id, agent) for agent in scene.agents))
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The driven path as rig poses T_world_rig; the vehicle stands upright."""
+        x, y, yaw = self.states[:, : STATE.speed].T
+        return Trajectory(self.timestamps_us, planar_pose(x, y, yaw, self.heights))
+
+    def to_dict(self) -> dict[str, Any]:
+        """The rollout as JSON can hold it; `from_dict` gives it back exactly."""
+        return {
+            "scene": self.scene,
+            "category": self.category,
+            "policy": self.policy,
+            "seed": self.seed,
+            "handover_us": self.handover_us,
+            "timestamps_us": self.timestamps_us.tolist(),
+            "states": self.states.tolist(),
+            "heights": self.heights.tolist(),
+            "controls": [None if np.isnan(control).any() else control.tolist() for control in self.controls],
+            "plan_times_us": self.plan_times_us.tolist(),
+            "plans": self.plans.tolist(),
+            "events": vars(self.events),
+            "failure": self.failure,
+            "rendered_images": self.rendered_images,
+            "left_out": list(self.left_out),
+            "vehicle_steps": self.vehicle_steps,
+            "timings": self.timings,
+            "traffic": self.traffic,
+            "reacted": [
+                {**vars(agent), "timestamps_us": agent.timestamps_us.tolist(), "poses": agent.poses.tolist()}
+                for agent in self.reacted
+            ],
+        }
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "Rollout":
+        """The rollout that `to_dict` wrote.
+
+        Raises:
+            InputError: a field is missing, unknown, or of another form.
+        """
+        try:
+            controls = [[np.nan, np.nan] if control is None else control for control in values["controls"]]
+            arrays = {
+                "timestamps_us": np.array(values["timestamps_us"], dtype=np.int64),
+                "states": np.array(values["states"], dtype=np.float64).reshape(-1, STATE_SIZE),
+                "heights": np.array(values["heights"], dtype=np.float64),
+                "controls": np.array(controls, dtype=np.float64).reshape(-1, 2),
+                "plan_times_us": np.array(values["plan_times_us"], dtype=np.int64),
+                "plans": np.array(values["plans"], dtype=np.float64).reshape(len(values["plan_times_us"]), -1, 3),
+            }
+            events, left_out = Events(**values["events"]), tuple(values["left_out"])
+            reacted = tuple(_read_agent(agent) for agent in values["reacted"])
+            return cls(**{**values, **arrays, "events": events, "left_out": left_out, "reacted": reacted})
+        except (KeyError, TypeError, ValueError) as error:
+            raise InputError(f"rollout: field missing or of another form ({error}); simulate it again") from error
+
+
+def _read_agent(values: dict[str, Any]) -> Agent:
+    arrays = {
+        "timestamps_us": np.array(values["timestamps_us"], dtype=np.int64),
+        "poses": np.array(values["poses"], dtype=np.float64),
+    }
+    return Agent(**{**values, **arrays})
+
+
+def save_rollouts(path: Path, rollouts: Sequence[Rollout]) -> None:
+    """Write rollouts as one JSON file, whole or not at all."""
+    text = json.dumps({"rollouts": [rollout.to_dict() for rollout in rollouts]}, allow_nan=False)
+    with write_whole(path) as temporary:
+        temporary.write_text(text + "\n")
+
+
+def load_rollouts(path: Path) -> list[Rollout]:
+    """Read what `save_rollouts` wrote.
+
+    Raises:
+        InputError: the file is missing or holds something else.
+    """
+    try:
+        values = json.loads(path.read_text())["rollouts"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            f"{path}: not a file of rollouts ({error}); give one that `olt closed-loop run` wrote"
+        ) from error
+    return [Rollout.from_dict(value) for value in values]

@@ -1,0 +1,1 @@
+"""The vehicle: models, tyres, actuators, and their integration in time."""

@@ -1,0 +1,250 @@
+"""Explicit steps of whole batches of vehicles in one call: generated C where there is a compiler, else interpreted.
+
+A program is a handful of CasADi functions: explicit sub-steps, and a plan that says for a vehicle at this moment which
+of them to take and how often. Both drives run the same program, each vehicle by itself, so a vehicle moves alike alone
+and in any batch, compiled or not. Positions are integrated from the step's start: far coordinates cost no precision.
+"""
+
+import ctypes
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Protocol
+
+import casadi as ca
+import numpy as np
+
+from olt_closed_loop.vehicle.buffered import BufferedFunction
+from olt_closed_loop.vehicle.models import STATE
+from olt_generator.errors import InputError
+from olt_generator.poses import Array
+
+MOST_SUBSTEPS = 4096
+"""In one step. Where more are needed an implicit method is cheaper."""
+
+
+@dataclass(frozen=True)
+class StepProgram:
+    """What happens in one step.
+
+    Attributes:
+        substeps: functions (state, control, numbers, length) -> state.
+        plan: (state, control, numbers, step) -> (3,): index into `substeps`; how many; and either 0 or a tolerance
+            in metres, to which the sub-steps are doubled until twice as many change the position by less.
+    """
+
+    substeps: tuple[ca.Function, ...]
+    plan: ca.Function
+
+
+class Drive(Protocol):
+    """The map over one step for n vehicles.
+
+    A vehicle that would need more than `MOST_SUBSTEPS` is not moved, and its plan names one past the last sub-step.
+
+    Attributes:
+        plans: (n, 3) what the last call did, in the form of `StepProgram.plan`.
+        taken: (sub-step functions + 1, 2) how many steps were taken with each, and how many sub-steps.
+    """
+
+    plans: Array
+    taken: Array
+
+    def __call__(self, states: Array, controls: Array) -> Array:
+        """States (n, s) one step later; overwritten by the next call. Raises `InputError` for what is not finite."""
+        ...
+
+
+def make_drive(program: StepProgram, numbers: Array, step: float) -> Drive:
+    """The map over `step` seconds of vehicles with the given numbers (n, `NUMBERS_SIZE`)."""
+    library = compile_program(program)
+    if library is None:
+        return InterpretedDrive(program, numbers, step)
+    return CompiledDrive(library, program, numbers, step)
+
+
+def check_finite(states: Array, controls: Array) -> None:
+    """Raise `InputError` naming the first vehicle whose state or control holds a NaN or an infinity."""
+    for index, (state, control) in enumerate(zip(states, controls, strict=True)):
+        for name, values in (("state", state), ("control", control)):
+            if not np.isfinite(values).all():
+                raise InputError(f"vehicle {index}: its {name} is {values.tolist()}; every number must be finite")
+
+
+class CompiledDrive:
+    """Runs a program in C."""
+
+    def __init__(self, library: ctypes.CDLL, program: StepProgram, numbers: Array, step: float) -> None:
+        count = len(numbers)
+        self._states = np.zeros((count, program.plan.size1_in(0)))
+        self._controls = np.zeros((count, program.plan.size1_in(1)))
+        self._numbers = np.ascontiguousarray(numbers, dtype=np.float64)
+        self._ends = np.zeros_like(self._states)
+        self.plans, self.taken = np.zeros((count, 3)), np.zeros((len(program.substeps) + 1, 2))
+        arrays = (self._states, self._controls, self._numbers, self._ends, self.plans, self.taken)
+        pointers = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
+        self._arguments = (ctypes.c_longlong(count), ctypes.c_double(step), *pointers)
+        self._drive = library.drive
+
+    def __call__(self, states: Array, controls: Array) -> Array:
+        """States one step later."""
+        self._states[...] = states
+        self._controls[...] = controls
+        if not self._drive(*self._arguments):
+            check_finite(self._states, self._controls)
+        return self._ends
+
+
+class InterpretedDrive:
+    """Runs a program in CasADi's virtual machine: the same numbers, some fifteen times slower."""
+
+    def __init__(self, program: StepProgram, numbers: Array, step: float) -> None:
+        self._substeps = [BufferedFunction(function) for function in program.substeps]
+        self._plan = BufferedFunction(program.plan)
+        self._numbers, self._step = numbers, step
+        self._ends = np.zeros((len(numbers), program.plan.size1_in(0)))
+        self.plans, self.taken = np.zeros((len(numbers), 3)), np.zeros((len(program.substeps) + 1, 2))
+
+    def __call__(self, states: Array, controls: Array) -> Array:
+        """States one step later."""
+        states, controls = np.atleast_2d(states, controls)
+        check_finite(states, controls)
+        for index, vehicle in enumerate(zip(states, controls, self._numbers, strict=True)):
+            self._ends[index], self.plans[index] = self._drive(*vehicle)
+            self.taken[int(self.plans[index, 0])] += 1.0, self.plans[index, 1]
+        return self._ends
+
+    def _drive(self, state: Array, control: Array, numbers: Array) -> tuple[Array, Array]:
+        (plan,) = self._plan(state, control, numbers, self._step)
+        end = self._advance(state, control, numbers, plan)
+        while plan[2] and plan[1] <= MOST_SUBSTEPS:
+            coarse, plan[1] = end, 2.0 * plan[1]
+            end = self._advance(state, control, numbers, plan)
+            if np.hypot(*(end - coarse)[: STATE.yaw]) < plan[2]:
+                break
+        if plan[1] > MOST_SUBSTEPS:
+            plan[0] = len(self._substeps)
+            return state, plan
+        end[: STATE.yaw] += state[: STATE.yaw]
+        return end, plan
+
+    def _advance(self, state: Array, control: Array, numbers: Array, plan: Array) -> Array:
+        """The state after the planned sub-steps, its position counted from the start."""
+        state = np.concatenate([[0.0, 0.0], state[STATE.yaw :]])
+        if plan[1] <= MOST_SUBSTEPS:
+            for _ in range(int(plan[1])):
+                (state,) = self._substeps[int(plan[0])](state, control, numbers, self._step / plan[1])
+        return state
+
+
+_DRIVER = """
+#include <math.h>
+#include <string.h>
+typedef int (*function)(const double **, double **, long long int *, double *, int);
+static const function substeps[] = {{{names}}};
+
+/* The state after the planned sub-steps, its position counted from the start. */
+static void advance(double step, const double *state, const double *control, const double *numbers,
+                    const double *chosen, double *end) {{
+  double work[{work}], buffers[2][{size}], length = step / chosen[1];
+  long long int integers[{integers}], k, count = (long long int) chosen[1];
+  const double *inputs[{inputs}];
+  double *outputs[{outputs}];
+  memcpy(buffers[0], state, sizeof(buffers[0]));
+  buffers[0][0] = buffers[0][1] = 0.0;
+  for (k = 0; k < count && count <= {most}; ++k) {{
+    inputs[0] = buffers[k % 2]; inputs[1] = control; inputs[2] = numbers; inputs[3] = &length;
+    outputs[0] = buffers[(k + 1) % 2];
+    substeps[(long long int) chosen[0]](inputs, outputs, integers, work, 0);
+  }}
+  memcpy(end, buffers[k % 2], sizeof(buffers[0]));
+}}
+
+static void drive_one(double step, const double *state, const double *control, const double *numbers, double *end,
+                      double *chosen) {{
+  double work[{work}], coarse[{size}];
+  long long int integers[{integers}];
+  const double *inputs[{inputs}];
+  double *outputs[{outputs}];
+  inputs[0] = state; inputs[1] = control; inputs[2] = numbers; inputs[3] = &step;
+  outputs[0] = chosen;
+  {plan}(inputs, outputs, integers, work, 0);
+  advance(step, state, control, numbers, chosen, end);
+  while (chosen[2] && chosen[1] <= {most}) {{
+    memcpy(coarse, end, sizeof(coarse));
+    chosen[1] *= 2.0;
+    advance(step, state, control, numbers, chosen, end);
+    if (hypot(end[0] - coarse[0], end[1] - coarse[1]) < chosen[2]) break;
+  }}
+  if (chosen[1] > {most}) {{
+    chosen[0] = {count};
+    memcpy(end, state, sizeof(coarse));
+    return;
+  }}
+  end[0] += state[0];
+  end[1] += state[1];
+}}
+
+/* Returns 0, with nothing done, where a state or control is not finite. */
+int drive(long long int count, double step, const double *states, const double *controls, const double *numbers,
+          double *ends, double *plans, double *taken) {{
+  long long int i, which;
+  for (i = 0; i < {size} * count; ++i) if (!isfinite(states[i])) return 0;
+  for (i = 0; i < {controls} * count; ++i) if (!isfinite(controls[i])) return 0;
+  for (i = 0; i < count; ++i) {{
+    drive_one(step, states + {size} * i, controls + {controls} * i, numbers + {parameters} * i, ends + {size} * i,
+              plans + 3 * i);
+    which = (long long int) plans[3 * i];
+    taken[2 * which] += 1.0;
+    taken[2 * which + 1] += plans[3 * i + 1];
+  }}
+  return 1;
+}}
+"""
+
+
+@lru_cache(maxsize=32)
+def compile_program(program: StepProgram) -> ctypes.CDLL | None:
+    """The program as a loaded library, or None where it cannot be built or loaded; built once a process."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        return None
+    with tempfile.TemporaryDirectory() as folder:
+        source, library = Path(folder, "program.c"), Path(folder, "program.so")
+        source.write_text(_generate_functions(program) + _driver_of(program))
+        # Without contraction into fused operations the numbers are those of the interpreter.
+        flags = ["-O2", "-ffp-contract=off", "-shared", "-fPIC"]
+        built = subprocess.run([compiler, *flags, str(source), "-o", str(library), "-lm"], capture_output=True)
+        if built.returncode:
+            return None
+        try:
+            return ctypes.CDLL(str(library))
+        except OSError:  # temporary folders that may hold no programs
+            return None
+
+
+def _generate_functions(program: StepProgram) -> str:
+    generator = ca.CodeGenerator("functions.c")
+    for function in (*program.substeps, program.plan):
+        generator.add(function)
+    return generator.dump()
+
+
+def _driver_of(program: StepProgram) -> str:
+    functions = (*program.substeps, program.plan)
+    return _DRIVER.format(
+        names=", ".join(function.name() for function in program.substeps),
+        plan=program.plan.name(),
+        count=len(program.substeps),
+        most=MOST_SUBSTEPS,
+        size=program.plan.size1_in(0),
+        controls=program.plan.size1_in(1),
+        parameters=program.plan.size1_in(2),
+        work=1 + max(function.sz_w() for function in functions),
+        integers=1 + max(function.sz_iw() for function in functions),
+        inputs=max(function.sz_arg() for function in functions),
+        outputs=max(function.sz_res() for function in functions),
+    )

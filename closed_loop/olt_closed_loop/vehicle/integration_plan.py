@@ -1,0 +1,246 @@
+"""Which model, which explicit method and how many sub-steps a vehicle needs at this moment, as CasADi equations.
+
+The cheapest of the family that moves the vehicle within `tolerance` metres of the full model in this one step:
+
+- Tyres are left out (the kinematic model) where the lateral acceleration that they have to give, and the slip that
+  they have now, could not move the vehicle by half the tolerance within the step even if they gave nothing.
+- Saturation is left out (linear tyres) where its share (`vehicle.tyres`) could not.
+- Sub-steps are as many as stability asks for (rate times sub-step below 2; the limit of Runge-Kutta 4 is 2.8) and as
+  the error asks for. For a method of order q with sub-steps of h it is h^q times the sum of three terms: swaying
+  (1 + v) rate slipping, with the steering still to come and the present slip; bending (v yaw rate + acceleration) step
+  (yaw rate)^(q - 1); and pulling, the change of acceleration over lag^(q - 2). The forms follow the leading errors; the
+  constants bound what was measured over the grid of `olt_closed_loop.benchmarks.vehicle_grid`. The cheaper method is
+  taken.
+- Where tyres may slide the error has no such bound. There the drive starts with fewer sub-steps and doubles them until
+  two results agree within the tolerance. With Runge-Kutta 4 the finer one is then some fifteen times closer.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+
+from olt_closed_loop.vehicle.actuators import clip
+from olt_closed_loop.vehicle.compiled import MOST_SUBSTEPS
+from olt_closed_loop.vehicle.models import (
+    CONTROL_SIZE,
+    MODELS,
+    NUMBERS_SIZE,
+    STATE,
+    Model,
+    VehicleNumbers,
+    limited_commands,
+    model_state_size,
+)
+from olt_closed_loop.vehicle.substeps import EVALUATIONS, EXPLICIT_METHODS, ExplicitMethod
+from olt_closed_loop.vehicle.tyres import GRAVITY, inverse_speed
+
+STABLE_RATE_TIMES_LENGTH = 2.0
+
+
+@dataclass(frozen=True)
+class _ErrorConstants:
+    swaying: float
+    bending: float
+    pulling: float
+
+
+ERROR_CONSTANTS: dict[ExplicitMethod, _ErrorConstants] = {
+    "midpoint": _ErrorConstants(swaying=0.05, bending=0.25, pulling=0.2),
+    "rk4": _ErrorConstants(swaying=0.4, bending=0.005, pulling=0.02),
+}
+ORDERS: dict[ExplicitMethod, int] = {"midpoint": 2, "rk4": 4}
+SLIDING = 0.4
+"""Share of the friction limit beyond which the error is measured instead of estimated."""
+FIRST_SHARE = 0.6
+"""Of the estimated sub-steps, those with which measuring starts: one doubling makes up for it."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An explicit way of taking a step."""
+
+    model: Model
+    method: ExplicitMethod
+
+
+def candidates(model: Model) -> tuple[Candidate, ...]:
+    """What the plan chooses from, in the order of its answers."""
+    family = MODELS[: MODELS.index(model) + 1]
+    return tuple(Candidate(each, method) for each in family for method in EXPLICIT_METHODS)
+
+
+@lru_cache(maxsize=32)
+def automatic_plan(model: Model, tolerance: float) -> ca.Function:
+    """(state, control, numbers, step) -> (candidate, sub-steps, tolerance to check or 0)."""
+    moment = _Moment.of(model)
+    deviations = {"kinematic": moment.tyre_deviation(), "linear": moment.saturation_deviation(), "saturating": 0.0}
+    chosen = _plan_of(moment, model, tolerance)
+    for index in reversed(range(MODELS.index(model))):
+        simpler = MODELS[index]
+        chosen = ca.if_else(
+            deviations[simpler] <= 0.5 * tolerance, _plan_of(moment, simpler, 0.5 * tolerance), chosen, True
+        )
+    return _plan_function(moment, chosen)
+
+
+@lru_cache(maxsize=32)
+def stiffness_plan(model: Model, method: ExplicitMethod, tolerance: float) -> ca.Function:
+    """The same for one method of the full model, the only sub-step of its program."""
+    moment = _Moment.of(model)
+    return _plan_function(moment, ca.vertcat(0.0, moment.substeps(model, method, tolerance), 0.0))
+
+
+@lru_cache(maxsize=32)
+def fixed_plan(model: Model, substeps: int) -> ca.Function:
+    """The same for a number of sub-steps that is given."""
+    return _plan_function(_Moment.of(model), ca.SX(ca.DM([0.0, substeps, 0.0])))
+
+
+def _plan_of(moment: "_Moment", model: Model, tolerance: float) -> Any:
+    """The cheaper of the methods for a model, as an answer of the plan."""
+    midpoint, rk4 = (moment.substeps(model, method, tolerance) for method in EXPLICIT_METHODS)
+    cheaper = EVALUATIONS["midpoint"] * midpoint < EVALUATIONS["rk4"] * rk4
+    first = len(EXPLICIT_METHODS) * MODELS.index(model)
+    answer = ca.if_else(cheaper, ca.vertcat(first, midpoint, 0.0), ca.vertcat(first + 1, rk4, 0.0))
+    if model == "saturating":
+        measured = ca.vertcat(first + 1, ca.ceil(FIRST_SHARE * rk4), tolerance)
+        return ca.if_else(moment.sliding() > SLIDING, measured, answer)
+    return answer
+
+
+def _plan_function(moment: "_Moment", answer: Any) -> ca.Function:
+    return ca.Function("plan", list(moment.arguments), [ca.densify(ca.cse(answer))])
+
+
+@dataclass(frozen=True)
+class _Moment:
+    """What a vehicle does now and is asked to do next."""
+
+    arguments: tuple[Any, Any, Any, Any]
+    vehicle: VehicleNumbers
+    speed: Any
+    steering: Any
+    steering_change: Any
+    driving: Any
+    braking: Any
+    commanded_change: Any
+    lateral_speed: Any
+    yaw_rate: Any
+    has_tyres: bool
+
+    @classmethod
+    def of(cls, model: Model) -> "_Moment":
+        state, control = ca.SX.sym("state", model_state_size(model)), ca.SX.sym("control", CONTROL_SIZE)
+        numbers, step = ca.SX.sym("numbers", NUMBERS_SIZE), ca.SX.sym("step")
+        vehicle = VehicleNumbers(*ca.vertsplit(numbers))
+        steering_command, acceleration_command = limited_commands(control, vehicle)
+        rolling = state[STATE.speed] * ca.tan(state[STATE.steering]) / vehicle.wheelbase
+        along = vehicle.gear * state[STATE.acceleration], vehicle.gear * acceleration_command
+        has_tyres = model != "kinematic"
+        return cls(
+            arguments=(state, control, numbers, step),
+            vehicle=vehicle,
+            speed=ca.fabs(state[STATE.speed]),
+            steering=ca.fmax(ca.fabs(state[STATE.steering]), ca.fabs(steering_command)),
+            steering_change=ca.fabs(steering_command - state[STATE.steering]),
+            driving=ca.fmax(ca.fmax(*along), 0.0),
+            braking=ca.fmax(-ca.fmin(*along), 0.0),
+            commanded_change=ca.fabs(acceleration_command - state[STATE.acceleration]),
+            lateral_speed=ca.fabs(state[STATE.lateral_speed]) if has_tyres else 0.0,
+            yaw_rate=ca.fabs(state[STATE.yaw_rate] - rolling) if has_tyres else 0.0,
+            has_tyres=has_tyres,
+        )
+
+    @property
+    def step(self) -> Any:
+        return self.arguments[3]
+
+    @property
+    def pull(self) -> Any:
+        """The largest acceleration that drive or brakes are set to."""
+        return ca.fmax(self.driving, self.braking)
+
+    def lowest_speed(self) -> Any:
+        """The least speed that it can have within the step."""
+        return ca.fmax(self.speed - self.pull * self.step, 0.0)
+
+    def highest_speed(self) -> Any:
+        """The greatest speed that it can have within the step: brakes add none."""
+        return self.speed + self.driving * self.step
+
+    def tyre_deviation(self) -> Any:
+        """Metres by which tyres could move it away from rolling without slip."""
+        vehicle, speed = self.vehicle, self.highest_speed()
+        swinging = speed * self.steering_change / vehicle.steering_lag
+        drifting = self.lateral_speed + (0.5 * speed * self.step + vehicle.wheelbase) * self.yaw_rate
+        return 0.5 * (self.turning() + swinging) * self.step**2 + drifting * self.step + self.saturation_deviation()
+
+    def saturation_deviation(self) -> Any:
+        """Metres by which saturation could move it away from linear tyres."""
+        asked = self.asked_force()
+        share = asked / self.vehicle.friction
+        return 0.5 * GRAVITY * asked * share**4 / 4.0 * self.step**2 if self.has_tyres else 0.0
+
+    def sliding(self) -> Any:
+        """The largest share of the friction limit that an axle could be asked for."""
+        return self.asked_force() / self.vehicle.friction
+
+    def asked_force(self) -> Any:
+        """The largest force that an axle could be asked for, over its load."""
+        vehicle = self.vehicle
+        front_load = vehicle.mass * GRAVITY * vehicle.rear_axle_to_centre / vehicle.wheelbase
+        rear_load = vehicle.mass * GRAVITY - front_load
+        front = vehicle.front_stiffness * (self.front_slip() + self.steering_change) / front_load
+        rear = vehicle.rear_stiffness * self.rear_slip() / rear_load + self.turning() / GRAVITY
+        speed = self.highest_speed()
+        braking = self.braking * speed * inverse_speed(speed, vehicle.standing_speed)
+        return ca.fmax(front, rear) + ca.fmax(self.driving, braking) / GRAVITY
+
+    def turning(self) -> Any:
+        """Lateral acceleration (m/s^2) of rolling without slip along the sharpest curve of the step."""
+        return self.highest_speed() * self.turning_rate()
+
+    def slowness(self) -> Any:
+        return inverse_speed(self.lowest_speed(), self.vehicle.slip_speed)
+
+    def front_slip(self) -> Any:
+        return (self.lateral_speed + self.vehicle.wheelbase * self.yaw_rate) * self.slowness()
+
+    def rear_slip(self) -> Any:
+        return self.lateral_speed * self.slowness()
+
+    def rate(self, model: Model) -> Any:
+        """The fastest rate (1/s) at which the model moves or is moved."""
+        vehicle = self.vehicle
+        rate = 1.0 / vehicle.steering_lag + self.turning_rate() + self.pull / vehicle.standing_speed
+        if model == "kinematic":
+            return rate
+        front, rear = vehicle.front_stiffness, vehicle.rear_stiffness
+        lateral = (front + rear) / vehicle.mass
+        to_front, to_rear = vehicle.front_axle_to_centre, vehicle.rear_axle_to_centre
+        yawing = (front * to_front**2 + rear * to_rear**2) / vehicle.yaw_inertia
+        swaying = ca.sqrt(ca.fabs(rear * to_rear - front * to_front) / vehicle.yaw_inertia)
+        return ca.fmax(rate, ca.fmax((lateral + yawing) * self.slowness(), swaying))
+
+    def substeps(self, model: Model, method: ExplicitMethod, tolerance: float) -> Any:
+        """Sub-steps that stability and the error ask for."""
+        rate, order, speed = self.rate(model), ORDERS[method], self.highest_speed()
+        constants = ERROR_CONSTANTS[method]
+        slipping = self.steering_change + self.front_slip() + self.rear_slip()
+        swaying = constants.swaying * (1.0 + speed) * rate * slipping
+        bent = speed * self.turning_rate() + self.pull
+        bending = constants.bending * bent * self.step * self.turning_rate() ** (order - 1)
+        pulling = constants.pulling * self.pull_change() / self.vehicle.acceleration_lag ** (order - 2)
+        stable = rate * self.step / STABLE_RATE_TIMES_LENGTH
+        accurate = self.step * ((swaying + bending + pulling) / tolerance) ** (1.0 / order)
+        return ca.ceil(clip(ca.fmax(stable, accurate), 1.0, MOST_SUBSTEPS + 1.0))
+
+    def turning_rate(self) -> Any:
+        """Yaw rate (rad/s) of rolling without slip along the sharpest curve of the step."""
+        return self.highest_speed() * ca.tan(self.steering) / self.vehicle.wheelbase
+
+    def pull_change(self) -> Any:
+        """How far the acceleration is from what it will be; close to standstill brakes fade, and all of it may go."""
+        return ca.if_else(self.lowest_speed() < 4.0 * self.vehicle.standing_speed, self.pull, self.commanded_change)

@@ -1,0 +1,187 @@
+import json
+from dataclasses import replace
+from importlib.metadata import EntryPoint
+
+import pytest
+from typer.testing import CliRunner
+
+from olt_closed_loop.commands import app
+from olt_closed_loop.control.tracking import ControlSettings
+from olt_closed_loop.scenes.stage import write_scene
+from olt_closed_loop.scoring.score_table import summarize_scores
+from olt_closed_loop.simulation import policies
+from olt_closed_loop.simulation.evaluation import (
+    count_left_out,
+    count_vehicle_steps,
+    load_scene,
+    pass_gate,
+    run_closed_loop,
+    save_results,
+)
+from olt_closed_loop.simulation.rollout import load_rollouts
+from olt_closed_loop.simulation.settings import SimulationSettings
+from olt_generator.errors import InputError
+
+SHORT = SimulationSettings(duration_us=4_000_000)
+
+
+def without_timings(results):
+    return [(replace(rollout, timings={}).to_dict(), score) for rollout, score in results]
+
+
+def test_every_scene_is_driven_with_every_seed(straight_scene):
+    scenes = [straight_scene(), replace(straight_scene(category="work_zone"), name="other")]
+    shares = []
+    results = run_closed_loop(scenes, "route", rollouts=2, seed=5, settings=SHORT, on_progress=shares.append)
+    assert [(r.scene, r.seed, s.score) for r, s in results] == [
+        ("straight", 5, 1.0),
+        ("straight", 6, 1.0),
+        ("other", 5, 1.0),
+        ("other", 6, 1.0),
+    ]
+    assert shares == [0.25, 0.5, 0.75, 1.0]
+
+
+@pytest.mark.slow
+def test_results_do_not_depend_on_the_number_of_workers(straight_scene):
+    scenes = [straight_scene()]
+    alone = run_closed_loop(scenes, "constant_velocity", settings=SHORT, workers=1)
+    together = run_closed_loop(scenes, "constant_velocity", settings=SHORT, workers=2)
+    assert without_timings(alone) == without_timings(together)
+
+
+def test_everything_on_gives_the_same_numbers(straight_scene, moving_agent):
+    agents = (moving_agent("far", (0.0, 300.0)), moving_agent("ahead", (60.0, 0.0), (9.0, 0.0)))
+    scene = straight_scene(agents)
+    for policy in ("constant_velocity", "standing", "route"):
+        (lean, quick), (full, slow) = (
+            run_closed_loop([scene], policy, 1, settings=replace(SHORT, skip=skip))[0] for skip in (True, False)
+        )
+        assert replace(lean, timings={}, left_out=()).to_dict() == replace(full, timings={}, left_out=()).to_dict()
+        assert replace(quick, left_out=()) == replace(slow, left_out=())
+        assert count_left_out([(lean, quick)])
+
+
+def test_late_solves_reach_the_results_and_the_table(straight_scene, tmp_path):
+    never_in_time = replace(SHORT, control=ControlSettings(deadline_seconds=0.0))
+    results = run_closed_loop([straight_scene()], "route", rollouts=2, settings=never_in_time)
+    steps = round((4.0 - 1.7) / 0.1)
+    for rollout, score in results:
+        assert rollout.events.solves_late == steps and score.events == vars(rollout.events)
+    overall = summarize_scores([score for _, score in results]).overall
+    assert (overall.events["solves_late"], overall.events["solves_failed"]) == (2 * steps, 0)
+    save_results(tmp_path, results)
+    report = json.loads((tmp_path / "scores.json").read_text())
+    assert report["table"]["rows"][-1]["events"]["solves_late"] == 2 * steps
+    assert [score["events"]["solves_late"] for score in report["scores"]] == [steps, steps]
+
+
+def test_the_plan_says_what_moved_the_vehicle_and_what_that_left_out(straight_scene):
+    settings = replace(SHORT, vehicle="tyres")
+    results = run_closed_loop([straight_scene()], "route", rollouts=2, settings=settings)
+    steps = 2 * round((4.0 - 1.7) / 0.1)
+    taken = count_vehicle_steps(results)
+    assert sum(taken.values()) == steps
+    rolling = sum(count for way, count in taken.items() if way.startswith("kinematic"))
+    assert rolling > 0
+    assert count_left_out(results)[f"tyre slip in {rolling} of {steps} steps: below 3e-07 m in 0.1 s"] == 2
+
+
+def test_scores_are_refused_while_the_gate_fails(straight_scene, moving_agent):
+    blocked = straight_scene((moving_agent("in the way", (30.0, 0.0)),))
+    with pytest.raises(InputError, match=r"gate fails on scene straight .*in the way at 2\.37 s.*scores would mean"):
+        run_closed_loop([blocked], "constant_velocity", settings=SHORT)
+
+
+def test_reactive_traffic_is_scored_as_it_moved(straight_scene, moving_agent):
+    scene = straight_scene((moving_agent("follower", (-20.0, 0.0), (10.0, 0.0)),))
+    hit, spared = (
+        run_closed_loop([scene], "standing", 1, settings=SimulationSettings(traffic=traffic))[0]
+        for traffic in ("recorded", "idm")
+    )
+    assert hit[1].collided and not spared[1].collided
+    assert spared[0].traffic == "idm"
+
+
+def test_results_are_written_whole(straight_scene, tmp_path):
+    results = run_closed_loop([straight_scene()], "standing", settings=SHORT)
+    save_results(tmp_path / "out", results)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["rollouts.json", "scores.json"]
+    assert [rollout.seed for rollout in load_rollouts(tmp_path / "out" / "rollouts.json")] == [0, 1]
+    report = json.loads((tmp_path / "out" / "scores.json").read_text())
+    assert report["table"]["rows"][-1]["rollouts"] == 2
+    assert [score["valid"] for score in report["scores"]] == [True, True]
+
+
+@pytest.mark.parametrize("source", ["nothing", "cyclists:one", "cyclists:-1"])
+def test_unusable_scene_names_are_refused(source):
+    with pytest.raises(InputError, match="CATEGORY:SEED"):
+        load_scene(source)
+
+
+def test_at_least_one_rollout_is_asked_for(straight_scene):
+    with pytest.raises(InputError, match="1 or more"):
+        run_closed_loop([straight_scene()], "route", rollouts=0)
+
+
+def test_no_scene_is_scored_where_the_recording_itself_collides(straight_scene, moving_agent):
+    blocked = replace(straight_scene((moving_agent("in the way", (50.0, 0.0)),)), name="blocked")
+    assert [result.scene for result in pass_gate([straight_scene()])] == ["straight"]
+    with pytest.raises(InputError, match=r"gate fails on scene blocked \(replay scores 1: score 0\.0000"):
+        pass_gate([straight_scene(), blocked])
+
+
+def test_the_command_prints_a_table_and_writes_files(tmp_path):
+    arguments = ["run", "--scene", "nominal:0", "--policy", "route", "--rollouts", "1", "--workers", "1", "--json"]
+    result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    printed = json.loads(result.stdout)
+    assert printed["table"]["rows"][-1]["category"] == "overall"
+    assert (tmp_path / "scores.json").is_file()
+
+
+def test_traffic_and_planner_delay_are_options(tmp_path):
+    arguments = ["run", "nominal:0", "--policy", "standing", "--rollouts", "1", "--workers", "1", "--json"]
+    options = ["--traffic", "idm", "--planner-delay", "0.3", "--duration", "4", "--definition", "alpasim"]
+    result = CliRunner().invoke(app, [*arguments, *options, "--out", str(tmp_path)])
+    assert result.exit_code == 0, result.output
+    printed = json.loads(result.stdout)
+    assert (printed["traffic"], printed["table"]["definition"]) == ("idm", "alpasim")
+    (rollout,) = load_rollouts(tmp_path / "rollouts.json")
+    assert rollout.traffic == "idm" and len(rollout.states) == 41
+    assert rollout.plan_times_us[0] == rollout.handover_us - 300_000
+
+
+def test_the_gate_command_fails_where_the_gate_does(straight_scene, moving_agent, tmp_path):
+    good = write_scene(straight_scene(), tmp_path / "good.usda")
+    blocked = write_scene(straight_scene((moving_agent("in the way", (30.0, 0.0)),)), tmp_path / "blocked.usda")
+    passed = CliRunner().invoke(app, ["gate", str(good), "--json"])
+    assert passed.exit_code == 0 and json.loads(passed.stdout)["passed"]
+    failed = CliRunner().invoke(app, ["gate", str(good), str(blocked)])
+    assert failed.exit_code == 1 and "front contact with automobile in the way" in " ".join(failed.stdout.split())
+
+
+def test_the_scene_command_converts_and_reports_the_gate(tmp_path):
+    stage = tmp_path / "scene.usdc"
+    result = CliRunner().invoke(app, ["scene", "nominal:1", "--out", str(stage), "--json"])
+    assert result.exit_code == 0, result.output
+    printed = json.loads(result.stdout)
+    assert printed["gate"]["passed"] and printed["assumptions"] == []
+    assert load_scene(str(stage)).name == printed["name"]
+    assert CliRunner().invoke(app, ["scene", "nominal:1", "--out", str(tmp_path / "scene.obj")]).exit_code != 0
+
+
+class _Broken:
+    name, cameras, image_size = "broken", (), (0, 0)
+
+    def plan(self, observation):
+        raise RuntimeError("out of order")
+
+
+def test_the_command_fails_when_a_rollout_is_not_valid(monkeypatch):
+    entry = EntryPoint("broken", "nowhere:broken", "olt.policies")
+    monkeypatch.setattr(EntryPoint, "load", lambda self: lambda argument: _Broken())
+    monkeypatch.setattr(policies, "entry_points", lambda group: [entry])
+    result = CliRunner().invoke(app, ["run", "--scene", "nominal:0", "--policy", "broken", "--workers", "1"])
+    assert result.exit_code == 1
+    assert "not valid: the policy raised RuntimeError" in result.stdout
