@@ -9,10 +9,13 @@ from olt_closed_loop.scoring.definitions import score_record
 from olt_toolkit.benchmark_runner import load_benchmark
 
 
-@pytest.mark.parametrize("name", ["score", "contacts"])
-def test_the_benchmarks_are_registered_and_have_one_default(name):
+@pytest.mark.parametrize(
+    ("name", "default"),
+    [("score", "strict, 100 ms"), ("contacts", "continuous, 100 ms"), ("score_traffic", "strict, 20 agents")],
+)
+def test_the_benchmarks_are_registered_and_have_one_default(name, default):
     settings = load_benchmark(name).settings()
-    assert [setting.name for setting in settings if setting.default] in (["strict, 100 ms"], ["continuous, 100 ms"])
+    assert [setting.name for setting in settings if setting.default] == [default]
     assert len({setting.name for setting in settings}) == len(settings)
 
 

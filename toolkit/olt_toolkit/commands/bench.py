@@ -50,7 +50,9 @@ def _run_one(name: str, out: Path, repeats: int) -> dict[str, Any]:
     with write_whole(out / f"{name}.png") as path:
         plot_benchmark(report, path)
     if grid is not None:
-        cases = grid()
+        with make_progress() as progress:
+            progress.add_task(f"bench {name}: extreme cases", total=None)
+            cases = grid()
         report["grid"] = list(cases.summary)
         with write_whole(out / f"{name}_grid.json") as path:
             path.write_text(json.dumps(list(cases.rows), indent=1, allow_nan=False) + "\n")
