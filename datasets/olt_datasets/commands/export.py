@@ -38,7 +38,9 @@ def export(
     Clips of other splits, and clips that give no policy sample, are left out. Chunks whose clips are all taken are
     linked, not copied. Given again, an interrupted export goes on. Exit status 1 if clips failed with --keep-going.
     """
-    from olt_datasets.export.pai import WorkOptions, export_pai
+    from olt_datasets.export.lerobot import export_lerobot
+    from olt_datasets.export.options import WorkOptions
+    from olt_datasets.export.pai import export_pai
     from olt_generator.errors import InputError
     from olt_toolkit.console import make_progress, print_json
     from olt_toolkit.workers import default_workers
@@ -47,7 +49,8 @@ def export(
     options = WorkOptions(keep_going, workers or default_workers(), engine)
     with make_progress() as progress:
         task = progress.add_task(f"export to {layout.value}", total=100)
-        summary = export_pai(contents, out, options, lambda share: progress.update(task, completed=round(100 * share)))
+        write = export_pai if layout is Format.PAI else export_lerobot
+        summary = write(contents, out, options, lambda share: progress.update(task, completed=round(100 * share)))
     if as_json:
         print_json(summary)
     else:
@@ -69,6 +72,24 @@ def _contents(inputs: list[Path], split: Split) -> "Contents":
 
 
 def _show(summary: dict[str, Any]) -> None:
+    from olt_toolkit.console import print_line
+
+    if summary["format"] == Format.PAI.value:
+        _show_chunks(summary)
+    else:
+        episodes = ", ".join(f"{name} {count}" for name, count in summary["episodes"].items())
+        print_line(f"{summary['out']}: {summary['clips']} clips of split {summary['split']} as episodes: {episodes}")
+        print_line(f"{summary['frames']} frames, {summary['samples']} of them sample times (is_sample)")
+    for topic in ("left_out", "licences"):
+        for reason, count in summary[topic].items():
+            print_line(f"{topic.replace('_', ' ')}: {count} clips, {reason}")
+    for note in summary["notes"]:
+        print_line(f"note: {note}")
+    for clip, reason in summary["failures"].items():
+        print_line(f"failed: {clip}: {reason}")
+
+
+def _show_chunks(summary: dict[str, Any]) -> None:
     from olt_toolkit.console import print_line, print_table
 
     columns = ("component", "kind", "source", "clips", "chunk_ids")
@@ -77,15 +98,8 @@ def _show(summary: dict[str, Any]) -> None:
     for how, part in summary["chunks"].items():
         if part["count"]:
             print_line(f"{part['count']} chunks {how}, {part['bytes'] / 1e6:.1f} MB")
-    for topic in ("left_out", "licences"):
-        for reason, count in summary[topic].items():
-            print_line(f"{topic.replace('_', ' ')}: {count} clips, {reason}")
-    for note in summary["notes"]:
-        print_line(f"note: {note}")
+    print_line(f"{summary['clips_with_default_keyframe']} clips give a sample at the recipes' default keyframe, 5.1 s")
     print_line("for the public recipes (a range of chunks leaves out its last number):")
-    keyframe = "data.train_dataset.use_default_keyframe=false"
     for name, part in summary["components"].items():
         overrides = f'data.train_dataset.local_dir={summary["out"]} data.train_dataset.chunk_ids="{part["chunk_ids"]}"'
-        print_line(f"  {name}: {overrides} {keyframe}")
-    for clip, reason in summary["failures"].items():
-        print_line(f"failed: {clip}: {reason}")
+        print_line(f"  {name}: {overrides} data.train_dataset.use_default_keyframe=false")

@@ -6,7 +6,7 @@ several times, each time under an id of its own; uses beyond that (a sample draw
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import attrgetter, itemgetter
 from pathlib import Path
@@ -74,6 +74,10 @@ class Contents:
         """All items in the order of their groups."""
         return [item for group in self.groups for item in group.items]
 
+    def with_one_item_per_clip(self) -> "Contents":
+        """The same, with all sample times of a clip in one item: for layouts that hold many samples of a clip."""
+        return replace(self, groups=tuple(replace(group, items=_join_uses(group.items)) for group in self.groups))
+
 
 def contents_of_mixture(mixture: Mixture) -> Contents:
     """One item for every sample that the mixture draws from.
@@ -115,6 +119,15 @@ def _component_groups(part: MixtureComponent) -> Iterator[ExportGroup]:
             for use, (*_, t0_us) in enumerate(uses)
         ]
         yield ExportGroup(part.component.name, kind, source, tuple(items))
+
+
+def _join_uses(items: Sequence[ExportItem]) -> tuple[ExportItem, ...]:
+    times: dict[tuple[Path, str], list[int]] = {}
+    for item in items:
+        times.setdefault((item.store, item.clip_id), []).extend(item.t0s_us)
+    return tuple(
+        ExportItem(store, clip_id, clip_id, tuple(sorted(t0s_us))) for (store, clip_id), t0s_us in times.items()
+    )
 
 
 def _listed_as(clip_id: str, t0_us: int, further: bool) -> str:

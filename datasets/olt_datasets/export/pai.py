@@ -4,11 +4,10 @@ The folder holds no reasoning text: none is invented. Sample times stand in the 
 where the recipes look when `use_default_keyframe` is false.
 """
 
-import hashlib
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ import pandas as pd
 
 from olt_datasets.export.chunks import ChunkPlan, ChunkResult, plan_chunks, write_chunk
 from olt_datasets.export.contents import DEFAULT_KEYFRAME_US, Contents, ExportGroup, ExportItem
+from olt_datasets.export.options import WorkOptions, fingerprint_export
 from olt_datasets.export.writing import EXPORT_FILE, find_finished, naming, resumable_folder, write_file
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
@@ -26,28 +26,13 @@ from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.clip_table import CLIP_TABLE, write_clip_table
 from olt_toolkit.pai_layout import CLIP_INDEX
 from olt_toolkit.pai_tables import read_indexed, to_bytes
-from olt_toolkit.workers import Engine, map_parallel
-
-
-@dataclass(frozen=True)
-class WorkOptions:
-    """How an export works.
-
-    Attributes:
-        keep_going: leave out damaged clips and list them, instead of stopping at the first.
-        workers: processes.
-        engine: where they run.
-    """
-
-    keep_going: bool = False
-    workers: int = 1
-    engine: Engine = Engine.LOCAL
+from olt_toolkit.workers import map_parallel
 
 
 def export_pai(
     contents: Contents,
     out: Path,
-    options: WorkOptions = WorkOptions(),
+    options: WorkOptions,
     on_progress: Progress = silent,
 ) -> dict[str, Any]:
     """Write the clips to `out`, which appears when it is complete; an interrupted export goes on when it is repeated.
@@ -59,7 +44,7 @@ def export_pai(
         InputError: `out` holds something else, a clip is damaged and `options.keep_going` is off, no clip is left, or
             a file cannot be written; names the file.
     """
-    fingerprint = _fingerprint("pai", contents)
+    fingerprint = fingerprint_export("pai", contents)
     finished = find_finished(out, fingerprint)
     if finished is not None:
         return finished
@@ -169,8 +154,3 @@ def _join_groups(groups: Sequence[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 def _first_failure(results: Sequence[ChunkResult]) -> str:
     return next(reason for result in results for reason in result.failures.values())
-
-
-def _fingerprint(form: str, contents: Contents) -> str:
-    text = json.dumps([form, asdict(contents)], default=str, sort_keys=True)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

@@ -10,7 +10,8 @@ from typer.testing import CliRunner
 from olt_datasets.clip_table import read_clip_tables
 from olt_datasets.commands.data import app
 from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
-from olt_datasets.export.pai import WorkOptions, export_pai
+from olt_datasets.export.options import WorkOptions
+from olt_datasets.export.pai import export_pai
 from olt_datasets.mixture import compose_mixture
 from olt_datasets.plan import write_plan
 from olt_datasets.recipe import Recipe
@@ -29,7 +30,7 @@ HELD_OUT, SHORT = make_clip_id("held out"), make_clip_id("short")
 def whole(stores, tmp_path_factory):
     """Both stores, whole: summary and folder."""
     out = tmp_path_factory.mktemp("whole") / "pai"
-    return export_pai(contents_of_stores(stores, "train"), out), out
+    return export_pai(contents_of_stores(stores, "train"), out, WorkOptions()), out
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def mixture(stores):
 @pytest.fixture(scope="module")
 def mixed(mixture, tmp_path_factory):
     out = tmp_path_factory.mktemp("mixed") / "pai"
-    return export_pai(contents_of_mixture(mixture), out), out
+    return export_pai(contents_of_mixture(mixture), out, WorkOptions()), out
 
 
 def test_every_clip_of_the_split_that_gives_samples_is_listed_and_no_other(whole, recipe_reader):
@@ -85,7 +86,7 @@ def test_another_file_system_gets_copies(stores, tmp_path, monkeypatch):
         raise OSError(18, "Invalid cross-device link")
 
     monkeypatch.setattr(os, "link", refuse)
-    summary = export_pai(contents_of_stores([stores[1]], "train"), tmp_path / "pai")
+    summary = export_pai(contents_of_stores([stores[1]], "train"), tmp_path / "pai", WorkOptions())
     assert summary["chunks"]["copied"]["count"] == 1
     name = "camera/camera_front_wide_120fov/camera_front_wide_120fov.chunk_0000.zip"
     assert (tmp_path / "pai" / name).read_bytes() == (stores[1] / name).read_bytes()
@@ -169,22 +170,22 @@ def test_an_interrupted_export_leaves_no_folder_and_goes_on(stores, tmp_path, mo
 
     monkeypatch.setattr(pai, "write_chunk", stop_at_the_third)
     with pytest.raises(KeyboardInterrupt):
-        export_pai(contents, out)
+        export_pai(contents, out, WorkOptions())
     assert not out.exists()
     (kept,) = tmp_path.iterdir()
     before = (kept / "labels/egomotion/egomotion.chunk_0001.zip").stat().st_ino
     monkeypatch.setattr(pai, "write_chunk", write_chunk)
-    summary = export_pai(contents, out)
+    summary = export_pai(contents, out, WorkOptions())
     assert summary["clips"] == 5
     assert (out / "labels/egomotion/egomotion.chunk_0001.zip").stat().st_ino == before
     assert [path.name for path in tmp_path.iterdir()] == ["pai"]
     assert not list(out.glob(".*"))
-    assert export_pai(contents, out) == summary
+    assert export_pai(contents, out, WorkOptions()) == summary
 
 
 def test_another_export_in_the_same_place_is_refused(whole, stores):
     with pytest.raises(InputError, match="exists already"):
-        export_pai(contents_of_stores([stores[0]], "train"), whole[1])
+        export_pai(contents_of_stores([stores[0]], "train"), whole[1], WorkOptions())
 
 
 def test_a_full_disk_names_the_file(stores, tmp_path, monkeypatch):
@@ -197,7 +198,7 @@ def test_a_full_disk_names_the_file(stores, tmp_path, monkeypatch):
     with pytest.raises(
         InputError, match=r"camera_cross_left_120fov\.chunk_0001\.zip: cannot be written \(No space left"
     ):
-        export_pai(contents_of_stores([stores[0]], "train"), tmp_path / "pai")
+        export_pai(contents_of_stores([stores[0]], "train"), tmp_path / "pai", WorkOptions())
     assert not list(tmp_path.rglob("*.chunk_0001.zip"))
 
 
@@ -215,7 +216,7 @@ def damaged_store(stores, tmp_path):
 
 def test_a_damaged_clip_stops_the_export_and_is_named(damaged_store, tmp_path):
     with pytest.raises(InputError, match=f"{B}.*is damaged"):
-        export_pai(contents_of_stores([damaged_store], "train"), tmp_path / "pai")
+        export_pai(contents_of_stores([damaged_store], "train"), tmp_path / "pai", WorkOptions())
     assert not (tmp_path / "pai").exists()
 
 
@@ -242,7 +243,7 @@ def test_command_prints_ranges_for_the_recipes(mixture, stores, tmp_path):
     write_plan(mixture, plan)
     result = CliRunner().invoke(app, ["export", str(plan), "--out", str(out), "--workers", "1"])
     assert result.exit_code == 0, result.output
-    assert 'data.train_dataset.chunk_ids="0-1" data.train_dataset.use_default_keyframe=false' in result.output
+    assert 'data.train_dataset.chunk_ids="0-2" data.train_dataset.use_default_keyframe=false' in result.output
     result = CliRunner().invoke(app, ["export", *map(str, stores), "--out", str(tmp_path / "two"), "--json"])
     assert json.loads(result.stdout)["components"]["made"] == {"clips": 2, "chunk_ids": "2-3"}
 
