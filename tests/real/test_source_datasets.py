@@ -21,15 +21,16 @@ def test_the_kitti_raw_drive(shared_real, tmp_path):
     assert len(drive.front_us) == 120
     # Not at 10 Hz: 0.1034 s apart by the drive's own time stamps.
     assert np.median(np.diff(drive.front_us)) == pytest.approx(103_400, abs=500)
-    window = tuple(drive.front_us[[40, 80]].tolist())
+    window = tuple(drive.front_us[[5, 9]].tolist())
     recording = dataset.open(".", window, NARROW)
-    assert len(recording.frames) == 41
+    assert len(recording.frames) == 5
     reference = recording.reference
     assert reference.path_length == pytest.approx(139.5, abs=0.5)
     assert (reference.timestamps_us[0], reference.timestamps_us[-1]) == (-window[0], drive.front_us[-1] - window[0])
-    whole = KITTI_RAW.open(folder, OpenOptions(width=160, duration=60.0))
-    assert np.array_equal(recording.frames, whole.frames[40:81])
-    assert np.allclose(reference.in_first_frame().T_world_rig, whole.reference.T_world_rig, atol=1e-9)
+    beginning = KITTI_RAW.open(folder, OpenOptions(width=160, duration=1.0))
+    assert np.array_equal(recording.frames, beginning.frames[5:10])
+    poses = reference.in_first_frame().T_world_rig[: len(beginning.frames)]
+    assert np.allclose(poses, beginning.reference.T_world_rig, atol=1e-9)
 
 
 def test_the_kitti_odometry_sequence(shared_real, tmp_path):
