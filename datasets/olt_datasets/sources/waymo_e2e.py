@@ -39,6 +39,7 @@ JAGUAR_I_PACE = VehicleDimensions(
     length=4.682, width=1.895, height=1.566, rear_axle_to_bbox_center=1.50, wheelbase=2.990, track_width=1.65
 )
 _SPLITS: dict[str, Split] = {"training": "train", "train": "train", "val": "val", "validation": "val", "test": "test"}
+_USE = "The paper fine-tunes policies with clips of this data set and keeps it out of all training of the generator."
 _ASSUMPTIONS = (
     "Frames are 0.1 s apart, and all cameras of one expose at once; the data set tells no times.",
     "The motion is in the plane, and headings follow from the paths that the frames tell; the data set tells none.",
@@ -75,9 +76,7 @@ class _Frames:
     @property
     def split(self) -> Split | None:
         """The split that the names of the shards tell."""
-        splits: set[Split | None] = {
-            _SPLITS.get(Path(name).name.partition("_")[0]) for name in self.rows["shard"].unique()
-        }
+        splits: set[Split | None] = {_SPLITS.get(_prefix(name)) for name in self.rows["shard"].unique()}
         if len(splits) > 1:
             raise InputError(f"{self.key}: its frames lie in shards of different splits; give Waymo's shards unchanged")
         return splits.pop()
@@ -111,7 +110,7 @@ class WaymoE2E:
         frames = self._frames(key)
         front = frames.with_front
         rated = front.times_us[front.rows["rated"].to_numpy()]
-        described = self._surround(frames).describe(country="US", split=frames.split, notes=_missing(frames))
+        described = self._surround(frames).describe(country="US", split=frames.split, notes=(_USE, *_missing(frames)))
         return replace(described, event_t0s_us=tuple(rated.tolist()))
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:

@@ -104,9 +104,8 @@ def positions(values: Sequence[float]) -> Array:
 
 def _task(root: Path, shard: Path, cache: Path) -> ShardTask:
     state, name = shard.stat(), shard.relative_to(root).as_posix()
-    return ShardTask(
-        shard, name, cache / f"shard-{_digest([name, str(state.st_size), str(state.st_mtime_ns)])}.parquet"
-    )
+    digest = _digest([name, str(state.st_size), str(state.st_mtime_ns), str(SCHEMA)])
+    return ShardTask(shard, name, cache / f"shard-{digest}.parquet")
 
 
 def _digest(words: list[str]) -> str:
