@@ -76,8 +76,9 @@ class _Part:
     """What one camera gives: its pixels of the view, and a box of the view that holds them and their neighbours."""
 
     def __init__(self, target: MountedCamera, source: MountedCamera, mask: Mask, distance: float) -> None:
-        top, bottom = _span_with_neighbours(mask.any(axis=1))
-        left, right = _span_with_neighbours(mask.any(axis=0))
+        rows, columns = np.nonzero(mask)
+        top, bottom = _span_with_neighbours(rows, mask.shape[0])
+        left, right = _span_with_neighbours(columns, mask.shape[1])
         self._box = slice(top, bottom), slice(left, right)
         self._mask = mask[self._box]
         camera = target.camera.cropped(left, top, right - left, bottom - top)
@@ -89,10 +90,9 @@ class _Part:
         view[self._box][self._mask] = self._remapper.remap(image)[self._mask]
 
 
-def _span_with_neighbours(marked: Mask) -> tuple[int, int]:
-    """The first marked place of a line less one, and the last plus one, as a range."""
-    places = np.flatnonzero(marked)
-    return max(0, int(places[0]) - 1), min(len(marked), int(places[-1]) + 2)
+def _span_with_neighbours(places: NDArray[np.int64], count: int) -> tuple[int, int]:
+    """The range from one before the first to one behind the last of some places, within `count`."""
+    return max(0, int(places.min()) - 1), min(count, int(places.max()) + 2)
 
 
 def choose_cameras(

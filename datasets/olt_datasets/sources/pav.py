@@ -5,7 +5,7 @@ its clips are those whose front images are on disk, and each has the cameras who
 marks as not valid are left out. Frames are found through their table of timestamps, which has a row a frame.
 """
 
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from olt_datasets.drives import Drive, Licence
 from olt_datasets.sources.image_times import FARTHEST_US, farthest_apart, nearest_images, starting_at
-from olt_datasets.sources.pav_files import chunk_file, has_member, read_member
 from olt_datasets.sources.pav_tables import (
     ClipEvents,
     IndexedClip,
@@ -26,6 +25,7 @@ from olt_datasets.sources.windows import images_within
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
+from olt_toolkit.chunk_archive import ChunkArchive
 from olt_toolkit.clip_table import CLIP_TABLE
 from olt_toolkit.clip_video import decode_frames
 from olt_toolkit.pai_layout import (
@@ -33,6 +33,7 @@ from olt_toolkit.pai_layout import (
     CLIP_INDEX,
     EGOMOTION,
     FEATURE_TABLE,
+    FEATURES,
     FRAME_TIMESTAMPS,
     SENSOR_EXTRINSICS,
     VEHICLE_DIMENSIONS,
@@ -52,6 +53,8 @@ LICENCE = Licence(
 )
 # Frames decoded at once before they are scaled down.
 _BLOCK = 60
+# Directories of zips that are kept; a chunk has one zip a camera and one of ego motion.
+_KEPT_ARCHIVES = 32
 
 Images = NDArray[np.uint8]
 
@@ -64,11 +67,12 @@ class Pav:
 
     def __init__(self, root: Path) -> None:
         self.root = root
+        self._archive = lru_cache(maxsize=_KEPT_ARCHIVES)(ChunkArchive)
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: the ids of valid clips whose front images are on disk."""
         chunks = {clip.chunk for clip in self._clips.values()}
-        here = {chunk for chunk in chunks if chunk_file(self.root, chunk, FRONT_WIDE).is_file()}
+        here = {chunk for chunk in chunks if FEATURES[FRONT_WIDE].chunk_file(self.root, chunk).is_file()}
         return sorted(
             key for key, clip in self._clips.items() if clip.chunk in here and not self._is_absent(key, FRONT_WIDE)
         )
@@ -202,17 +206,20 @@ class Pav:
         return self._clips[key]
 
     def _chunk_file(self, key: str, feature: str) -> Path:
-        return chunk_file(self.root, self._clip(key).chunk, feature)
+        return FEATURES[feature].chunk_file(self.root, self._clip(key).chunk)
 
     def _is_absent(self, key: str, feature: str) -> bool:
         """Whether the data set itself lacks a clip's feature."""
         return key in self._absent.get(feature, ())
 
     def _has(self, key: str, feature: str, alias: str) -> bool:
-        return not self._is_absent(key, feature) and has_member(self._chunk_file(key, feature), feature, alias, key)
+        path, name = self._chunk_file(key, feature), FEATURES[feature].member(alias, key)
+        return not self._is_absent(key, feature) and path.is_file() and name in self._archive(path)
 
     def _member(self, key: str, feature: str, alias: str) -> tuple[bytes, str]:
-        return read_member(self._chunk_file(key, feature), feature, alias, key)
+        """One member of a chunk's zip, and what to call it in errors."""
+        path, name = self._chunk_file(key, feature), FEATURES[feature].member(alias, key)
+        return self._archive(path).read(name), f"{path}: {name}"
 
 
 class PavReader:
