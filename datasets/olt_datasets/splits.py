@@ -24,6 +24,9 @@ from olt_generator.seeds import derive_seed
 
 _SEED_RANGE = 2.0**63
 _SPLIT = pl.Enum(["train", "val", "test"])
+_WORDS = ("scene_id", "source")
+_NO_SPLIT = -1
+_NEVER = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True)
@@ -71,11 +74,10 @@ def split_table(table: Path, splitting: Splitting, out: Path) -> dict[str, int]:
             raise InputError(
                 f"{path}: splits are given in a {TABLE_SUFFIX} table of indexed clips; built clips keep theirs"
             )
-    columns = ("scene_id", "source", "start_us", "end_us", "split")
-    # The order of the file, not that of the clips: splits are written back row by row.
     scan_clip_tables([table])
-    clips = pl.scan_parquet(table).select(columns).collect()
-    splits = assign_splits(clips, splitting)
+    # In the order of the file, not that of the clips: splits are written back row by row.
+    columns = pl.scan_parquet(table).select(pl.col(_WORDS).cast(pl.Categorical), "start_us", "end_us", "split")
+    splits = assign_splits(columns.collect(engine="streaming"), splitting)
     _write_splits(table, splits, out)
     return {name or "none": count for name, count in splits.value_counts(sort=True).rows()}
 
@@ -90,10 +92,12 @@ def assign_splits(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
     Raises:
         InputError: no clip is of a named source, or the rule is `own` and a clip has no split of its own.
     """
-    absent = sorted(set(splitting.sources) - set(clips["source"].unique()))
+    clips = clips.with_columns(pl.col(_WORDS).cast(pl.Categorical))
+    absent = sorted(set(splitting.sources) - set(clips["source"].unique().cast(pl.String)))
     if absent:
         raise InputError(f"the table has no clip of source {absent[0]!r}; change the sources that the rule is for")
-    chosen = pl.col("source").is_in(splitting.sources) if splitting.sources else pl.lit(True)
+    named = pl.Series(splitting.sources, dtype=pl.Categorical)
+    chosen = pl.col("source").is_in(named.implode()) if splitting.sources else pl.lit(True)
     by_rule = {
         SplitRule.SEEN: _by_time,
         SplitRule.UNSEEN: _by_scene,
@@ -107,30 +111,41 @@ def assign_splits(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
 
 def _by_time(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
     """Windows of a scene in the order of their times; those too close to a later split are in none."""
-    start, end, scene = pl.col("start_us"), pl.col("end_us") + round(1e6 * splitting.gap), "scene_id"
-    place, count = start.rank("dense").over(scene) - 1, start.n_unique().over(scene)
-    test_from = count - (splitting.test * count).round()
-    val_from = test_from - (splitting.val * count).round()
-    numbered = clips.select(
-        scene, start, end.alias("end_us"), is_test=place >= test_from, is_val=(place >= val_from) & (place < test_from)
-    )
-    test_start = start.filter(pl.col("is_test")).min().over(scene)
-    val_start = start.filter(pl.col("is_val")).min().over(scene)
-    later_start = pl.when(pl.col("is_val")).then(test_start).otherwise(pl.min_horizontal(val_start, test_start))
-    name = pl.when("is_test").then(pl.lit("test")).when("is_val").then(pl.lit("val")).otherwise(pl.lit("train"))
-    too_close = ~pl.col("is_test") & (pl.col("end_us") >= later_start).fill_null(value=False)
-    return numbered.select(pl.when(~too_close).then(name).cast(_SPLIT).alias("split"))["split"]
+    scenes = clips["scene_id"].to_physical().to_numpy()
+    order = np.lexsort((clips["start_us"].to_numpy(), scenes))
+    start, end = (clips[name].to_numpy()[order] for name in ("start_us", "end_us"))
+    is_first = np.diff(scenes[order], prepend=-1) != 0
+    firsts, scene = np.flatnonzero(is_first), np.cumsum(is_first) - 1
+
+    # Clips of the same start (GT and Syn of one window) have the same place in their scene.
+    window = np.cumsum(is_first | (np.diff(start, prepend=start[:1]) != 0))
+    place = window - window[firsts][scene]
+    count = np.maximum.reduceat(place, firsts) + 1
+    test_from = count - np.rint(splitting.test * count)
+    val_from = test_from - np.rint(splitting.val * count)
+    rank = (place >= val_from[scene]).astype(np.int8) + (place >= test_from[scene])
+
+    # When a later split of the scene starts: each window must end before that.
+    val_start, test_start = (np.minimum.reduceat(np.where(rank > each, start, _NEVER), firsts) for each in (0, 1))
+    next_start = np.select([rank == 0, rank == 1], [val_start[scene], test_start[scene]], _NEVER)
+    codes = np.where(end + round(1e6 * splitting.gap) >= next_start, _NO_SPLIT, rank)
+    given = np.empty(len(codes), np.int8)
+    given[order] = codes
+    names = dict(enumerate(_SPLIT.categories))
+    return pl.Series(given).replace_strict(names, default=None, return_dtype=_SPLIT)
 
 
 def _by_scene(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
-    scenes = clips["scene_id"].unique()
-    places = np.array([derive_seed("split", splitting.seed, scene) for scene in scenes]) / _SEED_RANGE
+    scenes = clips.select(pl.col("scene_id").unique())
+    ids = scenes["scene_id"].cast(pl.String)
+    places = np.array([derive_seed("split", splitting.seed, scene) for scene in ids]) / _SEED_RANGE
     names = np.select([places < splitting.test, places < splitting.test + splitting.val], ["test", "val"], "train")
-    return clips["scene_id"].replace_strict(scenes, pl.Series(names, dtype=_SPLIT), return_dtype=_SPLIT)
+    by_scene = scenes.with_columns(split=pl.Series(names, dtype=_SPLIT))
+    return clips.select("scene_id").join(by_scene, on="scene_id", how="left", maintain_order="left")["split"]
 
 
 def _by_own(clips: pl.DataFrame, _: Splitting) -> pl.Series:
-    without = clips.filter(pl.col("split").is_null())["source"].unique().sort()
+    without = sorted(clips.filter(pl.col("split").is_null())["source"].unique().cast(pl.String))
     if len(without):
         raise InputError(
             f"rule own: clips of {', '.join(without)} have no split of their own; split them by another rule"
