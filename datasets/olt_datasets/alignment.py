@@ -111,18 +111,18 @@ class Alignment:
 def measure_coverage(clips: pl.DataFrame | pl.LazyFrame, by: Dimension = "factors") -> dict[str, dict[str, float]]:
     """Clips of each source by factor, category or country; a clip of several factors counts for each in part."""
     values = pl.col("factors") if by == "factors" else pl.concat_list(by)
-    parts = (
+    counted = (
         clips.lazy()
-        .select("source", value=values, part=1.0 / values.list.len().clip(lower_bound=1))
-        .explode("value")
-        .group_by("source", pl.col("value").fill_null(NO_FACTOR))
-        .agg(pl.col("part").sum())
-        .sort("source", "value")
+        .select("source", value=values, values=values.list.len().clip(lower_bound=1))
+        .explode("value", empty_as_null=True, keep_nulls=True)
+        .group_by("source", pl.col("value").fill_null(NO_FACTOR), "values")
+        .len()
         .collect(engine="streaming")
     )
     coverage: dict[str, dict[str, float]] = {}
-    for source, value, count in parts.iter_rows():
-        coverage.setdefault(source, {})[value] = count
+    for source, value, values_of_clip, count in sorted(counted.rows()):
+        shares = coverage.setdefault(source, {})
+        shares[value] = shares.get(value, 0.0) + count / values_of_clip
     return coverage
 
 

@@ -1,12 +1,15 @@
-"""Which samples of a pool are drawn: those of least priority, a number that belongs to each sample alone.
+"""Which samples of a pool are drawn: those of least priority, a number that belongs to each moment alone.
 
-The priority of a sample is a hash of its clip id and its time t0, keyed by the seed and by what the draw is for. It
-depends on no other sample: a larger draw keeps the samples of a smaller one, clips that are added to a table move no
-other clip, and neither the order of rows nor their division into tables matters. A pool of any size is drawn from in
-one pass.
+The priority of a sample is a hash of the moment that it shows (scene, start of the window, time t0), keyed by the seed
+and by what the draw is for. Nothing else has a part in it:
 
-The hash is multilinear in the words of the clip id and the time, modulo 2^64 (Dietzfelbinger 1996), and mixed by the
-finalizer of SplitMix64 (Steele, Lea and Flood 2014).
+- GT and Syn clips of one window have the same priorities, so that recipes which differ in the kind alone draw the same
+  moments. (Where a component uses both kinds side by side, the kind is part of the hash.)
+- A larger draw keeps the samples of a smaller one, and clips that are added to a table move no other clip.
+- Neither the order of rows nor their division into tables matters, and a pool of any size is drawn from in one pass.
+
+The hash is multilinear in 64-bit words, modulo 2^64, with odd keys (Dietzfelbinger 1996), and mixed by the finalizer of
+SplitMix64 (Steele, Lea and Flood 2014).
 """
 
 import math
@@ -20,8 +23,9 @@ from olt_generator.seeds import make_generator
 KEYFRAME_US = 5_100_000
 """The time t0 that the public loader takes by default (facts sheet pai_dataset, section 9)."""
 
-# Five words of eight characters cover the 36 of a clip id.
-WORD_STARTS = (0, 8, 16, 24, 28)
+# The last 48 bytes of a scene's id count; those that end alike have ties, which is harmless.
+SCENE_WORDS = 6
+WORD_BYTES = 8
 TIMES = pl.col("sample_t0_us")
 PRIORITY = "priority"
 TWO_TO_64 = 2**64
@@ -45,14 +49,14 @@ def draw_samples(
         available: number of samples that the clips give.
         count: number of samples to draw, at most `available`.
         seed: seed of the draw.
-        columns: columns of the clips to keep.
+        columns: columns of the clips to keep, `clip_id` among them.
 
     Returns:
         The columns, `t0_us` (int64) and `PRIORITY` (uint64), in order of priority.
     """
     samples = (
         clips.filter(TIMES.list.len() > 0)
-        .select(*columns, _key(component, seed), t0_us=_sample_times(component))
+        .select(*columns, _key(component, seed).alias(PRIORITY), t0_us=_sample_times(component))
         .explode("t0_us")
         .with_columns(_mix(pl.col(PRIORITY) + pl.col("t0_us").cast(pl.UInt64)).alias(PRIORITY))
     )
@@ -85,13 +89,18 @@ def _sample_times(component: Component) -> pl.Expr:
 
 def _key(component: Component, seed: int) -> pl.Expr:
     """The part of a priority that the samples of a clip have in common."""
+    scene = pl.col("scene_id").str.pad_start(SCENE_WORDS * WORD_BYTES).cast(pl.Binary)
+    words = [
+        scene.bin.slice(-WORD_BYTES * place, WORD_BYTES).bin.reinterpret(dtype=pl.UInt64)
+        for place in range(SCENE_WORDS, 0, -1)
+    ]
+    words.append(pl.col("start_us").cast(pl.UInt64))
+    if component.where.kind == "any" and component.prefer is None:
+        words.append((pl.col("kind") == "Syn").cast(pl.UInt64))
     generator = make_generator("mixture samples", seed, component.name)
-    start, *factors = (int(word) | 1 for word in generator.integers(TWO_TO_64, size=6, dtype=np.uint64))
-    characters = pl.col("clip_id").cast(pl.Binary)
-    words = [characters.bin.slice(first, 8).bin.reinterpret(dtype=pl.UInt64) for first in WORD_STARTS]
+    factors = [int(word) | 1 for word in generator.integers(TWO_TO_64, size=len(words), dtype=np.uint64)]
     # Sums and products of 64-bit words wrap.
-    terms = [word.fill_null(0) * pl.lit(factor, pl.UInt64) for word, factor in zip(words, factors, strict=True)]
-    return pl.sum_horizontal(pl.lit(start, pl.UInt64), *terms).alias(PRIORITY)
+    return pl.sum_horizontal(word * pl.lit(factor, pl.UInt64) for word, factor in zip(words, factors, strict=True))
 
 
 def _mix(word: pl.Expr) -> pl.Expr:

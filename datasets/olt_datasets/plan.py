@@ -78,7 +78,7 @@ def read_plan(path: Path) -> Mixture:
     try:
         plan, samples = _read_parquet(path) if path.suffix == ".parquet" else _read_json(path)
     except OSError as error:
-        raise InputError(f"{path}: cannot read this mixture ({error.strerror})") from error
+        raise InputError(f"{path}: cannot read this mixture ({error.strerror or error})") from error
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(map(str, first["loc"])) or "file"

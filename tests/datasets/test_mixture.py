@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from olt_datasets.mixture import check_recipe, compose_mixture
 from olt_datasets.recipe import builtin_recipe, parse_recipe
 from olt_generator.errors import InputError
+from olt_toolkit.clip import Origin
 
 NOMINAL = {"name": "nominal", "where": {"kind": "GT", "category": ["nominal"]}}
 WORK_ZONES = {"name": "work_zones", "where": {"kind": "Syn", "category": ["work_zone"]}}
@@ -64,6 +65,19 @@ def test_ranks_are_disjoint_and_give_the_batches_of_one_rank(toy_table, data, pe
         parts = [rank[index] for rank in ranks]
         assert Counter(chain.from_iterable(parts)) == Counter(batch)
         assert max(map(len, parts)) - min(map(len, parts)) <= 1
+
+
+@SETTINGS
+@given(
+    data=st.data(), stop=st.integers(0, 12), before=st.sampled_from([1, 2, 3, 6]), after=st.sampled_from([1, 4, 6, 12])
+)
+def test_ranks_may_change_in_the_middle_of_an_epoch(toy_table, data, stop, before, after):
+    """What some ranks got up to a batch, and others from there on, is the epoch once and nothing else."""
+    mixture = data.draw(mixtures(toy_table))
+    batches_before = [mixture.epoch(2, 12, rank, before)[:stop] for rank in range(before)]
+    batches_after = [mixture.epoch(2, 12, rank, after, start_batch=stop) for rank in range(after)]
+    got = chain.from_iterable(batches_before + batches_after)
+    assert Counter(chain.from_iterable(got)) == Counter(items(mixture, epoch=2, batch_size=12))
 
 
 @SETTINGS
@@ -130,17 +144,160 @@ def test_filters_choose_clips(make_clip, make_table):
     assert chosen(factors_none=["night", "rain"]) == {1, 3}
 
 
-@pytest.mark.parametrize(("prefer", "expected"), [("GT", {1, 4, 5}), ("Syn", {2, 3, 4, 5}), (None, {1, 2, 3, 4, 5})])
-def test_preference_decides_only_where_a_scene_has_both_kinds(make_clip, make_table, prefer, expected):
+def test_countries_choose_clips_that_tell_theirs(make_clip, make_table):
+    countries = ["US", "DE", None, "JP"]
+    clips = [
+        make_clip(number, origin=Origin("drive", 0, 20_000_000, country=country))
+        for number, country in enumerate(countries)
+    ]
+    recipe = make_recipe({"name": "all", "where": {"country": ["US", "JP"]}, "share": 1.0})
+    mixture = compose_mixture(recipe, make_table(*clips), 0)
+    assert clip_numbers(items(mixture)) == {0, 3}
+    everywhere = compose_mixture(make_recipe({"name": "all", "share": 1.0}), make_table(*clips), 0)
+    assert list(everywhere.describe()["by_country"]) == ["DE", "JP", "US", "not told"]
+
+
+@pytest.mark.parametrize(
+    ("prefer", "expected"), [("GT", {1, 4, 5, 6}), ("Syn", {2, 3, 4, 5, 6}), (None, {1, 2, 3, 4, 5, 6})]
+)
+def test_preference_decides_only_where_both_kinds_show_the_same_window(make_clip, make_table, prefer, expected):
+    later = Origin("drive", 20_100_000, 40_000_000)
     table = make_table(
         make_clip(1, scene_id="both"),
         make_clip(2, scene_id="both", kind="Syn"),
         make_clip(3, scene_id="both", kind="Syn"),
-        make_clip(4, scene_id="measured"),
-        make_clip(5, scene_id="made", kind="Syn"),
+        make_clip(4, scene_id="both", kind="Syn", origin=later),
+        make_clip(5, scene_id="measured"),
+        make_clip(6, scene_id="made", kind="Syn"),
     )
     recipe = make_recipe({"name": "all", "share": 1.0, "prefer": prefer})
     assert clip_numbers(items(compose_mixture(recipe, table, 0))) == expected
+
+
+def test_preference_looks_at_the_component_s_own_clips(make_clip, make_table):
+    """A measured twin that the filter leaves out does not displace the synthesized clip."""
+    twin = (
+        make_clip(1, scene_id="both", category="nominal"),
+        make_clip(2, scene_id="both", kind="Syn", category="animal"),
+    )
+    recipe = make_recipe({"name": "animals", "where": {"category": ["animal"]}, "share": 1.0, "prefer": "GT"})
+    assert clip_numbers(items(compose_mixture(recipe, make_table(*twin), 0))) == {2}
+
+
+@SETTINGS
+@given(cap=st.integers(1, 20), samples=st.integers(1, 60), repeats=st.integers(1, 2), seed=st.integers(0, 5))
+def test_a_cap_bounds_the_samples_of_its_category(toy_table, cap, samples, repeats, seed):
+    part = {"name": "all", "share": 1.0, "repeats": repeats, "caps": {"work_zone": cap}}
+    mixture = compose_mixture(make_recipe(part, samples=samples), toy_table, seed)
+    capped = mixture.samples.filter(category="work_zone")
+    assert len(mixture.samples) == samples and len(capped) <= cap
+    free = compose_mixture(make_recipe({**part, "caps": {}}, samples=samples), toy_table, seed)
+    if len(free.samples.filter(category="work_zone")) <= cap:
+        assert mixture.samples.equals(free.samples)
+
+
+def test_caps_count_among_what_is_available(toy_table):
+    part = {"name": "all", "share": 1.0, "caps": {"work_zone": 5, "nominal": 10, "animal": 3}}
+    assert compose_mixture(make_recipe(part), toy_table, 0).describe()["by_category"] == {
+        "nominal": {"got": 10, "distinct": 10},
+        "work_zone": {"got": 5, "distinct": 5},
+    }
+    with pytest.raises(InputError, match="asks for 16 samples per epoch, but matches 28 clips with 15 samples"):
+        compose_mixture(make_recipe(part, samples=16), toy_table, 0)
+
+
+@SETTINGS
+@given(
+    data=st.data(),
+    first=st.integers(0, 100),
+    last=st.integers(0, 100),
+    end=st.integers(1, 6),
+    between=st.sampled_from(["linear", "steps"]),
+    epoch=st.integers(0, 9),
+)
+def test_a_curriculum_is_exact_in_every_epoch_and_batch(toy_table, data, first, last, end, between, epoch):
+    """Work zones go from `first` to `last` percent; every epoch and every batch is within one item of its share."""
+    if max(first, last) == 0 or min(first, last) == 100:
+        first, last = 20, 40
+    shares = {0: first / 100, end: last / 100}
+    recipe = make_recipe(
+        {**NOMINAL, "share_by_epoch": {at: round(1 - share, 2) for at, share in shares.items()}},
+        {**WORK_ZONES, "share_by_epoch": shares, "repeats": 4},
+        samples=60,
+        between_epochs=between,
+    )
+    mixture = compose_mixture(recipe, toy_table, 0)
+    progress = min(epoch / end, 1.0) if between == "linear" else float(epoch >= end)
+    expected = (first + (last - first) * progress) / 100
+    assert abs(mixture.counts(epoch)[1] - 60 * expected) < 1 + 1e-9 and sum(mixture.counts(epoch)) == 60
+    for batch in mixture.epoch(epoch, data.draw(st.integers(1, 60))):
+        got = sum(int(key.clip_id[-12:]) >= 100 for key in batch)
+        assert abs(got - len(batch) * mixture.counts(epoch)[1] / 60) < 1
+
+
+def test_a_curriculum_is_described_by_epoch(toy_table):
+    recipe = make_recipe(
+        {**NOMINAL, "share_by_epoch": {0: 1.0, 4: 0.5}}, {**WORK_ZONES, "share_by_epoch": {0: 0.0, 4: 0.5}}, samples=32
+    )
+    mixture = compose_mixture(recipe, toy_table, 0)
+    assert [mixture.counts(epoch) for epoch in (0, 1, 2, 4, 9)] == [[32, 0], [28, 4], [24, 8], [16, 16], [16, 16]]
+    assert mixture.describe()["items_by_epoch"] == {"0": [32, 0], "4": [16, 16]}
+    assert [part["share"] for part in mixture.describe(epoch=2)["components"]] == [0.75, 0.25]
+    assert mixture.describe(epoch=0)["by_kind"]["Syn"] == {"got": 0, "distinct": 16}
+
+
+def test_the_scarcest_epoch_of_a_curriculum_sets_its_size(toy_table):
+    recipe = make_recipe(
+        {**NOMINAL, "share_by_epoch": {0: 0.9, 1: 0.6}}, {**WORK_ZONES, "share_by_epoch": {0: 0.1, 1: 0.4}}
+    )
+    assert len(compose_mixture(recipe, toy_table, 0)) == 40  # floor(16 / 0.4), less than floor(60 / 0.9)
+
+
+def test_the_recipes_of_the_paper_give_its_numbers(make_clip, make_table):
+    """10,000 nominal clips are too many for a quick test: 10 and 4 stand for them here, by the same recipes."""
+    nominal = [make_clip(number, source="pav", category="unlabelled") for number in range(12)]
+    long_tail = [make_clip(100 + number, source="pav", category="cyclists", samples=3) for number in range(5)]
+    made = [make_clip(200 + number, source="pav", category="cyclists", kind="Syn", samples=3) for number in range(5)]
+    waymo = [make_clip(300 + number, source="waymo_e2e", kind=("GT", "Syn")[number % 2]) for number in range(8)]
+    table = make_table(*nominal, *long_tail, *made, *waymo)
+    sizes = {"nominal": 10, "nv_ood": 4, "waymo": 3}
+    got = {}
+    for name in ("nominal_10k", "nv_ood_gt", "nv_ood_syn", "gt_longtail", "syn_longtail"):
+        recipe = builtin_recipe(name)
+        smaller = [part.model_copy(update={"count": sizes[part.name]}) for part in recipe.components]
+        summary = compose_mixture(recipe.model_copy(update={"components": tuple(smaller)}), table, 0).describe()
+        got[name] = {kind: numbers["got"] for kind, numbers in summary["by_kind"].items()}
+    assert got == {
+        "nominal_10k": {"GT": 10},
+        "nv_ood_gt": {"GT": 14},
+        "nv_ood_syn": {"GT": 10, "Syn": 4},
+        "gt_longtail": {"GT": 17},
+        "syn_longtail": {"GT": 10, "Syn": 7},
+    }
+
+
+@pytest.mark.parametrize(
+    ("name", "samples"),
+    [
+        ("base_r1", 0),
+        ("base_1_5", 0),
+        ("nominal_10k", 10_000),
+        ("nv_ood_gt", 12_248),
+        ("nv_ood_syn", 12_248),
+        ("gt_longtail", 13_248),
+        ("syn_longtail", 13_248),
+    ],
+)
+def test_the_recipes_of_the_paper_ask_for_its_samples(name, samples):
+    assert sum(part.count for part in builtin_recipe(name).components) == samples
+
+
+def test_a_recipe_of_nothing_is_composed_and_not_trained_on(toy_table):
+    mixture = compose_mixture(builtin_recipe("base_r1"), toy_table, 0)
+    assert len(mixture) == 0 and mixture.counts() == [] and mixture.describe()["by_source"] == {}
+    assert check_recipe(builtin_recipe("base_r1"), toy_table) == {"shortages": [], "leaks": [], "absent": []}
+    with pytest.raises(InputError, match="recipe base_r1 has no samples to train on"):
+        mixture.epoch(0, 8)
 
 
 def test_without_samples_the_scarcest_component_sets_the_epoch(toy_table):

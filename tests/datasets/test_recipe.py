@@ -1,11 +1,22 @@
 import re
+import textwrap
+from fractions import Fraction
 
 import pytest
 import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_datasets.recipe import Filter, builtin_recipe, builtin_recipes, find_recipe, parse_recipe, read_recipe
+import olt_datasets.recipe as recipe_module
+from olt_datasets.recipe import (
+    Filter,
+    builtin_recipe,
+    builtin_recipes,
+    find_recipe,
+    parse_filter,
+    parse_recipe,
+    read_recipe,
+)
 from olt_generator.errors import InputError
 
 RECIPE = """
@@ -74,6 +85,13 @@ def test_built_in_recipes_are_sound_and_named_as_their_files():
         ("repeats: 2", "repeats: true", "components[1].repeats: input should be a valid integer, got True"),
         ("name: work_zones", "name: nominal", "two components are called 'nominal'"),
         ("{source: [pai],", "{kind: Syn,", "components[1]: 'prefer' chooses between kinds"),
+        ("repeats: 2", "t0: keyframe\n    samples_per_clip: 2", "components[1]: 't0: keyframe' is one sample per clip"),
+        ("repeats: 2", "t0: events", "components[1].t0: input should be 'every' or 'keyframe', got 'events'"),
+        ("repeats: 2", "caps: {cyclists: 0}", "components[1].caps.cyclists: input should be greater than 0, got 0"),
+        ("share: 0.3", "share_by_epoch: {1: 0.3}", "components[1]: 'share_by_epoch' does not say the share of epoch 0"),
+        ("share: 0.3", "share_by_epoch: {0: 0.0}", "components[1]: 'share_by_epoch' is 0 in every epoch"),
+        ("share: 0.3", "share_by_epoch: {0: 0.3, 2: 0.4}", "the shares sum to 1.1 in epoch 2; change them"),
+        ("share: 0.3", "share_by_epoch: {0: 1.3}", "components[1].share_by_epoch[0]: input should be less than"),
         ("name: mine", "name: [mine", "not YAML"),
         ("name: mine", "1: 2\nname: mine", "[1]: keys should be strings"),
     ],
@@ -83,6 +101,34 @@ def test_errors_name_file_field_and_remedy(tmp_path, old, new, message):
     with pytest.raises(InputError, match=re.escape(f"{path}: {message}")) as error:
         read_recipe(path)
     assert "\n" not in str(error.value)
+
+
+def test_shares_between_named_epochs():
+    content = yaml.safe_load(RECIPE.replace("share: 0.7", "share_by_epoch: {0: 0.7, 3: 0.1}"))
+    content["components"][1] |= {"share": None, "share_by_epoch": {0: 0.3, 3: 0.9}}
+    linear, steps = (parse_recipe(content | {"between_epochs": word}, "recipe") for word in ("linear", "steps"))
+    assert linear.named_epochs == [0, 3]
+    assert [linear.shares(epoch)[1] for epoch in range(5)] == [Fraction(part, 10) for part in (3, 5, 7, 9, 9)]
+    assert [steps.shares(epoch)[1] for epoch in range(5)] == [Fraction(part, 10) for part in (3, 3, 3, 9, 9)]
+
+
+def test_the_example_of_the_documentation_is_a_recipe():
+    text = textwrap.dedent(recipe_module.__doc__.split("curriculum.\n")[1])
+    parsed = parse_recipe(yaml.safe_load(text), "example")
+    assert parsed.components[1].caps == {"cyclists": 500} and parsed.components[1].where.country == ("US", "DE")
+
+
+def test_a_filter_is_read_from_text():
+    assert parse_filter("{category: [cyclists], country: [US]}", "--target") == Filter(
+        category=("cyclists",), country=("US",)
+    )
+    for text, message in [
+        ("{categories: [a]}", "unknown key 'categories'; known here: kind, source, country"),
+        ("[a", "is not YAML"),
+        ("all", "write a mapping, got 'all'"),
+    ]:
+        with pytest.raises(InputError, match=f"--target: .*{message}"):
+            parse_filter(text, "--target")
 
 
 def test_counts_decide_the_number_of_samples(tmp_path):

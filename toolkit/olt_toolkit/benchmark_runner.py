@@ -78,12 +78,22 @@ def run_benchmark(name: str, repeats: int, on_progress: Progress = silent) -> di
     }
 
 
+def resident_mib(field: str) -> float | None:
+    """Memory of this process in MiB: "VmRSS" now, "VmHWM" at its peak; None where the system does not tell."""
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return None
+    kib = next((line.split()[1] for line in status.splitlines() if line.startswith(field + ":")), None)
+    return None if kib is None else int(kib) / 1024
+
+
 def _measure(name: str, index: int, repeats: int) -> tuple[list[float], float | None, Any]:
     call = load_benchmark(name).settings()[index].prepare()
-    before = _resident_mib("VmRSS")
+    before = resident_mib("VmRSS")
     _reset_peak()
     result = call()  # warms caches and is the result that is judged
-    peak = _resident_mib("VmHWM")
+    peak = resident_mib("VmHWM")
     times = []
     for _ in range(repeats):
         start = time.perf_counter()
@@ -107,12 +117,3 @@ def _dominates(other: dict[str, Any], row: dict[str, Any]) -> bool:
 def _reset_peak() -> None:
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5")  # Linux: the peak starts anew from the present size
-
-
-def _resident_mib(field: str) -> float | None:
-    try:
-        status = Path("/proc/self/status").read_text()
-    except OSError:
-        return None
-    kib = next((line.split()[1] for line in status.splitlines() if line.startswith(field + ":")), None)
-    return None if kib is None else int(kib) / 1024

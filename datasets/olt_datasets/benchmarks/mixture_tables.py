@@ -1,0 +1,115 @@
+"""Clip tables of any size, made up, and what composing a mixture from one takes."""
+
+import tempfile
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from olt_datasets.clip_table import scan_clip_tables
+from olt_datasets.mixture import compose_mixture
+from olt_datasets.recipe import parse_recipe
+from olt_generator.seeds import make_generator
+from olt_toolkit.benchmark_runner import resident_mib
+from olt_toolkit.clip_table import SCHEMA
+
+ROWS_AT_ONCE = 500_000
+LONG_TAIL = ("cyclists", "work_zone", "uncommon_vehicle", "animal")
+SAMPLE_TIMES_US = (1_700_000, 5_100_000, 8_500_000, 11_900_000)
+
+
+def compose_at_scale(clips: int) -> dict[str, Any]:
+    """Write a table of so many clips, compose a mixture from it in a process of its own, and measure that.
+
+    Returns:
+        Number of clips and samples, seconds of wall and of processor, and the process's peak memory in MiB, None where
+        the system does not tell.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "clips.parquet"
+        write_made_up_table(path, clips)
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            return pool.submit(_measure_composing, path, clips).result()
+
+
+def write_made_up_table(path: Path, clips: int) -> None:
+    """A table of indexed clips in order of their ids: two kinds, four long-tail categories, four times t0 a clip."""
+    with pq.ParquetWriter(path, SCHEMA) as writer:
+        for start in range(0, clips, ROWS_AT_ONCE):
+            writer.write_table(_rows(start, min(ROWS_AT_ONCE, clips - start)))
+
+
+def _rows(start: int, count: int) -> pa.Table:
+    random = make_generator("made-up clip table", start)
+    number = pl.int_range(start, start + count, dtype=pl.Int64)
+
+    def digits(length: int) -> pl.Series:
+        return pl.Series(random.integers(10**length, size=count)).cast(pl.String).str.zfill(length)
+
+    def word(*words: str) -> pl.Series:
+        return pl.Series(words).gather(random.integers(len(words), size=count))
+
+    clip_id = pl.format(
+        "{}-{}-5{}-8{}-{}", number.cast(pl.String).str.zfill(8), digits(4), digits(3), digits(3), digits(12)
+    )
+    frame = pl.select(
+        clip_id=clip_id,
+        name=pl.format("drive {}", number),
+        scene_id=pl.format("pav/{}", number // 4),
+        source=word("pav", "pav", "pav", "waymo_e2e"),
+        recording=pl.format("recording {}", number // 4),
+        start_us=number % 4 * 20_000_000,
+        end_us=number % 4 * 20_000_000 + 20_000_000,
+        country=word("US", "DE", "JP"),
+        licence=pl.lit("made up"),
+        kind=word("GT", "Syn"),
+        category=word(*["nominal"] * 6, *LONG_TAIL),
+        factors=pl.when(number % 5 == 0).then(pl.lit(["cone_delineated"])).otherwise(pl.lit([], pl.List(pl.String))),
+        split=pl.when(number // 4 % 10 == 0).then(pl.lit("test")).otherwise(pl.lit("train")),
+        duration_us=pl.lit(20_000_000),
+        sample_t0_us=pl.lit(list(SAMPLE_TIMES_US)),
+        created_with=pl.lit("made up"),
+        checksum=digits(18) + digits(14),
+    )
+    columns = {name: frame[name].to_arrow() for name in frame.columns}
+    arrays = [
+        columns[field.name].cast(field.type) if field.name in columns else pa.nulls(count, field.type)
+        for field in SCHEMA
+    ]
+    return pa.table(arrays, schema=SCHEMA)
+
+
+def _measure_composing(path: Path, clips: int) -> dict[str, Any]:
+    start, start_of_processor = time.perf_counter(), time.process_time()
+    mixture = compose_mixture(_recipe(clips), scan_clip_tables([path]), seed=0)
+    seconds, processor_seconds = time.perf_counter() - start, time.process_time() - start_of_processor
+    peak_mib = resident_mib("VmHWM")
+    return {
+        "clips": clips,
+        "samples": len(mixture),
+        "seconds": round(seconds, 3),
+        "processor_seconds": round(processor_seconds, 3),
+        "peak_memory_mib": None if peak_mib is None else round(peak_mib),
+    }
+
+
+def _recipe(clips: int) -> Any:
+    """The shape of the paper's recipes: ordinary drives and synthesized long-tail ones, one keyframe of each."""
+    samples = min(10_000, clips // 20)
+    nominal = {"kind": "GT", "source": ["pav"], "category": ["nominal"]}
+    long_tail = {"kind": "Syn", "source": ["pav"], "category": list(LONG_TAIL)}
+    content = {
+        "name": "benchmark",
+        "description": "made up",
+        "version": 1,
+        "components": [
+            {"name": "nominal", "where": nominal, "count": samples, "t0": "keyframe"},
+            {"name": "long_tail", "where": long_tail, "count": samples // 4, "t0": "keyframe"},
+        ],
+    }
+    return parse_recipe(content, "benchmark")
