@@ -56,6 +56,15 @@ def test_a_window_takes_in_its_ends_and_nothing_beyond(tmp_path):
     assert window.frame_rate == pytest.approx(30.0, rel=1e-4)
 
 
+def test_metadata_that_is_no_utf8_does_not_matter(tmp_path):
+    """As many dashcams write it."""
+    path = write(tmp_path / "video.mp4", REGULAR)
+    content = path.read_bytes()
+    assert b"VideoHandler" in content
+    path.write_bytes(content.replace(b"VideoHandler", b"Vid\xe9oHandler"))
+    assert len(read_frame_times(path)) == len(read_video(path).frames) == 40
+
+
 def test_a_window_without_frames_is_refused(tmp_path):
     path = write(tmp_path / "video.mp4", REGULAR)
     with pytest.raises(InputError, match="no frame is shown between 5000000 and 6000000 us"):
