@@ -30,6 +30,12 @@ STATE_US = 250_000
 _MOST_PAST, _MOST_FUTURE = 16, 20
 # How far from the origin the last past state may be, metres: it is the position at the time of the frame.
 _NOW_TOLERANCE = 0.5
+# Beyond these a calibration is damaged: pixels, and coefficients of any lens.
+_LARGEST_SIDE, _LARGEST_INTRINSIC = 20_000, 1e6
+# A smaller coefficient moves no pixel.
+_NO_DISTORTION = 1e-12
+# Nothing that a frame tells is farther from the vehicle, metres.
+_FARTHEST = 1e4
 _NAME = re.compile(r"(?P<sequence>.+)-(?P<index>\d{1,6})")
 
 
@@ -121,8 +127,8 @@ def _positions(content: memoryview, most: int, where: str) -> Array:
     x, y = states.floats(1), states.floats(2)
     if len(x) != len(y) or len(x) > most:
         raise InputError(f"{where}: {len(x)} pos_x and {len(y)} pos_y; up to {most} of each are expected")
-    if not np.all(np.isfinite([x, y])):
-        raise InputError(f"{where}: a position is not finite; copy the file again")
+    if not np.all(np.abs([x, y]) < _FARTHEST):
+        raise InputError(f"{where}: a position is not finite, or kilometres away; copy the file again")
     return np.stack([x, y], axis=-1)
 
 
@@ -138,11 +144,12 @@ def _calibration(content: memoryview, where: str) -> tuple[str, MountedCamera]:
     intrinsic = message.doubles(2)
     extrinsic = Message(message.data(3), (1,), where).doubles(1)
     width, height = message.number(4), message.number(5)
-    if len(intrinsic) != 9 or not np.all(np.isfinite(intrinsic)) or min(intrinsic[:2]) <= 0.0:
+    if len(intrinsic) != 9 or not np.all(np.abs(intrinsic) < _LARGEST_INTRINSIC) or min(intrinsic[:2]) < 1.0:
         raise InputError(f"{where}: intrinsic of {name} is not f_u, f_v, c_u, c_v, k1, k2, p1, p2, k3; copy it again")
-    if min(width, height) < 1:
+    if not 1 <= min(width, height) <= max(width, height) <= _LARGEST_SIDE:
         raise InputError(f"{where}: {name} is {width} x {height} pixels; copy the file again")
-    fx, fy, cx, cy, k1, k2, p1, p2, k3 = intrinsic.tolist()
+    fx, fy, cx, cy = intrinsic[:4].tolist()
+    k1, k2, p1, p2, k3 = np.where(np.abs(intrinsic[4:]) < _NO_DISTORTION, 0.0, intrinsic[4:]).tolist()
     # Waymo's pixel 0 is the left edge of the first pixel (dataset.proto, camera_projection), ours is its centre.
     camera = BrownConradyCamera(width, height, fx, fy, cx - 0.5, cy - 0.5, k1, k2, p1, p2, k3)
     return name, MountedCamera(camera, _mounting(extrinsic, f"{where}: extrinsic of {name}"))
@@ -154,6 +161,7 @@ def _mounting(extrinsic: Array, where: str) -> Array:
         raise InputError(f"{where} has {len(extrinsic)} numbers instead of 16; copy the file again")
     pose = extrinsic.reshape(4, 4)
     rotation = pose[:3, :3]
-    if not np.all(np.isfinite(pose)) or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4):
+    is_small = np.all(np.abs(pose) < _FARTHEST)
+    if not is_small or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
         raise InputError(f"{where} is no rigid motion; copy the file again")
     return make_pose(rotation @ R_FORWARD_CAMERA, pose[:3, 3])

@@ -1,5 +1,7 @@
 """The Waymo E2E data set: shuffled shards to drives."""
 
+import struct
+
 import numpy as np
 import pytest
 
@@ -200,6 +202,25 @@ def test_an_index_built_by_workers_is_the_same(open_shards, make_records, tmp_pa
 def test_a_wrong_record_is_named(open_shards, make_frame, name, positions, complaint):
     with pytest.raises(InputError, match=rf"tfrecord-00000-of-00001: record at byte 12: .*{complaint}"):
         open_shards([make_frame(name, positions, np.zeros((0, 2)))], shards=1)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "complaint"),
+    [
+        (struct.pack("<d", 40.0), struct.pack("<d", np.nan), "intrinsic of FRONT"),
+        (struct.pack("<d", -0.01), struct.pack("<d", 1e300), "intrinsic of FRONT"),
+        (struct.pack("<d", 2.0), struct.pack("<d", np.inf), "extrinsic of FRONT is no rigid motion"),
+        (struct.pack("<d", 1.0), struct.pack("<d", -1.0), "extrinsic of FRONT is no rigid motion"),
+        (b"\x20\x30\x28\x40", b"\x20\x30\x28\x00", "FRONT is 48 x 0 pixels"),
+        (b"\x20\x30\x28\x40", b"\x20\x31\x28\x40", "FRONT: is 48 x 64 pixels; its camera has 49 x 64"),
+    ],
+)
+def test_a_damaged_calibration_is_named(open_shards, make_records, old, new, complaint):
+    (record,) = make_records("a", 1, cameras=(1,))
+    assert old in record
+    dataset = open_shards([record.replace(old, new)])
+    with pytest.raises(InputError, match=rf"record at byte 12: .*{complaint}"):
+        dataset.open("a", WHOLE, FRONT_ONLY)
 
 
 def test_unknown_drives_windows_and_folders_are_refused(open_shards, make_records, tmp_path):
