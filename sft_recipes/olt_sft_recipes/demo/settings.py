@@ -13,7 +13,7 @@ TRAINING_SEEDS, VALIDATION_SEEDS, EVALUATION_SEEDS, INPUT_SEED = 0, 1000, 2000, 
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """Sizes of the main job; with the defaults it takes about four minutes on two cores.
+    """Sizes of the main job; with the defaults it takes four to five minutes on two cores.
 
     Of the training clips only those frames are made that their samples show (`BuildOptions.frames`).
 
