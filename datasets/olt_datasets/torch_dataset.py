@@ -5,7 +5,7 @@ batches = MixtureBatchSampler(mixture, batch_size=8)
 for batch in DataLoader(dataset, batch_sampler=batches, num_workers=2): ...
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from typing import Any
 
@@ -30,6 +30,10 @@ class TorchMixtureDataset(Dataset[dict[str, Any]]):
 
     def __getitem__(self, key: SampleKey) -> dict[str, Any]:
         return to_tensors(self.samples.load(key))
+
+    def __getitems__(self, keys: Sequence[SampleKey]) -> list[dict[str, Any]]:
+        """A whole batch, as a DataLoader asks for it: every clip is decoded once."""
+        return [to_tensors(sample) for sample in self.samples.load_batch(keys)]
 
 
 class MixtureBatchSampler(Sampler[list[SampleKey]]):

@@ -38,7 +38,7 @@ from olt_toolkit.pai_tables import (
     to_bytes,
     vehicle_table,
 )
-from olt_toolkit.policy_window import Coverage, sample_times
+from olt_toolkit.policy_window import Coverage, frames_per_step, sample_times
 from olt_toolkit.rig import FRONT_WIDE
 
 # Members of a zip carry one fixed date, so that the same clips give the same bytes.
@@ -66,7 +66,8 @@ def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
     for camera, stream in clip.streams.items():
         feature = FEATURES[camera]
         timestamps_table(stream.timestamps_us).to_parquet(folder / feature.member(FRAME_TIMESTAMPS, clip.clip_id))
-        write_video(folder / feature.member(VIDEO, clip.clip_id), stream.frames, stream.frame_rate)
+        path = folder / feature.member(VIDEO, clip.clip_id)
+        write_video(path, stream.frames, stream.frame_rate, frames_per_step(stream.frame_rate))
     info = describe_clip(clip, _checksum_files(folder))
     write_clip_table(folder / CLIP_TABLE, [info])
     return info

@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole_folder
 from olt_generator.poses import Array, invert
-from olt_toolkit.chunk_archive import ChunkArchive
+from olt_toolkit.chunk_archive import ByteRange, ChunkArchive
 from olt_toolkit.clip import Clip, ClipInfo, EgoMotion, check_clip_id
 from olt_toolkit.clip_files import pack_chunk, write_clip_files, write_metadata
 from olt_toolkit.clip_table import CLIP_TABLE, read_clip_table, write_clip_table
-from olt_toolkit.clip_video import decode_frames
-from olt_toolkit.images import resize_images
+from olt_toolkit.clip_video import decode_frames, decode_images
 from olt_toolkit.pai_layout import (
     CALIBRATIONS,
     CAMERA_INTRINSICS,
@@ -241,7 +240,9 @@ class ClipStore:
                 f"{self.root}: clip {clip_id}: {camera} covers {timestamps_us[0]} to {timestamps_us[-1]} us; "
                 f"{times_us[0]} to {times_us[-1]} us was asked for"
             )
-        return self._newest_frames(clip_id, camera, timestamps_us, times_us)
+        indices = _newest(timestamps_us, times_us)
+        video, where = self._video(clip_id, camera)
+        return decode_frames(video, indices, where), timestamps_us[indices]
 
     def load_sample(self, key: SampleKey, image_size: tuple[int, int] | None = None) -> PolicySample:
         """Load what the public loader gives for a clip and t0, by the same rules.
@@ -284,22 +285,21 @@ class ClipStore:
 
         asked = np.array(t0s_us)[:, None] + IMAGE_OFFSETS_US
         query, places = np.unique(asked, return_inverse=True)
-        views = [self._newest_frames(clip_id, name, timestamps[name], query) for name in POLICY_CAMERAS]
-        scaled = [frames if image_size is None else resize_images(frames, *image_size[::-1]) for frames, _ in views]
-        if len({frames.shape for frames in scaled}) > 1:
+        indices = {name: _newest(timestamps[name], query) for name in POLICY_CAMERAS}
+        views = [self._decode(clip_id, name, indices[name], image_size) for name in POLICY_CAMERAS]
+        if len({images.shape for images in views}) > 1:
             raise InputError(f"{where}: its cameras have different image sizes; give an image size to scale them to")
-        images, shown = np.stack(scaled), np.stack([times for _, times in views])
+        images, shown = np.stack(views), np.stack([timestamps[name][indices[name]] for name in POLICY_CAMERAS])
         return [
             _assemble_sample(clip_id, t0_us, images[:, place], shown[:, place], motion)
             for t0_us, place in zip(t0s_us, places.reshape(asked.shape), strict=True)
         ]
 
-    def _newest_frames(
-        self, clip_id: str, camera: str, timestamps_us: NDArray[np.int64], times_us: NDArray[np.int64]
-    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-        indices = np.searchsorted(timestamps_us, times_us, side="right") - 1
-        video, where = self._member(clip_id, camera, VIDEO)
-        return decode_frames(video, indices, where), timestamps_us[indices]
+    def _decode(
+        self, clip_id: str, camera: str, indices: NDArray[np.int64], size: tuple[int, int] | None
+    ) -> NDArray[np.uint8]:
+        video, where = self._video(clip_id, camera)
+        return decode_images(video, indices, where, size)
 
     # Where things are
 
@@ -339,6 +339,11 @@ class ClipStore:
         archive, name = self._archive(clip_id, feature), FEATURES[feature].member(alias, clip_id)
         return archive.read(name), f"{archive.path}: {name}"
 
+    def _video(self, clip_id: str, camera: str) -> tuple[ByteRange | bytes, str]:
+        """A camera's video, in place where it is not compressed in its zip, and what to call it in errors."""
+        archive, name = self._archive(clip_id, camera), FEATURES[camera].member(VIDEO, clip_id)
+        return archive.locate(name) or archive.read(name), f"{archive.path}: {name}"
+
     def _archive(self, clip_id: str, feature: str) -> ChunkArchive:
         path = self._chunk_file(clip_id, feature)
         if path not in self._archives:
@@ -363,10 +368,10 @@ class ClipStore:
 def _assemble_sample(
     clip_id: str, t0_us: int, images: NDArray[np.uint8], shown_us: NDArray[np.int64], motion: EgoMotion
 ) -> PolicySample:
-    """A sample of images (4, 4, H, W, 3) that were taken at the times (4, 4)."""
+    """A sample of images (4, 4, 3, H, W) that were taken at the times (4, 4)."""
     history, future = _poses_at(motion, t0_us)
     return PolicySample(
-        image_frames=np.ascontiguousarray(images.transpose(0, 1, 4, 2, 3)),
+        image_frames=images,
         camera_indices=np.array([CAMERA_INDEX[name] for name in POLICY_CAMERAS], dtype=np.int64),
         ego_history_xyz=history[None, :, :3, 3].astype(np.float32),
         ego_history_rot=history[None, :, :3, :3].astype(np.float32),
@@ -377,6 +382,11 @@ def _assemble_sample(
         t0_us=t0_us,
         clip_id=clip_id,
     )
+
+
+def _newest(timestamps_us: NDArray[np.int64], times_us: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers (m,) of the newest frames at or before each time."""
+    return np.searchsorted(timestamps_us, times_us, side="right") - 1
 
 
 def _poses_at(motion: EgoMotion, t0_us: int) -> tuple[Array, Array]:

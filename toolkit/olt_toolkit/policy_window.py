@@ -79,6 +79,12 @@ def sampled_frames(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.union1d(shown[(shown >= first) & (shown <= last)], [last])
 
 
+def frames_per_step(frame_rate: float) -> int:
+    """How many frames follow each other in 0.1 s; 1 where that is no whole number."""
+    frames = frame_rate * STEP_US * 1e-6
+    return round(frames) if frames >= 1 and abs(frames - round(frames)) < 1e-6 else 1
+
+
 def check_sample_window(t0_us: int, coverage: Coverage, where: str) -> None:
     """Check that everything a sample at `t0_us` needs is there.
 

@@ -93,7 +93,7 @@ def read_video_window(path: Path, first_us: int, last_us: int, width: int = 832)
     return Video(frames, timestamps_us[inside], _mean_rate(timestamps_us[inside], declared_rate))
 
 
-def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fraction) -> None:
+def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fraction, grid: int = 1) -> None:
     """Write an H.264 mp4 that frame-accurate readers decode exactly.
 
     The rate is constant, times start at 0, one frame period is a whole number of ticks, and every 30th frame is a
@@ -103,6 +103,8 @@ def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fract
         path: where the file appears once it is whole.
         frames: (n, H, W, 3) uint8 RGB; height and width are even.
         frame_rate: frames per second.
+        grid: every frame whose number is a multiple of this can be decoded without the frames between, and decoding
+            is quick at the price of a larger file; 1 where all frames are wanted alike.
 
     Raises:
         InputError: no frames, odd sizes, or a rate that is not positive.
@@ -121,7 +123,11 @@ def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fract
         stream.time_base = 1 / rate
         stream.thread_count = 1
         stream.gop_size = KEY_FRAME_EVERY
-        stream.options = {"crf": QUALITY, "preset": "fast", "threads": "1", "bf": "0"}
+        stream.options = {"crf": QUALITY, "preset": "fast", "threads": "1", "bf": str(grid - 1)}
+        if grid > 1:
+            # Always as many B-frames, which no other frame refers to, between two frames of the grid; and variable
+            # length codes, which take a fifth more room than arithmetic ones and are decoded 1.7 times as fast.
+            stream.options |= {"x264-params": "b-adapt=0:b-pyramid=none:scenecut=0:cabac=0"}
         for index, image in enumerate(frames):
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
             frame.pts, frame.time_base = index, 1 / rate
