@@ -101,6 +101,15 @@ def test_a_damaged_scenario_is_refused(tmp_path, changed, complaint):
         dataset.drive(".")
 
 
+def test_a_file_that_is_no_table_is_refused_in_one_line(tmp_path):
+    folder = write_scenario(tmp_path)
+    # The length of the footer is right, the footer is not.
+    (folder / "scenario_0a1e.parquet").write_bytes(b"PAR1" + b"\xff" * 100 + b"\x64\0\0\0PAR1")
+    with pytest.raises(InputError, match=r"scenario_0a1e\.parquet: cannot be read") as caught:
+        DATASET.open(folder, tmp_path / "cache").drive(".")
+    assert "\n" not in str(caught.value)
+
+
 @pytest.mark.parametrize("changed", [{"qw": np.zeros(400)}, {"tx_m": np.full(400, np.inf)}])
 def test_a_damaged_log_is_refused(tmp_path, changed):
     dataset = open_dataset(write_log(tmp_path / "log", **changed), tmp_path / "cache")

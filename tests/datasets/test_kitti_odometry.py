@@ -67,6 +67,8 @@ def test_without_poses_there_is_no_reference(tmp_path):
         ("poses.txt", "1 0 0 0 0 1 0 0 0 0 1 0\n", "1 poses for 6 images"),
         ("times.txt", "0.0\nnow\n", "times.txt, line 2"),
         ("times.txt", "0.0\n", "1 times for 6 images"),
+        ("times.txt", "0.0\n0.1\n0.1\n0.3\n0.4\n0.5\n", r"times\.txt, line 3: its time is not after"),
+        ("times.txt", "0.0\nnan\n", r"times\.txt, line 2: .*not finite"),
         ("calib.txt", "", "calib.txt: is empty"),
     ],
 )
@@ -74,6 +76,13 @@ def test_a_wrong_file_is_named(tmp_path, name, text, message):
     folder = write_sequence(tmp_path / "06")
     (folder / name).write_text(text)
     with pytest.raises(InputError, match=message):
+        SOURCE.open(folder, OpenOptions())
+
+
+def test_a_file_that_is_no_text_is_named(tmp_path):
+    folder = write_sequence(tmp_path / "06")
+    (folder / "calib.txt").write_bytes(b"70 0 60 0 \xff\xfe")
+    with pytest.raises(InputError, match=r"calib\.txt, line 1"):
         SOURCE.open(folder, OpenOptions())
 
 

@@ -156,6 +156,7 @@ def test_duration_limits_the_drive(tmp_path):
         ("calib_imu_to_velo.txt", "0.3", "nan", "calib_imu_to_velo.txt: field T: .*finite"),
         ("calib_cam_to_cam.txt", "120.0 40.0", "130.0 40.0", "is 120 x 40 pixels, S_rect_02"),
         ("image_02_timestamps.txt", "13:10:50.2", "13:70:50.2", "line 3: .*no time of the form"),
+        ("image_02_timestamps.txt", "13:10:50.2", "13:10:50.0", "line 3: its time is not after the one before it"),
         ("oxts/0000000002.txt", "100.0", "", "0000000002.txt: has 29 numbers, 30"),
     ],
 )

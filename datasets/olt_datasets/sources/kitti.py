@@ -39,6 +39,18 @@ def decode_image(file: Path) -> NDArray[np.uint8]:
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
+def check_increasing(times: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
+    """The times (n,) as they are.
+
+    Raises:
+        InputError: one of them is not after the one before it.
+    """
+    wrong = np.flatnonzero(np.diff(times) <= 0)
+    if len(wrong):
+        raise InputError(f"{path}, line {wrong[0] + 2}: its time is not after the one before it; copy the drive again")
+    return times
+
+
 def usual_travel(T_world_body: Array) -> Array | None:
     """The usual direction of travel (3,) in the axes of a body with poses (n, 4, 4); None where it does not move."""
     steps = (invert(T_world_body[:-1]) @ T_world_body[1:])[:, :3, 3]

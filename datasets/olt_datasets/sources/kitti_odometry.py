@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.kitti import PASSAT, decode_image, list_images, trim_reference, usual_travel
+from olt_datasets.sources.kitti import PASSAT, check_increasing, decode_image, list_images, trim_reference, usual_travel
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, aim_camera, camera_pose_in_rig, invert
@@ -129,7 +129,7 @@ def _read_times(path: Path, count: int) -> tuple[NDArray[np.int64], tuple[str, .
     times = _read_rows(path / "times.txt", 1)[:, 0]
     if len(times) != count:
         raise InputError(f"{path / 'times.txt'}: {len(times)} times for {count} images; copy the sequence again")
-    return np.rint((times - times[0]) * 1e6).astype(np.int64), ()
+    return check_increasing(np.rint((times - times[0]) * 1e6).astype(np.int64), path / "times.txt"), ()
 
 
 def _read_poses(path: Path, count: int) -> Array | None:
@@ -153,7 +153,7 @@ def _mount(T_start_camera: Array | None) -> Array:
 def _read_rows(path: Path, count: int) -> Array:
     """Rows (n, count) of a text file; a name with a colon at the start of a line is left out."""
     rows = []
-    for number, line in enumerate(path.read_text().splitlines(), start=1):
+    for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
         words = [word for word in line.split() if not word.endswith(":")]
         try:
             values = [float(word) for word in words]
@@ -161,6 +161,8 @@ def _read_rows(path: Path, count: int) -> Array:
             raise InputError(f"{path}, line {number}: holds something that is no number; copy it again") from error
         if len(values) != count:
             raise InputError(f"{path}, line {number}: {len(values)} numbers instead of {count}; copy it again")
+        if not np.all(np.isfinite(values)):
+            raise InputError(f"{path}, line {number}: holds a number that is not finite; copy it again")
         rows.append(values)
     if not rows:
         raise InputError(f"{path}: is empty; copy it again")

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from olt_datasets.sources.kitti import PASSAT, decode_image, list_images, trim_reference, usual_travel
+from olt_datasets.sources.kitti import PASSAT, check_increasing, decode_image, list_images, trim_reference, usual_travel
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, make_pose
@@ -183,7 +183,7 @@ def _read_times(path: Path) -> NDArray[np.int64]:
             times.append(_parse_time(line.strip(), f"{path}: line {number}"))
     if len(times) < 2:
         raise InputError(f"{path}: holds {len(times)} timestamps; give a drive of at least 2 frames")
-    return np.array(times, dtype=np.int64)
+    return check_increasing(np.array(times, dtype=np.int64), path)
 
 
 def _parse_time(text: str, where: str) -> int:

@@ -196,7 +196,8 @@ def _table(path: Path, names: str) -> Columns:
         read = feather.read_table if path.suffix == ".feather" else parquet.read_table
         table = read(path, columns=columns)
     except (OSError, pyarrow.ArrowException) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give an unchanged copy of the log") from error
+        why = " ".join(str(error).split())
+        raise InputError(f"{path}: cannot be read ({why}); give an unchanged copy of the log") from error
     missing = [name for name in columns if name not in table.column_names]
     if missing:
         raise InputError(f"{path}: column {missing[0]} is missing; give an unchanged copy of the log")
