@@ -19,10 +19,15 @@ _TRAFFIC_CLEARANCE = 0.5
 _RECOVERY_LENGTH = 30.0
 
 
-def generate_scene(category: str, seed: int) -> Scene:
-    """Invent a scene; the same category and seed give the same scene.
+def generate_scene(category: str, seed: int, duration_us: int = DURATION_US) -> Scene:
+    """Invent a scene; the same category, seed and duration give the same scene.
 
     Half of the recordings start up to 0.6 m off the lane centre and a few degrees askew, and return to it.
+
+    Args:
+        category: one of `CATEGORIES`.
+        seed: which of its scenes.
+        duration_us: how long the recording lasts; the roads are long enough for 20 s.
 
     Raises:
         InputError: there is no such category.
@@ -38,7 +43,7 @@ def generate_scene(category: str, seed: int) -> Scene:
         cruise=generator.uniform(9.0, 13.5),
     )
     event = EVENTS[category](road, approach, generator)
-    ego = drive(road, _intend(road, approach, event, generator), DURATION_US)
+    ego = drive(road, _intend(road, approach, event, generator), duration_us)
     agents = event.place_agents(ego)
     agents += _oncoming_traffic(road, ego, agents, generator)
     return Scene(
