@@ -22,6 +22,9 @@ from olt_toolkit.rig import POLICY_CAMERAS
 from olt_toolkit.source_choice import SourceChoice
 from olt_toolkit.workers import Engine, map_parallel, use_one_thread
 
+# Data sets whose images a renderer made and no camera took.
+_RENDERED_SOURCES = frozenset({"synthetic"})
+
 
 @dataclass(frozen=True)
 class RowJob:
@@ -125,6 +128,7 @@ def _build(job: RowJob) -> dict:
         split=row.split,
         origin=row.origin,
         sample_t0_us=row.sample_t0_us,
+        image_kind="rendered" if row.source in _RENDERED_SOURCES else "observed",
         use_reference_views=real_views,
         use_reference_motion=recording.reference is not None,
     )

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from olt_toolkit.clip import Split
+from olt_datasets.choices import SplitName
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.workers import Engine
 
@@ -27,7 +27,7 @@ def export(
     ],
     out: Annotated[Path, typer.Option(help="Folder that is made; it appears when it is complete.")],
     layout: Annotated[Format, typer.Option("--format", help="Layout of the export.")] = Format.PAI,
-    split: Annotated[Split, typer.Option(help="Which split of clip stores; a mixture has its own.")] = "train",
+    split: Annotated[SplitName, typer.Option(help="Which split of clip stores; a mixture has its own.")] = "train",
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged clips and list them.")] = False,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
@@ -59,7 +59,7 @@ def export(
         raise InputError(f"{len(summary['failures'])} clips could not be exported; the others are in {out}")
 
 
-def _contents(inputs: list[Path], split: Split) -> "Contents":
+def _contents(inputs: list[Path], split: SplitName) -> "Contents":
     from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
     from olt_datasets.plan import PLAN_SUFFIXES, read_plan
     from olt_generator.errors import InputError
