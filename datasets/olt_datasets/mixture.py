@@ -6,6 +6,7 @@ the same samples in every recipe with the same seed, and a larger count keeps th
 training runs differ in nothing but what their recipes say.
 """
 
+import hashlib
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
@@ -18,7 +19,6 @@ import polars as pl
 from numpy.typing import NDArray
 
 from olt_datasets.batches import batch_counts
-from olt_datasets.clip_table import table_checksum
 from olt_datasets.draws import PRIORITY, draw_samples
 from olt_datasets.leaks import Leak, find_leaks, summarize_leaks
 from olt_datasets.recipe import Component, Recipe
@@ -86,14 +86,12 @@ class Mixture:
     Attributes:
         recipe: the recipe.
         seed: seed of every draw.
-        table_checksum: checksum of the clip table.
         items: items per epoch.
         components: what each component gives, in the order of the recipe.
     """
 
     recipe: Recipe
     seed: int
-    table_checksum: str
     items: int
     components: tuple[MixtureComponent, ...]
 
@@ -146,7 +144,7 @@ class Mixture:
             "recipe": self.recipe.name,
             "split": self.recipe.split,
             "seed": self.seed,
-            "table_checksum": self.table_checksum,
+            "checksum": self.checksum,
             "epoch": epoch,
             "samples_per_epoch": self.items,
             "distinct_samples": len(self.samples),
@@ -159,6 +157,15 @@ class Mixture:
     def samples(self) -> pl.DataFrame:
         """The distinct samples of all components, one after the other, with the columns of `SAMPLE_SCHEMA`."""
         return pl.concat([SAMPLE_SCHEMA.to_frame(), *(part.samples for part in self.components)])
+
+    @cached_property
+    def checksum(self) -> str:
+        """BLAKE2b (16 bytes, hexadecimal) of the samples of every component; moving a store does not change it."""
+        digest = hashlib.blake2b(digest_size=16)
+        for part in self.components:
+            lines = part.samples.select(pl.concat_str("clip_id", "t0_us", separator=" ")).to_series()
+            digest.update("\n".join([part.component.name, *lines, ""]).encode())
+        return digest.hexdigest()
 
     def _component_rows(self, epoch: int) -> list[Rows]:
         """For each component, the rows of `samples` that it gives to an epoch, in the order of their use."""
@@ -237,7 +244,7 @@ def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes
         MixtureComponent(selection.component, selection.available, samples.select(SAMPLE_SCHEMA.names()))
         for selection, samples in zip(selections, drawn, strict=True)
     ]
-    return Mixture(recipe, seed, table_checksum(table), items, tuple(components))
+    return Mixture(recipe, seed, items, tuple(components))
 
 
 def check_recipe(recipe: Recipe, table: ClipTable, held_out_scenes: Collection[str] = ()) -> dict[str, list[str]]:

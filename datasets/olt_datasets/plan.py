@@ -31,7 +31,7 @@ class _Plan(BaseModel):
     created_with: str = __version__
     recipe: Recipe
     seed: int
-    table_checksum: str
+    checksum: str
     items: int
     available: list[int]
     distinct: list[int]
@@ -55,7 +55,7 @@ def write_plan(mixture: Mixture, path: Path) -> None:
     plan = _Plan(
         recipe=mixture.recipe,
         seed=mixture.seed,
-        table_checksum=mixture.table_checksum,
+        checksum=mixture.checksum,
         items=mixture.items,
         available=[part.available for part in mixture.components],
         distinct=[len(part.samples) for part in mixture.components],
@@ -90,7 +90,10 @@ def read_plan(path: Path) -> Mixture:
         raise InputError(f"{path}: samples: some are missing; compose the mixture again")
     parts = [samples.slice(sum(plan.distinct[:index]), count) for index, count in enumerate(plan.distinct)]
     components = map(MixtureComponent, plan.recipe.components, plan.available, parts)
-    return Mixture(plan.recipe, plan.seed, plan.table_checksum, plan.items, tuple(components))
+    mixture = Mixture(plan.recipe, plan.seed, plan.items, tuple(components))
+    if mixture.checksum != plan.checksum:
+        raise InputError(f"{path}: samples: not those that were composed; compose the mixture again")
+    return mixture
 
 
 def _read_json(path: Path) -> tuple[_Plan, pl.DataFrame]:

@@ -104,6 +104,7 @@ def test_check_lists_shortages_and_leaks(stores, write_store, make_clip):
         (lambda plan: plan["recipe"]["components"][0].update(share=0.4), "recipe: Value error, the shares sum to 0.9"),
         (lambda plan: plan["distinct"].insert(0, plan["distinct"].pop() + 1), "samples: some are missing"),
         (lambda plan: plan["samples"]["clip_id"].__setitem__(3, None), "samples: some are missing"),
+        (lambda plan: plan["samples"]["t0_us"].reverse(), "samples: not those that were composed"),
         (lambda plan: plan["samples"]["t0_us"].pop(), "not a mixture ("),
         (lambda plan: plan["samples"]["t0_us"].__setitem__(3, "soon"), "not a mixture ("),
         (lambda plan: plan.update(samples=[1, 2]), "not a mixture ("),

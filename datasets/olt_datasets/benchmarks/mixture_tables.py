@@ -18,7 +18,7 @@ from olt_generator.seeds import make_generator
 from olt_toolkit.benchmark_runner import resident_mib
 from olt_toolkit.clip_table import SCHEMA
 
-ROWS_AT_ONCE = 500_000
+ROWS_AT_ONCE = 100_000
 LONG_TAIL = ("cyclists", "work_zone", "uncommon_vehicle", "animal")
 SAMPLE_TIMES_US = (1_700_000, 5_100_000, 8_500_000, 11_900_000)
 
