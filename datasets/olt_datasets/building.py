@@ -8,6 +8,7 @@ again leaves the same bytes as one that was not.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from olt_datasets.choices import BuiltKind
 from olt_datasets.indexing import DatasetPlace
@@ -108,7 +109,7 @@ def _build_or_report(job: RowJob) -> Outcome:
         return Outcome(name, "failed", message=str(error))
 
 
-def _build(job: RowJob) -> dict:
+def _build(job: RowJob) -> dict[str, Any]:
     assert job.row.split is not None  # find_buildable refuses other rows
     row, real_views = job.row, job.kind is BuiltKind.GT
     dataset = job.place.open()

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_datasets.choices import PAPER_FRAMES, PAPER_STRIDE, SampleChoice
 from olt_datasets.drives import Drive
@@ -77,7 +78,7 @@ def find_windows(drive: Drive, cutting: Cutting) -> Iterator[Span]:
         yield from _windows_of_duration(times, round(1e6 * cutting.seconds))
 
 
-def _windows_of_duration(times: np.ndarray, duration_us: int) -> Iterator[Span]:
+def _windows_of_duration(times: NDArray[np.int64], duration_us: int) -> Iterator[Span]:
     spacing = int(np.median(np.diff(times)))
     count = int(times[-1] + spacing) // duration_us
     edges = np.searchsorted(times, duration_us * np.arange(count + 1))

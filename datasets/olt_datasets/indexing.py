@@ -126,7 +126,9 @@ def index_dataset(
     """
     if table.suffix != TABLE_SUFFIX:
         raise InputError(f"{table}: a table of clips is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
-    before = scan_clip_tables([table]).select("clip_id", "checksum") if table.is_file() else None
+    known = table if table.is_file() else None
+    if known is not None:
+        scan_clip_tables([known])  # refuses a table that cannot be used before any drive is described
     keys = place.open().keys()
     if not keys:
         raise InputError(f"{place.root}: the data set has no drive; check that its files are unpacked")
@@ -135,7 +137,7 @@ def index_dataset(
         parts = _parts(place, keys, cutting, keep_going, Path(folder))
         outcomes = map_parallel(_index_part, parts, workers, on_progress, engine)
         clips = sum(outcome.clips for outcome in outcomes)
-        kept = _merge([part.file for part in parts], clips, table, None if before is None else table)
+        kept = _merge([part.file for part in parts], clips, table, known)
     return IndexSummary(
         source=place.open().source,
         drives=len(keys),
@@ -180,15 +182,15 @@ def _index_part(part: _Part) -> _PartOutcome:
     return _PartOutcome(len(rows), without_clips, failed)
 
 
-def _merge(parts: list[Path], clips: int, table: Path, before: Path | None) -> int:
-    """Write the rows of all parts by clip id; returns how many were taken from the table before."""
-    kept = 0
-    fresh, known = pl.scan_parquet(parts), None if before is None else pl.scan_parquet(before)
+def _merge(parts: list[Path], clips: int, table: Path, known: Path | None) -> int:
+    """Write the rows of all parts by clip id; returns how many were taken from the table that is known already."""
+    kept, fresh = 0, pl.scan_parquet(parts)
     with write_whole(table) as temporary, pq.ParquetWriter(temporary, SCHEMA, compression="zstd") as writer:
         for in_range in _id_ranges(math.ceil(clips / _ROWS_AT_ONCE)):
             rows = fresh.filter(in_range).collect()
             if known is not None:
-                same = known.filter(in_range).join(rows.lazy(), on=("clip_id", "checksum"), how="semi").collect()
+                before = pl.scan_parquet(known).filter(in_range)
+                same = before.join(rows.lazy(), on=("clip_id", "checksum"), how="semi").collect()
                 kept += len(same)
                 rows = pl.concat([rows.join(same, on="clip_id", how="anti"), same])
             rows = rows.sort("clip_id")
