@@ -1,6 +1,10 @@
+from collections import Counter
+
 import numpy as np
 import pytest
 import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from torch.utils.data import DataLoader
 
 from olt_datasets.clip_table import read_clip_tables
@@ -63,6 +67,19 @@ def test_each_store_is_opened_once(mixture):
     assert sorted(opened) == ["/a", "/b"]
 
 
+def test_a_data_loader_asks_for_a_batch_at_once_so_that_clips_are_decoded_once(mixture):
+    asked = []
+
+    class CountingStore(StubStore):
+        def load_samples(self, keys, image_size=None):
+            asked.append(list(keys))
+            return super().load_samples(keys, image_size)
+
+    dataset = TorchMixtureDataset(MixtureDataset(mixture, IMAGE_SIZE, CountingStore))
+    next(iter(DataLoader(dataset, batch_sampler=MixtureBatchSampler(mixture, batch_size=16))))
+    assert asked == [mixture.epoch(0, 16)[0]]
+
+
 def test_missing_store_is_an_error_in_words(mixture, tmp_path):
     with pytest.raises(InputError, match="not a clip store"):
         MixtureDataset(mixture, IMAGE_SIZE).load(SampleKey(str(tmp_path), "no clip", 0))
@@ -89,6 +106,42 @@ def test_sampler_resumes_within_any_epoch(mixture):
     batches.set_epoch(2, start_batch=5)
     assert list(batches) == mixture.epoch(2, 8)[5:]
     assert len(batches) == len(mixture.epoch(2, 8)) - 5
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    stop=st.integers(0, 22),
+    before=st.sampled_from([(1, 1), (2, 3), (8, 1)]),
+    after=st.sampled_from([(4, 2), (3, 4), (24, 1)]),
+)
+def test_ranks_and_accumulation_may_change_within_an_epoch(mixture, stop, before, after):
+    """512 samples in global batches of 24: every one is given once, however many ranks there are on the way."""
+
+    def keys_of(ranks, accumulation, epoch_batches):
+        samplers = [MixtureBatchSampler(mixture, 24, rank, ranks, accumulation) for rank in range(ranks)]
+        for sampler in samplers:
+            sampler.set_epoch(1, epoch_batches.start)
+        whole = (epoch_batches.stop - epoch_batches.start) * accumulation
+        return [key for sampler in samplers for part in list(sampler)[:whole] for key in part]
+
+    last = 512 // 24  # the partial batch, in which some ranks take an item again
+    got = keys_of(*before, range(min(stop, last))) + keys_of(*after, range(min(stop, last), last))
+    expected = [key for batch in mixture.epoch(1, 24)[:last] for key in batch]
+    assert Counter(got) == Counter(expected)
+
+
+def test_accumulation_divides_a_rank_s_part(mixture):
+    parts = list(MixtureBatchSampler(mixture, 32, rank=3, world_size=8, accumulation=4))
+    whole = mixture.epoch(0, 32, rank=3, world_size=8)
+    assert {len(part) for part in parts} == {1} and len(parts) == 4 * len(whole)
+    assert [key for part in parts for key in part] == [key for batch in whole for key in batch]
+    with pytest.raises(InputError, match="32 must be a multiple of 8 ranks x 3 passes"):
+        MixtureBatchSampler(mixture, 32, rank=3, world_size=8, accumulation=3)
+
+
+def test_a_recipe_without_samples_feeds_no_training(toy_table):
+    with pytest.raises(InputError, match="recipe base_r1 has no samples to train on"):
+        MixtureBatchSampler(compose_mixture(builtin_recipe("base_r1"), toy_table, seed=0), 8)
 
 
 def test_ranks_step_alike_in_a_partial_batch(toy_table):

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from olt_generator.errors import InputError
 from olt_generator.video import write_video
 from olt_toolkit.chunk_archive import ByteRange
-from olt_toolkit.clip_video import decode_frames, decode_images
+from olt_toolkit.clip_video import check_video, decode_frames, decode_images
 from olt_toolkit.mp4_index import read_mp4_index
 
 COUNT, HEIGHT, WIDTH = 50, 96, 160
@@ -141,6 +141,28 @@ def test_frames_between_those_of_the_grid_are_not_needed(videos):
 def test_a_frame_that_is_not_there_is_named(videos, name):
     with pytest.raises(InputError, match=f"has no frame {COUNT}, which its timestamps promise"):
         decode_frames(videos[name][0], np.array([3, COUNT]), "video")
+
+
+@pytest.mark.parametrize("name", [*KINDS, "grid"])
+def test_videos_are_checked_against_their_timestamps(videos, name):
+    check_video(videos[name][0], COUNT, "video")
+    with pytest.raises(InputError, match="video: the video has"):
+        check_video(videos[name][0], COUNT + 1, "video")
+
+
+def test_a_video_of_changing_rate_is_refused(tmp_path):
+    path = tmp_path / "changing.mp4"
+    with av.open(str(path), "w") as file:
+        stream = file.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt, stream.options = WIDTH, HEIGHT, "yuv420p", PLAIN
+        stream.time_base = Fraction(1, 300)
+        for index, image in enumerate(moving_picture()):
+            frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+            frame.pts, frame.time_base = 10 * index + (0 if index < 20 else 7 * (index - 20)), Fraction(1, 300)
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode())
+    with pytest.raises(InputError, match="video: the video has no frame"):
+        check_video(path.read_bytes(), COUNT, "video")
 
 
 @pytest.mark.parametrize("length", [0, 3, 200, 4000])

@@ -24,7 +24,7 @@ from olt_toolkit.chunk_archive import ByteRange, ChunkArchive
 from olt_toolkit.clip import Clip, ClipInfo, EgoMotion, check_clip_id
 from olt_toolkit.clip_files import pack_chunk, write_clip_files, write_metadata
 from olt_toolkit.clip_table import CLIP_TABLE, read_clip_table, write_clip_table
-from olt_toolkit.clip_video import decode_frames, decode_images
+from olt_toolkit.clip_video import check_video, decode_frames, decode_images
 from olt_toolkit.pai_layout import (
     CALIBRATIONS,
     CAMERA_INTRINSICS,
@@ -164,7 +164,7 @@ class ClipStore:
         return by_chunk
 
     def check(self, clip_id: str, t0s_us: Sequence[int]) -> None:
-        """Check that a clip's tables can be read, that its videos are there, and that it gives samples at these times.
+        """Check that a clip's tables can be read, that its videos have their frames, and that it gives these samples.
 
         Raises:
             InputError: naming the file and what is wrong with it.
@@ -176,7 +176,8 @@ class ClipStore:
         for t0_us in t0s_us:
             check_sample_window(t0_us, coverage, f"{self.root}: clip {clip_id}")
         for camera in info.views:
-            self._archive(clip_id, camera).locate(FEATURES[camera].member(VIDEO, clip_id))
+            video, where = self._video(clip_id, camera)
+            check_video(video, len(timestamps[camera]), where)
         for feature in CALIBRATIONS:
             self.read_rows(clip_id, feature)
 
@@ -289,9 +290,9 @@ class ClipStore:
         views = [self._decode(clip_id, name, indices[name], image_size) for name in POLICY_CAMERAS]
         if len({images.shape for images in views}) > 1:
             raise InputError(f"{where}: its cameras have different image sizes; give an image size to scale them to")
-        images, shown = np.stack(views), np.stack([timestamps[name][indices[name]] for name in POLICY_CAMERAS])
+        shown = np.stack([timestamps[name][indices[name]] for name in POLICY_CAMERAS])
         return [
-            _assemble_sample(clip_id, t0_us, images[:, place], shown[:, place], motion)
+            _assemble_sample(clip_id, t0_us, _pick(views, place), shown[:, place], motion)
             for t0_us, place in zip(t0s_us, places.reshape(asked.shape), strict=True)
         ]
 
@@ -382,6 +383,14 @@ def _assemble_sample(
         t0_us=t0_us,
         clip_id=clip_id,
     )
+
+
+def _pick(views: Sequence[NDArray[np.uint8]], places: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Images (cameras, len(places), 3, H, W) at the same places of each view."""
+    picked = np.empty((len(views), len(places), *views[0].shape[1:]), np.uint8)
+    for target, images in zip(picked, views, strict=True):
+        np.take(images, places, axis=0, out=target)
+    return picked
 
 
 def _newest(timestamps_us: NDArray[np.int64], times_us: NDArray[np.int64]) -> NDArray[np.int64]:

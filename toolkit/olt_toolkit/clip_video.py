@@ -58,6 +58,20 @@ def decode_images(
     return _decode(video, indices, where, _planes_converter(size))
 
 
+def check_video(video: ByteRange | bytes, count: int, where: str) -> None:
+    """Check that the public reader finds `count` frames; decodes them only where the file's tables do not tell.
+
+    Raises:
+        InputError: the video is damaged, of changing rate, or has fewer frames.
+    """
+    with _open(video) as (read, length):
+        index = read_mp4_index(read, length)
+    if index is None:
+        decode_frames(video, np.arange(count), where)
+    elif len(index.shown) < count:
+        raise InputError(f"{where}: the video has {len(index.shown)} frames for {count} timestamps; build it again")
+
+
 def _decode(video: ByteRange | bytes, indices: NDArray[np.int64], where: str, convert: Convert) -> NDArray[np.uint8]:
     wanted = np.unique(indices)
     try:

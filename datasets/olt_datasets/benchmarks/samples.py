@@ -95,11 +95,10 @@ def make_frames(width: int, height: int) -> Images:
 
 def prepare_ours(size: tuple[int, int], together: bool) -> Callable[[], Judged]:
     """Our loader: every sample by itself, or all samples of the clip in one pass through its videos."""
-    root = exported_clip(*size)
-    keys = [SampleKey(str(root), CLIP_ID, t0_us) for t0_us in T0S_US]
+    store = ClipStore(exported_clip(*size))
+    keys = [SampleKey(str(store.root), CLIP_ID, t0_us) for t0_us in T0S_US]
 
     def load() -> Judged:
-        store = ClipStore(root)
         batches = [keys] if together else [[key] for key in keys]
         samples = [sample for batch in batches for sample in store.load_samples(batch, IMAGE_SIZE)]
         return size, np.stack([sample.image_frames for sample in samples])

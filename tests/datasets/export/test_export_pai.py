@@ -9,19 +9,21 @@ from typer.testing import CliRunner
 
 from olt_datasets.clip_table import read_clip_tables
 from olt_datasets.commands.data import app
+from olt_datasets.dataset import MixtureDataset
 from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
 from olt_datasets.export.options import WorkOptions
 from olt_datasets.export.pai import export_pai
 from olt_datasets.mixture import compose_mixture
 from olt_datasets.plan import write_plan
 from olt_datasets.recipe import Recipe
+from olt_datasets.torch_dataset import TorchMixtureDataset
 from olt_generator.errors import InputError
 from olt_toolkit.clip import make_clip_id
 from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.rig import CROSS_LEFT, POLICY_CAMERAS
 from olt_toolkit.sample import SampleKey
 
-TIMES_US = (1_700_000, 1_800_000, 1_900_000, 2_000_000, 2_100_000)
+IMAGE_SIZE = (320, 576)
 A, B, C, D, E = (make_clip_id(name) for name in "abcde")
 HELD_OUT, SHORT = make_clip_id("held out"), make_clip_id("short")
 
@@ -113,6 +115,29 @@ def test_the_devkit_reads_every_clip_without_a_warning(
             assert set(lenses.keys()) == set(POLICY_CAMERAS)
             assert set(devkit.get_clip_feature(clip_id, "sensor_extrinsics").sensor_poses) == set(POLICY_CAMERAS)
             assert devkit.get_clip_feature(clip_id, "vehicle_dimensions").wheelbase == 2.85
+
+
+def test_the_torch_dataset_yields_the_dict_of_the_public_loader(mixture, mixed):
+    torch = pytest.importorskip("torch")
+    key = mixture.epoch(0, 4)[0][0]
+    item = TorchMixtureDataset(MixtureDataset(mixture, IMAGE_SIZE))[key]
+    # facts sheet pai_dataset, section 9, after the recipes' dataset has removed the first axis of the ego tensors
+    expected = {
+        "image_frames": ((4, 4, 3, *IMAGE_SIZE), torch.uint8),
+        "camera_indices": ((4,), torch.int64),
+        "ego_history_xyz": ((1, 16, 3), torch.float32),
+        "ego_history_rot": ((1, 16, 3, 3), torch.float32),
+        "ego_future_xyz": ((1, 64, 3), torch.float32),
+        "ego_future_rot": ((1, 64, 3, 3), torch.float32),
+        "relative_timestamps": ((4, 4), torch.float32),
+        "absolute_timestamps": ((4, 4), torch.int64),
+    }
+    assert item.keys() == expected.keys() | {"t0_us", "clip_id"}
+    assert {name: (tuple(item[name].shape), item[name].dtype) for name in expected} == expected
+    assert item["camera_indices"].tolist() == [0, 1, 2, 6] and (item["t0_us"], item["clip_id"]) == (
+        key.t0_us,
+        key.clip_id,
+    )
 
 
 def test_the_recipes_find_every_file_and_time_by_their_rules(mixed, recipe_reader, read_parquet_bytes):
