@@ -22,6 +22,8 @@ from olt_toolkit.clip_store import CLIPS_PER_CHUNK, ClipStore
 from olt_toolkit.pai_layout import CALIBRATIONS, FEATURES
 
 How = Literal["linked", "copied", "packed"]
+Member = tuple[str, str, bytes]
+"""Feature, name in the chunk's zip, and content."""
 
 
 @dataclass(frozen=True)
@@ -123,37 +125,53 @@ def _link_chunk(root: Path, plan: ChunkPlan, keep_going: bool) -> ChunkResult | 
 def _pack_chunk(root: Path, plan: ChunkPlan, keep_going: bool) -> ChunkResult:
     failures: dict[str, str] = {}
     listed: list[str] = []
-    tables: dict[str, list[pd.DataFrame]] = {name: [] for name in CALIBRATIONS}
-    stores: dict[Path, ClipStore] = {}
+    stores = {store: ClipStore(store) for store in {item.store for item in plan.items}}
     with ExitStack() as stack:
-        archives: dict[str, zipfile.ZipFile] = {}
+        chunk = _ChunkWriter(root, plan.number, stack)
         for item in plan.items:
-            store = stores.setdefault(item.store, ClipStore(item.store))
             try:
-                store.check(item.clip_id, item.t0s_us)
-                members, rows = _read_clip(store, item)
+                members, rows = _read_clip(stores[item.store], item)
             except InputError as error:
                 if not keep_going:
                     raise
                 failures[item.listed_as] = str(error)
                 continue
-            for feature, name, data in members:
-                path = FEATURES[feature].chunk_file(root, plan.number)
-                if feature not in archives:
-                    temporary = stack.enter_context(write_file(path))
-                    archives[feature] = stack.enter_context(zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED))
-                with naming(path):
-                    add_member(archives[feature], name, data)
-            for feature, table in rows.items():
-                tables[feature].append(table)
+            chunk.add(members, rows)
             listed.append(item.listed_as)
     if listed:
-        _write_calibration(root, plan.number, tables)
+        chunk.write_calibration()
     return ChunkResult("packed", _chunk_size(root, plan.number), listed, failures)
 
 
-def _read_clip(store: ClipStore, item: ExportItem) -> tuple[list[tuple[str, str, bytes]], dict[str, pd.DataFrame]]:
-    """Members of a clip as (feature, name in the export, data), and its rows of the calibration tables."""
+class _ChunkWriter:
+    """Collects clips into the files of one chunk; the archives appear when `stack` is left."""
+
+    def __init__(self, root: Path, number: int, stack: ExitStack) -> None:
+        self._root, self._number, self._stack = root, number, stack
+        self._archives: dict[str, zipfile.ZipFile] = {}
+        self._tables: dict[str, list[pd.DataFrame]] = {name: [] for name in CALIBRATIONS}
+
+    def add(self, members: Sequence[Member], rows: dict[str, pd.DataFrame]) -> None:
+        for feature, name, data in members:
+            path = FEATURES[feature].chunk_file(self._root, self._number)
+            if feature not in self._archives:
+                temporary = self._stack.enter_context(write_file(path))
+                archive = zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED)
+                self._archives[feature] = self._stack.enter_context(archive)
+            with naming(path):
+                add_member(self._archives[feature], name, data)
+        for feature, table in rows.items():
+            self._tables[feature].append(table)
+
+    def write_calibration(self) -> None:
+        for name, rows in self._tables.items():
+            with write_file(FEATURES[name].chunk_file(self._root, self._number)) as temporary:
+                pd.concat(rows).to_parquet(temporary)
+
+
+def _read_clip(store: ClipStore, item: ExportItem) -> tuple[list[Member], dict[str, pd.DataFrame]]:
+    """Members of a clip, checked, and its rows of the calibration tables, all under its id in the export."""
+    store.check(item.clip_id, item.t0s_us)
     info = store.info(item.clip_id)
     members = [
         (feature.name, feature.member(alias, item.listed_as), store.read_member(item.clip_id, feature.name, alias))
@@ -170,12 +188,6 @@ def _rename(rows: pd.DataFrame, clip_id: str) -> pd.DataFrame:
         keys = [(clip_id, *key[1:]) for key in rows.index]
         return rows.set_axis(pd.MultiIndex.from_tuples(keys, names=rows.index.names))
     return rows.set_axis(pd.Index([clip_id] * len(rows), name=rows.index.name))
-
-
-def _write_calibration(root: Path, number: int, tables: dict[str, list[pd.DataFrame]]) -> None:
-    for name, rows in tables.items():
-        with write_file(FEATURES[name].chunk_file(root, number)) as temporary:
-            pd.concat(rows).to_parquet(temporary)
 
 
 def _chunk_size(root: Path, number: int) -> int:
