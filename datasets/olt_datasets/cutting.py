@@ -18,9 +18,7 @@ from olt_toolkit import __version__
 from olt_toolkit.clip import ClipInfo, Origin, make_clip_id
 from olt_toolkit.policy_window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, STEP_US, Coverage, Span, sample_times
 from olt_toolkit.rig import POLICY_CAMERAS
-
-# The moment at which the public loaders sample a clip that has no events.
-KEYFRAME_US = 5_100_000
+from olt_toolkit.sample import KEYFRAME_US
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,7 @@ import polars as pl
 
 from olt_datasets.recipe import Component
 from olt_generator.seeds import make_generator
-
-KEYFRAME_US = 5_100_000
-"""The time t0 that the public loader takes by default (facts sheet pai_dataset, section 9)."""
+from olt_toolkit.sample import KEYFRAME_US
 
 # The last 48 bytes of a scene's id count; those that end alike have ties, which is harmless.
 SCENE_WORDS = 6

@@ -5,6 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+KEYFRAME_US = 5_100_000
+"""The time t0 at which the public loader samples a clip that has no events (facts sheet pai_dataset, section 9)."""
+
 
 @dataclass(frozen=True, order=True)
 class SampleKey:
