@@ -1,13 +1,14 @@
-"""`olt data`: index data sets, split them, check them for leaks, build their clips and export them."""
+"""`olt data`: index data sets, label and split them, check them for leaks, build their clips and export them."""
 
 import typer
 
 from olt_datasets.commands.build import build
 from olt_datasets.commands.export import export
 from olt_datasets.commands.index import check, index, split
+from olt_datasets.commands.label import label
 
 app = typer.Typer(
-    add_completion=False, no_args_is_help=True, help="Index, split, check, build and export driving data sets."
+    add_completion=False, no_args_is_help=True, help="Index, label, split, check, build and export driving data sets."
 )
 
 
@@ -21,5 +22,5 @@ def sources() -> None:
     print_table("Data sets", ("source", "licence", "access"), rows)
 
 
-for command in (index, split, check, build, export):
+for command in (index, label, split, check, build, export):
     app.command()(command)
