@@ -13,7 +13,7 @@ from olt_toolkit.clip import Origin
 
 NOMINAL = {"name": "nominal", "where": {"kind": "GT", "category": ["nominal"]}}
 WORK_ZONES = {"name": "work_zones", "where": {"kind": "Syn", "category": ["work_zone"]}}
-SETTINGS = settings(max_examples=40, deadline=None)
+SETTINGS = settings(max_examples=25, deadline=None)
 
 
 def make_recipe(*components, **fields):
