@@ -14,12 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
-from olt_toolkit.clip import Split
+from olt_toolkit.clip import UNLABELLED, Split
 from olt_toolkit.policy_window import Span
 from olt_toolkit.recording import OpenOptions, Recording
-
-UNLABELLED = "unlabelled"
-"""Category of a drive that nobody sorted: never taken for nominal."""
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,9 @@ ViewKind = Literal["observed", "cropped", "mosaic", "rendered", "warped"]
 
 Split = Literal["train", "val", "test"]
 
+UNLABELLED = "unlabelled"
+"""Category of what nobody sorted: never taken for nominal."""
+
 # Below this speed (m/s) a curvature is a ratio of two noises; a standing vehicle is given curvature 0.
 STANDSTILL_SPEED = 0.3
 
@@ -172,7 +175,7 @@ class Clip:
         source: the reader of the recording.
         origin: what it was cut from, and when.
         kind: whether all views are true images.
-        category: long-tail category, or "nominal".
+        category: long-tail category, "nominal", or `UNLABELLED`.
         factors: scene factors that hold.
         split: training split.
         streams: camera streams by camera name.

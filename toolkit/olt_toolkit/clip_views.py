@@ -18,7 +18,7 @@ from olt_generator.views.lookback import LOOKBACK_LATENTS
 from olt_generator.views.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
 from olt_generator.views.tele import crop_tele, tele_camera
 from olt_toolkit import __version__
-from olt_toolkit.clip import Origin, Split, ViewKind, ViewProvenance
+from olt_toolkit.clip import UNLABELLED, Origin, Split, ViewKind, ViewProvenance
 from olt_toolkit.images import fit_images
 from olt_toolkit.recording import Recording
 from olt_toolkit.rig import FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, Rig, pav_rig
@@ -61,7 +61,7 @@ class BuildOptions:
     image_kind: ViewKind = "observed"
     name: str | None = None
     scene_id: str | None = None
-    category: str = "nominal"
+    category: str = UNLABELLED
     factors: tuple[str, ...] = ()
     split: Split = "train"
     origin: Origin | None = None

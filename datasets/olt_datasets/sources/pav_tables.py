@@ -10,9 +10,8 @@ from typing import Any, get_args
 import numpy as np
 import pandas as pd
 
-from olt_datasets.drives import UNLABELLED
 from olt_generator.errors import InputError
-from olt_toolkit.clip import Split, check_clip_id
+from olt_toolkit.clip import UNLABELLED, Split, check_clip_id
 from olt_toolkit.pai_layout import CLIP_INDEX, DATA_COLLECTION, FEATURE_PRESENCE, FEATURES
 from olt_toolkit.pai_tables import read_indexed
 

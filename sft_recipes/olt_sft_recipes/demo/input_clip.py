@@ -64,7 +64,7 @@ def open_video(video: Path, settings: DemoSettings) -> Recording:
 def _take_input(order: InputOrder) -> tuple[Recording, BuildOptions]:
     """The recording and how its clip is built; a user's video has no category and no scene factors that are known."""
     height, width = order.settings.input_size
-    options = BuildOptions(width=width, height=height, category="unlabelled", seed=order.settings.seed, name="input")
+    options = BuildOptions(width=width, height=height, seed=order.settings.seed, name="input")
     if isinstance(order.input, Recording):
         return order.input, options
     scene = read_scene(order.input)

@@ -42,6 +42,8 @@ def build(
     recording: Annotated[Path, typer.Argument(metavar="INPUT", help="A video, a drive folder, or a folder of them.")],
     out: Annotated[Path, typer.Option(help="Folder of the clip store; it is made if it is missing.")],
     name: Annotated[str | None, typer.Option(help="Name of the clip; that of the recording by default.")] = None,
+    category: Annotated[str | None, typer.Option(help="Long-tail category, or nominal; unlabelled by default.")] = None,
+    factor: Annotated[list[str] | None, typer.Option(help="A scene factor; repeat for more than one.")] = None,
     fov: FovOption = None,
     camera_height: CameraHeightOption = None,
     width: WidthOption = 576,
@@ -62,6 +64,7 @@ def build(
     """Recording to trajectory, distance and views; then clips in the store and pictures beside them."""
     from olt_generator.errors import InputError
     from olt_generator.files import make_folder
+    from olt_toolkit.clip import UNLABELLED
     from olt_toolkit.clip_folder import BuildJob, find_recordings
     from olt_toolkit.clip_views import BuildOptions
     from olt_toolkit.recording import is_recording
@@ -69,7 +72,15 @@ def build(
     if name is not None and Path(name).name != name:
         raise InputError(f"--name {name!r}: pictures are named after the clip; give a name without slashes")
     sources = SourceChoice(poses, mapanything_weights, depth, depth_weights, device)
-    options = BuildOptions(width=width, height=height, frames="all" if all_frames else "shown", name=name, seed=seed)
+    options = BuildOptions(
+        width=width,
+        height=height,
+        frames="all" if all_frames else "shown",
+        name=name,
+        category=category or UNLABELLED,
+        factors=tuple(factor or ()),
+        seed=seed,
+    )
     opening = make_open_options(duration, fov, camera_height)
     job = BuildJob(recording, make_folder(out), opening, options, sources, keep_going)
     if is_recording(recording) or not recording.is_dir():
