@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from olt_datasets.clip_table import read_clip_tables
 from olt_datasets.commands.data import app
+from olt_datasets.commands.mix import app as mix
 from olt_generator.errors import InputError
 from olt_toolkit.rig import POLICY_CAMERAS
 
@@ -74,3 +75,12 @@ def test_leaks_are_listed_with_exit_status_1(write_store, make_clip):
     assert result.stdout.startswith("4 leaks: 1 held out, 2 external, 1 twin\n")
     listed = json.loads(run("check", store, "--json").stdout)
     assert (listed["clean"], [leak["rule"] for leak in listed["leaks"]]) == (False, ["twin"])
+
+
+@pytest.mark.parametrize(("recipe", "samples"), [("base_r1", 0), ("nv_ood_syn", 12_248), ("gt_longtail", 13_248)])
+def test_the_recipes_of_the_paper_compose_from_a_made_up_table(tmp_path, recipe, samples):
+    table = tmp_path / "made_up.parquet"
+    assert run("make-up", table, "--clips", 100_000).exit_code == 0
+    result = CliRunner().invoke(mix, ["compose", recipe, "--stores", str(table), "--json"])
+    assert result.exit_code == 0, result.output
+    assert json.loads(result.stdout)["samples_per_epoch"] == samples
