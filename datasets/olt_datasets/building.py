@@ -25,6 +25,8 @@ from olt_toolkit.workers import Engine, map_parallel, use_one_thread
 
 # Data sets whose images a renderer made and no camera took.
 _RENDERED_SOURCES = frozenset({"synthetic"})
+# Images of cameras whose views are all true are at most so many times as wide as high.
+_WIDEST_SHAPE = 2
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,12 @@ def _build_or_report(job: RowJob) -> Outcome:
         return Outcome(name, "failed", message=str(error))
 
 
+def _true_images(job: RowJob) -> OpenOptions:
+    """True views are only fitted to the clip's size: they are opened as large as that needs, and no larger."""
+    width = max(job.options.width, _WIDEST_SHAPE * job.options.height)
+    return replace(job.opening, width=width, views=POLICY_CAMERAS)
+
+
 def _build(job: RowJob) -> dict[str, Any]:
     assert job.row.split is not None  # find_buildable refuses other rows
     row, real_views = job.row, job.kind is BuiltKind.GT
@@ -117,7 +125,7 @@ def _build(job: RowJob) -> dict[str, Any]:
         raise InputError(
             f"{job.place.root}: holds data of {dataset.source}, but the clip {row.name!r} is of {row.source}"
         )
-    opening = replace(job.opening, views=POLICY_CAMERAS if real_views else ())
+    opening = _true_images(job) if real_views else job.opening
     recording = dataset.open(row.origin.recording, (row.origin.start_us, row.origin.end_us), opening)
     recording = replace(recording, source=row.source)
     options = replace(
