@@ -69,7 +69,13 @@ def _label_points(axes: "Axes", rows: Sequence[dict[str, Any]], floor: float, ga
             textcoords="axes fraction",
             verticalalignment="center",
             fontsize=8,
-            arrowprops={"arrowstyle": "-", "color": _color(row), "linewidth": 0.5, "alpha": 0.6},
+            arrowprops={
+                "arrowstyle": "-",
+                "relpos": (0.0, 0.5),  # lines end where the label begins
+                "color": _color(row),
+                "linewidth": 0.5,
+                "alpha": 0.6,
+            },
         )
 
 
