@@ -15,8 +15,8 @@ from typing import BinaryIO, TypeVar
 
 from olt_generator.errors import InputError
 
-LARGEST_MEMBER = 4 << 30
-"""Bytes. The longest real clip is a hundredth of it; a larger member is damage or a decompression bomb."""
+LARGEST_MEMBER = 1 << 30
+"""Bytes. A member of a real clip has a few tens of MB; a larger one is damage or a decompression bomb."""
 
 # Fixed part of a member's own header: its signature and, at the end, the lengths of name and extra field.
 _HEADER = struct.Struct("<4s22xHH")
