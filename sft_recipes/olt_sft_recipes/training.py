@@ -19,8 +19,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from olt_datasets.dataset import MixtureDataset
-from olt_datasets.mixture import Mixture
+from olt_datasets.mixtures.dataset import MixtureDataset
+from olt_datasets.mixtures.mixture import Mixture
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array

@@ -8,8 +8,8 @@ import polars as pl
 import pytest
 
 import olt_datasets.drives
-from olt_datasets.clip_table import SCHEMA
-from olt_datasets.indexing import DatasetPlace
+from olt_datasets.tables.clip_table import SCHEMA
+from olt_datasets.tables.indexing import DatasetPlace
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clip import (

@@ -6,9 +6,9 @@ import pytest
 from polars.testing import assert_frame_equal
 from typer.testing import CliRunner
 
-from olt_datasets.clip_table import read_clip_tables
 from olt_datasets.commands.data import app
 from olt_datasets.commands.mix import app as mix
+from olt_datasets.tables.clip_table import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.rig import POLICY_CAMERAS
 

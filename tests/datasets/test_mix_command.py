@@ -5,11 +5,11 @@ import polars as pl
 import pytest
 from typer.testing import CliRunner
 
-from olt_datasets.clip_table import read_clip_tables
 from olt_datasets.commands.mix import app
-from olt_datasets.mixture import compose_mixture
-from olt_datasets.plan import PLAN_SUFFIXES, read_plan
-from olt_datasets.recipe import builtin_recipe
+from olt_datasets.mixtures.mixture import compose_mixture
+from olt_datasets.mixtures.plan import PLAN_SUFFIXES, read_plan
+from olt_datasets.mixtures.recipe import builtin_recipe
+from olt_datasets.tables.clip_table import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.clip_table import CLIP_TABLE
 

@@ -11,9 +11,9 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from olt_datasets.clip_table import scan_clip_tables
-from olt_datasets.mixture import compose_mixture
-from olt_datasets.recipe import parse_recipe
+from olt_datasets.mixtures.mixture import compose_mixture
+from olt_datasets.mixtures.recipe import parse_recipe
+from olt_datasets.tables.clip_table import scan_clip_tables
 from olt_generator.seeds import make_generator
 from olt_toolkit.benchmark_runner import resident_mib
 from olt_toolkit.clip_table import SCHEMA

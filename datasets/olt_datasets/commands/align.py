@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from olt_datasets.alignment import Alignment, Gap
-    from olt_datasets.selection import ClipTable
+    from olt_datasets.mixtures.alignment import Alignment, Gap
+    from olt_datasets.mixtures.selection import ClipTable
 
 
 def align(
@@ -33,8 +33,8 @@ def align(
 
     `olt mix align --example` shows what the paper found: Waymo E2E has none of NV's human-guided traffic control.
     """
-    from olt_datasets.alignment import PAPER_COVERAGE, align_sources, measure_coverage
-    from olt_datasets.clip_table import scan_clip_tables
+    from olt_datasets.mixtures.alignment import PAPER_COVERAGE, align_sources, measure_coverage
+    from olt_datasets.tables.clip_table import scan_clip_tables
     from olt_generator.errors import InputError
     from olt_toolkit.console import print_json
 
@@ -61,8 +61,8 @@ def align(
 def _slice(clips: "ClipTable", split: str, text: str, where: str) -> "ClipTable":
     import polars as pl
 
-    from olt_datasets.recipe import parse_filter
-    from olt_datasets.selection import matches
+    from olt_datasets.mixtures.recipe import parse_filter
+    from olt_datasets.mixtures.selection import matches
 
     return clips.lazy().filter((pl.col("split") == split) & matches(parse_filter(text, where)))
 

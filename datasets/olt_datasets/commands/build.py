@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from olt_datasets.choices import BuiltKind
 from olt_datasets.commands.dataset_options import DEFAULT_CACHE, CacheOption, JsonOption, SourceOption
+from olt_datasets.tables.choices import BuiltKind
 from olt_toolkit.commands.clip_options import (
     CameraHeightOption,
     DepthOption,
@@ -24,7 +24,7 @@ from olt_toolkit.source_choice import DepthChoice, PoseChoice, SourceChoice
 from olt_toolkit.workers import Engine
 
 if TYPE_CHECKING:
-    from olt_datasets.building import RowJob
+    from olt_datasets.tables.building import RowJob
     from olt_toolkit.clip_folder import Outcome
 
 
@@ -55,8 +55,8 @@ def build(
     Motion that the data set measured is taken as it is, else --poses recovers it. Given again, an interrupted build
     goes on. Exit status 1 if windows failed with --keep-going.
     """
-    from olt_datasets.building import RowJob, find_buildable
-    from olt_datasets.indexing import DatasetPlace
+    from olt_datasets.tables.building import RowJob, find_buildable
+    from olt_datasets.tables.indexing import DatasetPlace
     from olt_generator.files import make_folder
     from olt_toolkit.clip_table import read_clip_table
     from olt_toolkit.clip_views import BuildOptions
@@ -72,7 +72,7 @@ def build(
 
 
 def _build(jobs: "list[RowJob]", workers: int | None, engine: Engine) -> "list[Outcome]":
-    from olt_datasets.building import build_rows
+    from olt_datasets.tables.building import build_rows
     from olt_toolkit.console import make_progress
     from olt_toolkit.workers import default_workers
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from olt_datasets.choices import SplitName
+from olt_datasets.tables.choices import SplitName
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.workers import Engine
 
@@ -61,7 +61,7 @@ def export(
 
 def _contents(inputs: list[Path], split: SplitName) -> "Contents":
     from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
-    from olt_datasets.plan import PLAN_SUFFIXES, read_plan
+    from olt_datasets.mixtures.plan import PLAN_SUFFIXES, read_plan
     from olt_generator.errors import InputError
 
     if inputs[0].suffix not in PLAN_SUFFIXES:

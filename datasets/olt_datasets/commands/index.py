@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from olt_datasets.choices import PAPER_FRAMES, PAPER_STRIDE, SampleChoice, SplitRule
 from olt_datasets.commands.dataset_options import DEFAULT_CACHE, CacheOption, JsonOption, SourceOption
+from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, SampleChoice, SplitRule
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.workers import Engine
 
@@ -37,8 +37,8 @@ def index(
     """
     from dataclasses import asdict
 
-    from olt_datasets.cutting import Cutting
-    from olt_datasets.indexing import DatasetPlace, index_dataset
+    from olt_datasets.tables.cutting import Cutting
+    from olt_datasets.tables.indexing import DatasetPlace, index_dataset
     from olt_generator.errors import InputError
     from olt_toolkit.console import make_progress, print_json, print_line
     from olt_toolkit.workers import default_workers
@@ -89,7 +89,7 @@ def split(
     seen: the latest windows of every scene are test. unseen: whole scenes are. external: a whole source is, and is
     never trained on. own: the data set's own splits, which every clip must have.
     """
-    from olt_datasets.splits import Splitting, split_table
+    from olt_datasets.tables.splits import Splitting, split_table
     from olt_toolkit.console import print_json, print_table
 
     counts = split_table(table, Splitting(rule, tuple(source or ()), val, test, gap, seed), out)
@@ -114,8 +114,8 @@ def check(
     GT and Syn clips of the same moments, windows of a scene that overlap, clips of other scenes that look alike,
     held-out scenes and external sources in training.
     """
-    from olt_datasets.clip_table import scan_clip_tables
-    from olt_datasets.leaks import find_table_leaks
+    from olt_datasets.tables.clip_table import scan_clip_tables
+    from olt_datasets.tables.leaks import find_table_leaks
     from olt_toolkit.console import print_json, print_line
 
     leaks = find_table_leaks(scan_clip_tables(tables), held_out or (), external or ())

@@ -18,7 +18,7 @@ def label(
 
     Recipes choose clips by them, and most data sets tell none.
     """
-    from olt_datasets.labels import label_table, read_labels
+    from olt_datasets.tables.labels import label_table, read_labels
     from olt_toolkit.console import print_json, print_line
 
     labelled = label_table(table, read_labels(labels), out)

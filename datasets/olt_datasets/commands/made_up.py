@@ -15,7 +15,7 @@ def make_up(
 ) -> None:
     """Write a table of made-up clips, to try recipes, splits and checks on at any size; no clip can be built of it."""
     from olt_datasets.benchmarks.mixture_tables import write_made_up_table
-    from olt_datasets.clip_table import TABLE_SUFFIX
+    from olt_datasets.tables.clip_table import TABLE_SUFFIX
     from olt_generator.errors import InputError
     from olt_generator.files import write_whole
     from olt_toolkit.console import print_json, print_line

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from olt_datasets.commands.align import align
-from olt_datasets.training_arithmetic import PAPER_STAGES, parse_stage, training_arithmetic
+from olt_datasets.mixtures.training_arithmetic import PAPER_STAGES, parse_stage, training_arithmetic
 
 if TYPE_CHECKING:
-    from olt_datasets.recipe import Recipe
+    from olt_datasets.mixtures.recipe import Recipe
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Compose training mixtures from clips by recipes.")
 app.command()(align)
@@ -39,11 +39,11 @@ def compose(
     as_json: JsonOption = False,
 ) -> None:
     """Choose the samples of a mixture; show what was asked for and what was got, and the steps of training on it."""
-    from olt_datasets.clip_table import scan_clip_tables
-    from olt_datasets.mixture import compose_mixture
-    from olt_datasets.mixture_picture import draw_mixture
-    from olt_datasets.plan import write_plan
-    from olt_datasets.recipe import find_recipe
+    from olt_datasets.mixtures.mixture import compose_mixture
+    from olt_datasets.mixtures.picture import draw_mixture
+    from olt_datasets.mixtures.plan import write_plan
+    from olt_datasets.mixtures.recipe import find_recipe
+    from olt_datasets.tables.clip_table import scan_clip_tables
 
     chosen = find_recipe(recipe)
     training = _training(stage)
@@ -64,8 +64,8 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Show a composed mixture, or what a recipe asks for."""
-    from olt_datasets.plan import PLAN_SUFFIXES, read_plan
-    from olt_datasets.recipe import find_recipe
+    from olt_datasets.mixtures.plan import PLAN_SUFFIXES, read_plan
+    from olt_datasets.mixtures.recipe import find_recipe
 
     if mixture.endswith(PLAN_SUFFIXES):
         training = _training(stage)
@@ -78,9 +78,9 @@ def show(
 @app.command()
 def check(recipe: RecipeArgument, stores: StoresOption, as_json: JsonOption = False) -> None:
     """List everything that keeps a recipe from being composed: shortages and leaks. Exit status 1 if there is any."""
-    from olt_datasets.clip_table import scan_clip_tables
-    from olt_datasets.mixture import check_recipe
-    from olt_datasets.recipe import find_recipe
+    from olt_datasets.mixtures.mixture import check_recipe
+    from olt_datasets.mixtures.recipe import find_recipe
+    from olt_datasets.tables.clip_table import scan_clip_tables
     from olt_toolkit.console import print_json, print_line
 
     findings = check_recipe(find_recipe(recipe), scan_clip_tables(stores))
@@ -104,8 +104,8 @@ def diff(
     as_json: JsonOption = False,
 ) -> None:
     """Show what differs between two composed mixtures: their recipes, samples and shares."""
-    from olt_datasets.mixture_comparison import compare_mixtures, differing_samples
-    from olt_datasets.plan import read_plan
+    from olt_datasets.mixtures.comparison import compare_mixtures, differing_samples
+    from olt_datasets.mixtures.plan import read_plan
     from olt_generator.files import write_whole
 
     mixtures = read_plan(first), read_plan(second)
@@ -122,7 +122,7 @@ def _training(stages: Sequence[str]) -> Any:
 
 
 def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:
-    from olt_datasets.mixture import GROUPS
+    from olt_datasets.mixtures.mixture import GROUPS
     from olt_toolkit.console import print_json, print_table
 
     if as_json:
@@ -155,7 +155,7 @@ def _show_training(training: Mapping[str, Mapping[str, int]]) -> None:
 
 
 def _show_difference(summary: dict[str, Any], as_json: bool) -> None:
-    from olt_datasets.mixture import GROUPS
+    from olt_datasets.mixtures.mixture import GROUPS
     from olt_toolkit.console import print_json, print_table
 
     if as_json:

@@ -11,7 +11,7 @@ from itertools import groupby
 from operator import attrgetter, itemgetter
 from pathlib import Path
 
-from olt_datasets.mixture import Mixture, MixtureComponent
+from olt_datasets.mixtures.mixture import Mixture, MixtureComponent
 from olt_generator.errors import InputError
 from olt_toolkit.clip import Split, make_clip_id
 from olt_toolkit.clip_store import ClipStore
@@ -161,7 +161,7 @@ def _notes(mixture: Mixture) -> Iterator[str]:
         if items != samples:
             yield (
                 f"{name}: {items} items of {samples} samples per epoch; the public readers take each once, so its "
-                f"share is {samples / distinct:.4g} and not {items / len(mixture):.4g}; `olt_datasets.torch_dataset` "
+                f"share is {samples / distinct:.4g} and not {items / len(mixture):.4g}; `mixtures.torch_dataset` "
                 "keeps the share"
             )
 

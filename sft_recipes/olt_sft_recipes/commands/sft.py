@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from olt_datasets.mixture import Mixture
+    from olt_datasets.mixtures.mixture import Mixture
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Train the toy policy, and judge it in open loop.")
 
@@ -81,10 +81,10 @@ def evaluate(
 
 
 def _choose_mixture(mixture: Path | None, recipe: str | None, stores: list[Path], seed: int) -> "Mixture":
-    from olt_datasets.clip_table import read_clip_tables
-    from olt_datasets.mixture import compose_mixture
-    from olt_datasets.plan import read_plan
-    from olt_datasets.recipe import find_recipe
+    from olt_datasets.mixtures.mixture import compose_mixture
+    from olt_datasets.mixtures.plan import read_plan
+    from olt_datasets.mixtures.recipe import find_recipe
+    from olt_datasets.tables.clip_table import read_clip_tables
     from olt_generator.errors import InputError
 
     if mixture is not None and recipe is None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from olt_datasets.mixture import Mixture
+from olt_datasets.mixtures.mixture import Mixture
 from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.mixtures import RECIPES, compose
 from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys

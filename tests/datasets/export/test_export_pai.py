@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from olt_datasets.clip_table import read_clip_tables
 from olt_datasets.commands.data import app
-from olt_datasets.dataset import MixtureDataset
 from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
 from olt_datasets.export.options import WorkOptions
 from olt_datasets.export.pai import export_pai
-from olt_datasets.mixture import compose_mixture
-from olt_datasets.plan import write_plan
-from olt_datasets.recipe import Recipe
-from olt_datasets.torch_dataset import TorchMixtureDataset
+from olt_datasets.mixtures.dataset import MixtureDataset
+from olt_datasets.mixtures.mixture import compose_mixture
+from olt_datasets.mixtures.plan import write_plan
+from olt_datasets.mixtures.recipe import Recipe
+from olt_datasets.mixtures.torch_dataset import TorchMixtureDataset
+from olt_datasets.tables.clip_table import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.clip import make_clip_id
 from olt_toolkit.clip_store import ClipStore

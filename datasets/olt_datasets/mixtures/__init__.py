@@ -1,0 +1,1 @@
+"""Mixtures: recipes, what they choose, and the exact samples of every batch."""

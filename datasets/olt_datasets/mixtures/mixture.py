@@ -1,0 +1,308 @@
+"""Mixtures: the exact samples of every batch of every epoch.
+
+A mixture is a pure function of (recipe, clip table, seed), and a batch of it of (epoch, batch size, rank, world size)
+besides. Random draws are seeded by the names of components, not of recipes: components of one name and filter give
+the same samples in every recipe with the same seed, and a larger count keeps the samples of a smaller one, so that
+training runs differ in nothing but what their recipes say.
+"""
+
+import hashlib
+import math
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import accumulate
+from typing import Any
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from olt_datasets.mixtures.batches import batch_counts
+from olt_datasets.mixtures.draws import PRIORITY, draw_samples
+from olt_datasets.mixtures.recipe import Component, Recipe
+from olt_datasets.mixtures.selection import (
+    ClipTable,
+    Selection,
+    find_absent_words,
+    find_shortages,
+    most_items,
+    plan_counts,
+    samples_per_epoch,
+    select_clips,
+)
+from olt_datasets.tables.leaks import Leak, find_leaks, summarize_leaks
+from olt_generator.errors import InputError
+from olt_generator.seeds import make_generator
+from olt_toolkit.sample import SampleKey
+
+KEY_COLUMNS = ("store", "clip_id", "t0_us")
+GROUPS = ("source", "kind", "category", "factors", "country")
+SAMPLE_SCHEMA = pl.Schema(
+    {
+        "store": pl.String,
+        "clip_id": pl.String,
+        "t0_us": pl.Int64,
+        "source": pl.String,
+        "kind": pl.String,
+        "category": pl.String,
+        "factors": pl.List(pl.String),
+        "country": pl.String,
+    }
+)
+LEAK_COLUMNS = ("clip_id", "scene_id", "source", "kind", "split", "start_us", "end_us", "fingerprint")
+NOT_TOLD = "not told"
+"""The country of a clip whose country nobody told."""
+
+Rows = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class MixtureComponent:
+    """The samples that one component gives.
+
+    Attributes:
+        component: the component of the recipe.
+        available: samples that it could use.
+        samples: the distinct samples that it uses, with the columns of `SAMPLE_SCHEMA`.
+    """
+
+    component: Component
+    available: int
+    samples: pl.DataFrame
+
+    def draw(self, seed: int, epoch: int, count: int) -> Rows:
+        """Rows of `samples` (count,) in the order of their use: pass after pass, each a new permutation of all rows."""
+        name, rows = self.component.name, len(self.samples)
+        passes = range(max(1, math.ceil(count / rows)))
+        drawn = [make_generator("mixture pass", seed, name, epoch, index).permutation(rows) for index in passes]
+        return np.concatenate(drawn)[:count]
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """A recipe applied to a clip table; see `compose_mixture`.
+
+    Attributes:
+        recipe: the recipe.
+        seed: seed of every draw.
+        items: items per epoch.
+        components: what each component gives, in the order of the recipe.
+    """
+
+    recipe: Recipe
+    seed: int
+    items: int
+    components: tuple[MixtureComponent, ...]
+
+    def __len__(self) -> int:
+        """Items per epoch."""
+        return self.items
+
+    def counts(self, epoch: int = 0) -> list[int]:
+        """Items of each component in an epoch."""
+        return plan_counts(self.recipe, self.items, epoch)
+
+    def epoch(
+        self, epoch: int, batch_size: int, rank: int = 0, world_size: int = 1, start_batch: int = 0
+    ) -> list[list[SampleKey]]:
+        """The batches of one rank in one epoch.
+
+        Every global batch holds each component within one item of its share of the mixture. The last one is kept when
+        it is partial, as Hugging Face's Trainer keeps it; nothing is repeated to fill it. Rank r takes items r,
+        r + world_size, ... of each global batch, so ranks are disjoint and give the same global batches at every world
+        size; in a partial batch some ranks have one item fewer, which may be none.
+
+        Args:
+            epoch: number of the epoch, from 0.
+            batch_size: items in a global batch, that is over all ranks and accumulation steps.
+            rank, world_size: which part of every global batch is wanted; `world_size` divides `batch_size`.
+            start_batch: number of batches to leave out at the start, to resume within an epoch.
+
+        Raises:
+            InputError: the arguments do not fit together, or the mixture has no samples.
+        """
+        _check_slice(epoch, batch_size, rank, world_size, start_batch)
+        if not self.items:
+            raise InputError(
+                f"recipe {self.recipe.name} has no samples to train on: it stands for a model that is used as it is"
+            )
+        rows = self._epoch_rows(epoch, batch_size)
+        starts = range(start_batch * batch_size, len(rows), batch_size)
+        slices = [rows[start : start + batch_size][rank::world_size] for start in starts]
+        keys = iter(self._keys(np.concatenate(slices))) if slices else iter(())
+        return [[next(keys) for _ in part] for part in slices]
+
+    def describe(self, epoch: int = 0) -> dict[str, Any]:
+        """What was asked and what was got in an epoch, by component and in all by each of `GROUPS`.
+
+        `got` counts items, `distinct` the samples that they are drawn from, `repeats` the most uses of one sample. A
+        sample counts once for each of its factors, so that these may add up to more or less than all items.
+        """
+        uses = self._uses(epoch)
+        return {
+            "recipe": self.recipe.name,
+            "split": self.recipe.split,
+            "seed": self.seed,
+            "checksum": self.checksum,
+            "epoch": epoch,
+            "samples_per_epoch": self.items,
+            "distinct_samples": len(self.samples),
+            "components": self._describe_components(epoch),
+            "items_by_epoch": {str(named): self.counts(named) for named in self.recipe.named_epochs},
+            **{f"by_{group}": _describe_group(self.samples[group], uses) for group in GROUPS},
+        }
+
+    @cached_property
+    def samples(self) -> pl.DataFrame:
+        """The distinct samples of all components, one after the other, with the columns of `SAMPLE_SCHEMA`."""
+        return pl.concat([SAMPLE_SCHEMA.to_frame(), *(part.samples for part in self.components)])
+
+    @cached_property
+    def checksum(self) -> str:
+        """BLAKE2b (16 bytes, hexadecimal) of the samples of every component; moving a store does not change it."""
+        digest = hashlib.blake2b(digest_size=16)
+        for part in self.components:
+            lines = part.samples.select(pl.concat_str("clip_id", "t0_us", separator=" ")).to_series()
+            digest.update("\n".join([part.component.name, *lines, ""]).encode())
+        return digest.hexdigest()
+
+    def _component_rows(self, epoch: int) -> list[Rows]:
+        """For each component, the rows of `samples` that it gives to an epoch, in the order of their use."""
+        offsets = accumulate((len(part.samples) for part in self.components), initial=0)
+        parts = zip(offsets, self.components, self.counts(epoch), strict=False)
+        return [offset + part.draw(self.seed, epoch, count) for offset, part, count in parts]
+
+    def _epoch_rows(self, epoch: int, batch_size: int) -> Rows:
+        """Rows of `samples` (items,) in the order of training."""
+        counts = batch_counts(self.counts(epoch), batch_size)
+        owners = np.repeat(np.tile(np.arange(counts.shape[1]), len(counts)), counts.ravel())
+        batches = np.repeat(np.arange(len(counts)), counts.sum(axis=1))
+        shuffle = make_generator("mixture order", self.seed, epoch, batch_size).random(len(owners))
+        owners = owners[np.lexsort((shuffle, batches))]
+        rows = np.empty(len(owners), np.int64)
+        for index, drawn in enumerate(self._component_rows(epoch)):
+            rows[owners == index] = drawn
+        return rows
+
+    def _uses(self, epoch: int) -> Rows:
+        drawn = [np.empty(0, np.int64), *self._component_rows(epoch)]
+        return np.bincount(np.concatenate(drawn), minlength=len(self.samples))
+
+    def _keys(self, rows: Rows) -> list[SampleKey]:
+        columns = (self.samples[name].gather(rows).to_list() for name in KEY_COLUMNS)
+        return [SampleKey(*key) for key in zip(*columns, strict=True)]
+
+    def _describe_components(self, epoch: int) -> list[dict[str, Any]]:
+        counts = self.counts(epoch)
+        shares = self.recipe.shares(epoch) if self.recipe.named_epochs else [None] * len(counts)
+        return [
+            {
+                "name": part.component.name,
+                "where": part.component.where.model_dump(mode="json", exclude_defaults=True),
+                "share": None if share is None else float(share),
+                "asked": float(count if share is None else share * self.items),
+                "got": count,
+                "available": part.available,
+                "distinct": len(part.samples),
+                "repeats": math.ceil(count / len(part.samples)),
+            }
+            for part, share, count in zip(self.components, shares, counts, strict=True)
+        ]
+
+
+def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes: Collection[str] = ()) -> Mixture:
+    """Choose the samples of every component.
+
+    Scenes that the recipe holds out are left out; scenes in `held_out_scenes` (those of a test, say) must not occur.
+
+    Args:
+        recipe: what to choose.
+        table: clips to choose from (`tables.clip_table.scan_clip_tables`).
+        seed: seed of the choice and of every order.
+        held_out_scenes: scene ids that the mixture is checked against.
+
+    Raises:
+        InputError: a component has too few samples, two components share a clip, or the mixture leaks.
+    """
+    selections = select_clips(recipe, table)
+    shortages = find_shortages(recipe, table, selections)
+    if shortages:
+        raise InputError(shortages[0])
+    items = samples_per_epoch(recipe, selections)
+    drawn = [
+        _draw(selection, count, seed) for selection, count in zip(selections, most_items(recipe, items), strict=True)
+    ]
+    leaks = _find_leaks(
+        [samples.lazy().unique(["store", "clip_id"]) for samples in drawn], table, recipe, held_out_scenes
+    )
+    if leaks:
+        raise InputError(
+            f"recipe {recipe.name} leaks: {summarize_leaks(leaks)}; add these scenes to the recipe's held_out_scenes"
+        )
+    components = [
+        MixtureComponent(selection.component, selection.available, samples.select(SAMPLE_SCHEMA.names()))
+        for selection, samples in zip(selections, drawn, strict=True)
+    ]
+    return Mixture(recipe, seed, items, tuple(components))
+
+
+def check_recipe(recipe: Recipe, table: ClipTable, held_out_scenes: Collection[str] = ()) -> dict[str, list[str]]:
+    """Why `compose_mixture` would refuse (`shortages`, `leaks`), and words in filters that no clip has (`absent`).
+
+    Leaks are looked for in all clips that the recipe may use, whichever of them a seed draws.
+
+    Raises:
+        InputError: two components select the same clip.
+    """
+    selections = select_clips(recipe, table)
+    clips = [selection.clips for selection in selections]
+    return {
+        "shortages": find_shortages(recipe, table, selections),
+        "leaks": [str(leak) for leak in _find_leaks(clips, table, recipe, held_out_scenes)],
+        "absent": find_absent_words(recipe, table),
+    }
+
+
+def _find_leaks(
+    clips: Sequence[pl.LazyFrame], table: ClipTable, recipe: Recipe, held_out_scenes: Collection[str]
+) -> list[Leak]:
+    if not clips:
+        return []
+    used = pl.concat([part.select(LEAK_COLUMNS) for part in clips])
+    return find_leaks(used, table, recipe.split, [*recipe.held_out_scenes, *held_out_scenes])
+
+
+def _draw(selection: Selection, most: int, seed: int) -> pl.DataFrame:
+    """Draw the samples of a component that gives at most so many items to an epoch; with `LEAK_COLUMNS` besides."""
+    component, count = selection.component, min(most, selection.available)
+    category = pl.col("category")
+    others = selection.clips.filter(~category.is_in(list(component.caps)))
+    pools = [(others, selection.other_samples, count)] + [
+        (selection.clips.filter(category == name), available, min(count, component.caps[name]))
+        for name, available in selection.capped_samples.items()
+    ]
+    columns = tuple(name for name in dict.fromkeys([*SAMPLE_SCHEMA, *LEAK_COLUMNS]) if name != "t0_us")
+    drawn = [
+        draw_samples(clips, component, available, min(wanted, available), seed, columns)
+        for clips, available, wanted in pools
+    ]
+    first = pl.concat(drawn).sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
+    return first.sort("clip_id", "kind", "source", "store", "t0_us")
+
+
+def _check_slice(epoch: int, batch_size: int, rank: int, world_size: int, start_batch: int) -> None:
+    if batch_size < 1 or world_size < 1 or batch_size % world_size:
+        raise InputError(f"global batch size {batch_size} must be a multiple of the world size {world_size}")
+    if not 0 <= rank < world_size:
+        raise InputError(f"rank {rank} must be 0 to {world_size - 1}, as the world size is {world_size}")
+    if epoch < 0 or start_batch < 0:
+        raise InputError(f"epoch {epoch} and start batch {start_batch} must not be negative")
+
+
+def _describe_group(values: pl.Series, uses: Rows) -> dict[str, dict[str, int]]:
+    table = pl.DataFrame({"value": values, "got": uses})
+    if values.dtype == pl.List:
+        table = table.explode("value", empty_as_null=False)
+    groups = table.group_by(pl.col("value").fill_null(NOT_TOLD)).agg(pl.col("got").sum(), distinct=pl.len())
+    return {value: {"got": got, "distinct": distinct} for value, got, distinct in groups.sort("value").iter_rows()}

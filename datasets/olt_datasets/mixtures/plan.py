@@ -1,0 +1,113 @@
+"""A composed mixture as a file: everything that training needs to repeat it without the clip table.
+
+Two forms hold the same: JSON for people and small mixtures, Parquet (with what is not a sample as JSON in its metadata)
+for those of any size.
+"""
+
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+import polars as pl
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+
+from olt_datasets.mixtures.mixture import SAMPLE_SCHEMA, Mixture, MixtureComponent
+from olt_datasets.mixtures.recipe import Recipe
+from olt_generator.errors import InputError
+from olt_generator.files import write_whole
+from olt_toolkit import __version__
+
+PLAN_SUFFIXES = (".json", ".parquet")
+METADATA_KEY = "openlongtail mixture"
+
+
+class _Plan(BaseModel):
+    """All of a mixture but its samples."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+
+    format: Literal["openlongtail mixture"] = "openlongtail mixture"
+    version: Literal[2] = 2
+    created_with: str = __version__
+    recipe: Recipe
+    seed: int
+    checksum: str
+    items: int
+    available: list[int]
+    distinct: list[int]
+    summary: dict[str, Any]
+
+    @model_validator(mode="after")
+    def _check(self) -> "_Plan":
+        if not len(self.available) == len(self.distinct) == len(self.recipe.components):
+            raise ValueError("the recipe and the plan differ in their number of components")
+        return self
+
+
+def write_plan(mixture: Mixture, path: Path) -> None:
+    """Write a mixture as JSON or Parquet, by the suffix of the file; it appears whole.
+
+    Raises:
+        InputError: the suffix is another one, or the folder cannot be written to.
+    """
+    if path.suffix not in PLAN_SUFFIXES:
+        raise InputError(f"{path}: a mixture is JSON or Parquet; give a name that ends in {' or '.join(PLAN_SUFFIXES)}")
+    plan = _Plan(
+        recipe=mixture.recipe,
+        seed=mixture.seed,
+        checksum=mixture.checksum,
+        items=mixture.items,
+        available=[part.available for part in mixture.components],
+        distinct=[len(part.samples) for part in mixture.components],
+        summary=mixture.describe(),
+    ).model_dump_json()
+    with write_whole(path) as temporary:
+        if path.suffix == ".parquet":
+            mixture.samples.write_parquet(temporary, metadata={METADATA_KEY: plan})
+        else:
+            samples = json.dumps(mixture.samples.to_dict(as_series=False))
+            temporary.write_text(f'{plan[:-1]},"samples":{samples}}}\n', encoding="utf-8")
+
+
+def read_plan(path: Path) -> Mixture:
+    """Read a mixture that `write_plan` wrote.
+
+    Raises:
+        InputError: the file cannot be read or is not a plan of this version; names the field.
+    """
+    try:
+        plan, samples = _read_parquet(path) if path.suffix == ".parquet" else _read_json(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot read this mixture ({error.strerror or error})") from error
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        field = ".".join(map(str, first["loc"])) or "file"
+        raise InputError(f"{path}: {field}: {first['msg']}; compose the mixture again") from error
+    except (ValueError, TypeError, pl.exceptions.PolarsError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(f"{path}: not a mixture ({reason}); compose it again") from error
+    if len(samples) != sum(plan.distinct) or any(samples[name].has_nulls() for name in SAMPLE_SCHEMA.names()[:-1]):
+        raise InputError(f"{path}: samples: some are missing; compose the mixture again")
+    parts = [samples.slice(sum(plan.distinct[:index]), count) for index, count in enumerate(plan.distinct)]
+    components = map(MixtureComponent, plan.recipe.components, plan.available, parts)
+    mixture = Mixture(plan.recipe, plan.seed, plan.items, tuple(components))
+    if mixture.checksum != plan.checksum:
+        raise InputError(f"{path}: samples: not those that were composed; compose the mixture again")
+    return mixture
+
+
+def _read_json(path: Path) -> tuple[_Plan, pl.DataFrame]:
+    content = json.loads(path.read_bytes())
+    if not isinstance(content, dict):
+        raise ValueError("it is not a JSON object")
+    samples = content.pop("samples", None)
+    # JSON knows no tuples and no numbers as keys; pydantic allows for that in JSON text alone.
+    plan = _Plan.model_validate_json(json.dumps(content))
+    return plan, pl.DataFrame(samples, schema=SAMPLE_SCHEMA, strict=True)
+
+
+def _read_parquet(path: Path) -> tuple[_Plan, pl.DataFrame]:
+    metadata = pl.read_parquet_metadata(path)
+    if METADATA_KEY not in metadata:
+        raise ValueError("it was not written by `olt mix compose`")
+    return _Plan.model_validate_json(metadata[METADATA_KEY]), pl.read_parquet(path).match_to_schema(SAMPLE_SCHEMA)

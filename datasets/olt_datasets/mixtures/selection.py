@@ -1,0 +1,221 @@
+"""Which clips of a table each component of a recipe may use, and how many samples it is asked for.
+
+Tables are scanned, never held: what is kept of ten million rows are counts.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import polars as pl
+
+from olt_datasets.mixtures.batches import epoch_counts
+from olt_datasets.mixtures.draws import sample_count
+from olt_datasets.mixtures.recipe import Component, Filter, Recipe
+from olt_generator.errors import InputError
+
+ClipTable = pl.DataFrame | pl.LazyFrame
+
+# Clips that agree in these show the same moments of the same scene, whatever their kind.
+PAIR_COLUMNS = ("scene_id", "start_us", "end_us")
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The clips that one component may use.
+
+    Attributes:
+        component: the component of the recipe.
+        clips: rows of the clip table, not yet read.
+        clip_count: number of these clips.
+        capped_samples: number of samples that they give in each capped category, before the cap.
+        other_samples: number of samples that they give in all other categories.
+    """
+
+    component: Component
+    clips: pl.LazyFrame
+    clip_count: int
+    capped_samples: dict[str, int]
+    other_samples: int
+
+    @property
+    def available(self) -> int:
+        """The most distinct samples that the component can give."""
+        capped = (min(count, self.component.caps[category]) for category, count in self.capped_samples.items())
+        return self.other_samples + sum(capped)
+
+    @property
+    def capacity(self) -> int:
+        """The most items that the component can give to one epoch."""
+        return self.available * self.component.repeats
+
+
+def select_clips(recipe: Recipe, table: ClipTable) -> list[Selection]:
+    """Apply the filters of a recipe to the clips of its split.
+
+    Raises:
+        InputError: two components select the same clip, which would give it to an epoch twice.
+    """
+    held_out = pl.col("scene_id").is_in(recipe.held_out_scenes)
+    usable = table.lazy().filter((pl.col("split") == recipe.split) & ~held_out)
+    marked = usable
+    for component in recipe.components:
+        marked = _mark(marked, component, _used_by(component))
+    counted, shared = _count_clips(recipe, marked)
+    if shared is not None:
+        _refuse_shared_clip(recipe, marked, shared)
+    return [_select(component, usable, counts) for component, counts in zip(recipe.components, counted, strict=True)]
+
+
+def samples_per_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
+    """Items of an epoch: as the recipe says, else the most for which no component is too small in any epoch."""
+    if not recipe.named_epochs:
+        return sum(component.count or 0 for component in recipe.components)
+    if recipe.samples is not None:
+        return recipe.samples
+    return min(
+        math.floor(selection.capacity / share)
+        for epoch in recipe.named_epochs
+        for selection, share in zip(selections, recipe.shares(epoch), strict=True)
+        if share
+    )
+
+
+def plan_counts(recipe: Recipe, samples: int, epoch: int) -> list[int]:
+    """Items that each component gives to one epoch of so many samples."""
+    if not recipe.named_epochs:
+        return [component.count or 0 for component in recipe.components]
+    return epoch_counts(recipe.shares(epoch), samples)
+
+
+def most_items(recipe: Recipe, samples: int) -> list[int]:
+    """The most items that each component gives to any epoch."""
+    last = max(recipe.named_epochs, default=0)
+    by_epoch = [plan_counts(recipe, samples, epoch) for epoch in range(last + 1)]
+    return [max(counts) for counts in zip(*by_epoch, strict=True)]
+
+
+def find_shortages(recipe: Recipe, table: ClipTable, selections: Sequence[Selection]) -> list[str]:
+    """One line for each component that cannot give what it is asked for, or is asked for nothing by its share."""
+    samples = samples_per_epoch(recipe, selections)
+    shortages = []
+    for selection, count in zip(selections, most_items(recipe, samples), strict=True):
+        if count > selection.capacity or not selection.available:
+            shortages.append(_describe_shortage(selection, count, recipe, table))
+        elif count == 0 and all(other.available for other in selections):
+            shortages.append(
+                f"recipe {recipe.name}: the share of component {selection.component.name!r} of {samples} samples per "
+                "epoch gives it none; ask for more samples or a larger share"
+            )
+    return shortages
+
+
+def find_absent_words(recipe: Recipe, table: ClipTable) -> list[str]:
+    """One line for each source, country, category or factor that a filter names and no clip of the table has."""
+    columns = {name: pl.col(name) for name in ("source", "country", "category")}
+    columns["factors"] = pl.col("factors").explode(empty_as_null=False)
+    words = pl.collect_all([table.lazy().select(column.unique()) for column in columns.values()])
+    present = {name: set(found.to_series()) for name, found in zip(columns, words, strict=True)}
+    return [
+        f"component {component.name!r}: where.{field}: no clip has {word!r}"
+        for component in recipe.components
+        for field, named in component.where.model_dump(exclude={"kind"}).items()
+        for word in named
+        if word not in present[field.partition("_")[0]]
+    ]
+
+
+def matches(where: Filter) -> pl.Expr:
+    """Whether a clip satisfies a filter."""
+    kinds = ("GT", "Syn") if where.kind == "any" else (where.kind,)
+    conditions = [pl.col("kind").is_in(kinds)]
+    if where.source:
+        conditions.append(pl.col("source").is_in(where.source))
+    if where.country:
+        conditions.append(pl.col("country").is_in(where.country).fill_null(False))
+    if where.category:
+        conditions.append(pl.col("category").is_in(where.category))
+    if where.category_not:
+        conditions.append(~pl.col("category").is_in(where.category_not))
+    if where.factors_any:
+        conditions.append(pl.any_horizontal(_has_factor(name) for name in where.factors_any))
+    if where.factors_none:
+        conditions.append(~pl.any_horizontal(_has_factor(name) for name in where.factors_none))
+    conditions.extend(_has_factor(name) for name in where.factors_all)
+    return pl.all_horizontal(conditions)
+
+
+def _has_factor(name: str) -> pl.Expr:
+    return pl.col("factors").list.contains(name)
+
+
+def _mark(clips: pl.LazyFrame, component: Component, name: str) -> pl.LazyFrame:
+    """Add a column that tells whether the component may use a clip."""
+    matching = matches(component.where)
+    if component.prefer is None:
+        return clips.with_columns(matching.alias(name))
+    preferred = pl.col("kind") == component.prefer
+    pairs = clips.filter(matching & preferred).select(PAIR_COLUMNS).unique().with_columns(pl.lit(True).alias(name))
+    paired = clips.join(pairs, on=PAIR_COLUMNS, how="left", maintain_order="left")
+    return paired.with_columns((matching & (preferred | pl.col(name).is_null())).alias(name))
+
+
+def _used_by(component: Component) -> str:
+    return f"used by {component.name}"
+
+
+def _count_clips(recipe: Recipe, marked: pl.LazyFrame) -> tuple[list[list[int]], str | None]:
+    """What `_counts` gives for every component, in one pass; and a clip that two of them use, if there is one."""
+    used = [_used_by(component) for component in recipe.components]
+    counts = [
+        pl.concat_list(_counts(component, pl.col(name))).alias(name)
+        for component, name in zip(recipe.components, used, strict=True)
+    ]
+    shared = pl.col("clip_id").filter(pl.sum_horizontal(pl.lit(0), *used) > 1).min()
+    *counted, first_shared = marked.select(*counts, shared).collect(engine="streaming").row(0)
+    return counted, first_shared
+
+
+def _counts(component: Component, used: pl.Expr) -> list[pl.Expr]:
+    """Number of clips, of samples in categories without a cap, and of samples in each capped category."""
+    samples, category = sample_count(component), pl.col("category")
+    uncapped = ~category.is_in(list(component.caps))
+    capped = [samples.filter(used & (category == name)).sum() for name in component.caps]
+    return [used.sum(), samples.filter(used & uncapped).sum(), *capped]
+
+
+def _select(component: Component, usable: pl.LazyFrame, counts: Sequence[int]) -> Selection:
+    clip_count, other_samples, *capped = counts
+    name = _used_by(component)
+    clips = _mark(usable, component, name).filter(name).drop(name)
+    return Selection(component, clips, clip_count, dict(zip(component.caps, capped, strict=True)), other_samples)
+
+
+def _refuse_shared_clip(recipe: Recipe, marked: pl.LazyFrame, clip_id: str) -> None:
+    used = [_used_by(component) for component in recipe.components]
+    both = marked.filter((pl.col("clip_id") == clip_id) & (pl.sum_horizontal(used) > 1)).select(used).collect().row(0)
+    first, second = [component for component, uses in zip(recipe.components, both, strict=True) if uses][:2]
+    raise InputError(
+        f"clip {clip_id} is in component {first.name!r} {first.where} and in {second.name!r} {second.where}; "
+        "change the filters so that no clip is in both"
+    )
+
+
+def _describe_shortage(selection: Selection, count: int, recipe: Recipe, table: ClipTable) -> str:
+    component = selection.component
+    found = f"{selection.clip_count} clips with {selection.available} samples"
+    asked = f"{count} samples" if count else "samples"
+    return (
+        f"recipe {recipe.name}: component {component.name!r} {component.where} asks for {asked} per epoch, but matches "
+        f"{found} (repeats {component.repeats}); split {recipe.split} holds {_summarize(recipe, table)}; "
+        "change the filter, ask for fewer or allow more repeats"
+    )
+
+
+def _summarize(recipe: Recipe, table: ClipTable) -> str:
+    columns = ("kind", "category", "source")
+    clips = table.lazy().filter(pl.col("split") == recipe.split)
+    groups = clips.group_by(columns).len().sort(columns).collect(engine="streaming")
+    return ", ".join(f"{size} {kind} {category} from {source}" for kind, category, source, size in groups.rows()) or (
+        "no clips"
+    )

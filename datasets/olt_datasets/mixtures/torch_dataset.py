@@ -1,0 +1,93 @@
+"""A mixture as a torch Dataset and batch sampler, so that a DataLoader yields the dict of the public Alpamayo loader.
+
+dataset = TorchMixtureDataset(MixtureDataset(mixture, image_size=(320, 576)))
+batches = MixtureBatchSampler(mixture, batch_size=8)
+for batch in DataLoader(dataset, batch_sampler=batches, num_workers=2): ...
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset, Sampler
+
+from olt_datasets.mixtures.dataset import MixtureDataset
+from olt_datasets.mixtures.mixture import Mixture
+from olt_generator.errors import InputError
+from olt_toolkit.sample import PolicySample, SampleKey
+
+
+class TorchMixtureDataset(Dataset[dict[str, Any]]):
+    """Samples by key; `MixtureBatchSampler` gives the keys."""
+
+    def __init__(self, samples: MixtureDataset) -> None:
+        self.samples = samples
+
+    def __len__(self) -> int:
+        return len(self.samples)
+
+    def __getitem__(self, key: SampleKey) -> dict[str, Any]:
+        return to_tensors(self.samples.load(key))
+
+    def __getitems__(self, keys: Sequence[SampleKey]) -> list[dict[str, Any]]:
+        """A whole batch, as a DataLoader asks for it: every clip is decoded once."""
+        return [to_tensors(sample) for sample in self.samples.load_batch(keys)]
+
+
+class MixtureBatchSampler(Sampler[list[SampleKey]]):
+    """The keys of one rank's batches, epoch by epoch.
+
+    The global batches of an epoch are the same at every world size and accumulation: training may go on with other
+    numbers of ranks between epochs, and within one from any global batch on.
+
+    In a partial last batch that does not divide by the world size, the ranks that are one item short take their first
+    item of the epoch again, so that all ranks step alike.
+
+    Args:
+        mixture: which samples.
+        batch_size: items in a global batch, that is of one optimizer step over all ranks.
+        rank, world_size: this process and the number of processes.
+        accumulation: forward passes per optimizer step; a rank's part of a global batch comes in so many batches.
+
+    Raises:
+        InputError: the mixture holds no item or fewer than there are ranks, or the sizes do not fit together.
+    """
+
+    def __init__(
+        self, mixture: Mixture, batch_size: int, rank: int = 0, world_size: int = 1, accumulation: int = 1
+    ) -> None:
+        if 0 < len(mixture) < world_size:
+            raise InputError(f"a mixture of {len(mixture)} samples cannot feed {world_size} ranks; use fewer")
+        self._mixture = mixture
+        self._batch_size, self._rank, self._world_size = batch_size, rank, world_size
+        self._part_size, rest = divmod(batch_size, world_size * accumulation)
+        if rest:
+            raise InputError(
+                f"global batch size {batch_size} must be a multiple of {world_size} ranks x {accumulation} passes"
+            )
+        self.set_epoch(0)
+
+    def set_epoch(self, epoch: int, start_batch: int = 0) -> None:
+        """Choose the epoch, and the global batch to start from when training resumes."""
+        batches = self._mixture.epoch(epoch, self._batch_size, self._rank, self._world_size)
+        last_batch = len(self._mixture) - (len(batches) - 1) * self._batch_size
+        if len(batches[-1]) * self._world_size < last_batch:
+            batches[-1].append(batches[0][0])
+        size = self._part_size
+        self._batches = [
+            batch[start : start + size] for batch in batches[start_batch:] for start in range(0, len(batch), size)
+        ]
+
+    def __len__(self) -> int:
+        return len(self._batches)
+
+    def __iter__(self) -> Iterator[list[SampleKey]]:
+        return iter(self._batches)
+
+
+def to_tensors(sample: PolicySample) -> dict[str, Any]:
+    """The fields of a sample by name: arrays as tensors that share their memory, `t0_us` and `clip_id` as they are."""
+    values = {field.name: getattr(sample, field.name) for field in fields(sample)}
+    return {name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value for name, value in values.items()}

@@ -1,0 +1,1 @@
+"""Tables of clips: cut from drives, labelled, split, checked for leaks, and built."""

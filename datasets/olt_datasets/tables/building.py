@@ -1,0 +1,144 @@
+"""From the rows of a table of indexed clips to a store of built ones.
+
+Each row's window is opened by the reader of its data set and built as `olt clip build` builds a recording: staged with
+its pictures as soon as it is done, and all are committed together at the end. So an interrupted run that is taken up
+again leaves the same bytes as one that was not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from olt_datasets.tables.choices import BuiltKind
+from olt_datasets.tables.indexing import DatasetPlace
+from olt_generator.errors import InputError
+from olt_generator.progress import Progress, silent
+from olt_toolkit.clip import ClipInfo, make_clip_id
+from olt_toolkit.clip_folder import BuildJob, Outcome, is_finished, stage_clip
+from olt_toolkit.clip_store import ClipStore
+from olt_toolkit.clip_views import BuildOptions
+from olt_toolkit.recording import OpenOptions
+from olt_toolkit.rig import POLICY_CAMERAS
+from olt_toolkit.source_choice import SourceChoice
+from olt_toolkit.workers import Engine, map_parallel, use_one_thread
+
+# Data sets whose images a renderer made and no camera took.
+_RENDERED_SOURCES = frozenset({"synthetic"})
+# Images of cameras whose views are all true are at most so many times as wide as high.
+_WIDEST_SHAPE = 2
+
+
+@dataclass(frozen=True)
+class RowJob:
+    """One row of a table and how its clip is built.
+
+    Attributes:
+        row: the row.
+        place: the data set that its window is in.
+        store: folder of the clip store.
+        kind: GT: the true images of all policy cameras. Syn: those of the front camera, from which the other views are
+            synthesized.
+        opening: what to assume of a camera that the data set does not tell.
+        options: sizes and seed of the clip; everything else is the row's.
+        sources: where distances come from, and motion where the data set has not measured it.
+        keep_going: whether a window that cannot be used is an outcome instead of an error.
+    """
+
+    row: ClipInfo
+    place: DatasetPlace
+    store: Path
+    kind: BuiltKind
+    opening: OpenOptions
+    options: BuildOptions
+    sources: SourceChoice
+    keep_going: bool = False
+
+    @property
+    def clip_id(self) -> str:
+        """The id of the clip that will be built."""
+        return make_clip_id(self.row.source, self.row.name, self.kind.value, self.options.seed)
+
+
+def find_buildable(rows: Sequence[ClipInfo], kind: BuiltKind) -> list[ClipInfo]:
+    """The rows of which a clip of this kind can be made: GT only of rows of that kind, Syn of all.
+
+    Raises:
+        InputError: there are none, or one of them is in no split.
+    """
+    found = [row for row in rows if kind is BuiltKind.SYN or row.kind == "GT"]
+    if not found:
+        raise InputError(f"the table has {len(rows)} clips, none of which has true views of all policy cameras (GT)")
+    unsplit = [row.name for row in found if row.split is None]
+    if unsplit:
+        raise InputError(f"{len(unsplit)} clips are in no split, as {unsplit[0]!r}; run `olt data split` before")
+    return found
+
+
+def build_rows(
+    jobs: list[RowJob], workers: int, on_progress: Progress = silent, engine: Engine = Engine.LOCAL
+) -> list[Outcome]:
+    """Build the clips of rows and commit them to their store.
+
+    Args:
+        jobs: what to build, all for one store.
+        workers: number of processes.
+        on_progress: told the share of rows that are done.
+        engine: where the processes run.
+
+    Returns:
+        An outcome for each job, in their order; its path is the name of the row.
+
+    Raises:
+        InputError: a window cannot be used and its job does not keep going. Clips staged by then are found by the next
+            run.
+    """
+    outcomes = map_parallel(_build_or_report, jobs, workers, on_progress, engine)
+    ClipStore(jobs[0].store).commit([outcome.clip_id for outcome in outcomes if outcome.clip_id is not None])
+    return outcomes
+
+
+def _build_or_report(job: RowJob) -> Outcome:
+    use_one_thread()
+    name = Path(job.row.name)
+    if is_finished(job.store, job.clip_id, job.row.name):
+        return Outcome(name, "found", job.clip_id)
+    try:
+        return Outcome(name, "built", job.clip_id, _build(job))
+    except InputError as error:
+        if not job.keep_going:
+            raise
+        return Outcome(name, "failed", message=str(error))
+
+
+def _true_images(job: RowJob) -> OpenOptions:
+    """True views are only fitted to the clip's size: they are opened as large as that needs, and no larger."""
+    width = max(job.options.width, _WIDEST_SHAPE * job.options.height)
+    return replace(job.opening, width=width, views=POLICY_CAMERAS)
+
+
+def _build(job: RowJob) -> dict[str, Any]:
+    assert job.row.split is not None  # find_buildable refuses other rows
+    row, real_views = job.row, job.kind is BuiltKind.GT
+    dataset = job.place.open()
+    if dataset.source != row.source:
+        raise InputError(
+            f"{job.place.root}: holds data of {dataset.source}, but the clip {row.name!r} is of {row.source}"
+        )
+    opening = _true_images(job) if real_views else job.opening
+    recording = dataset.open(row.origin.recording, (row.origin.start_us, row.origin.end_us), opening)
+    recording = replace(recording, source=row.source)
+    options = replace(
+        job.options,
+        name=row.name,
+        scene_id=row.scene_id,
+        category=row.category,
+        factors=row.factors,
+        split=row.split,
+        origin=row.origin,
+        sample_t0_us=row.sample_t0_us,
+        image_kind="rendered" if row.source in _RENDERED_SOURCES else "observed",
+        use_reference_views=real_views,
+        use_reference_motion=recording.reference is not None,
+    )
+    return stage_clip(BuildJob(job.place.root, job.store, opening, options, job.sources), recording)

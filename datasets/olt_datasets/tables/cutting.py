@@ -1,0 +1,157 @@
+"""Windows of a drive, and the policy samples that each would give once it is built.
+
+The paper cuts a segment into windows of 41 front images that do not touch: images 0 to 40, then 42 to 82.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_datasets.drives import Drive
+from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, SampleChoice
+from olt_generator.errors import InputError
+from olt_toolkit import __version__
+from olt_toolkit.clip import ClipInfo, Origin, make_clip_id
+from olt_toolkit.policy_window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, STEP_US, Coverage, Span, sample_times
+from olt_toolkit.rig import POLICY_CAMERAS
+from olt_toolkit.sample import KEYFRAME_US
+
+
+@dataclass(frozen=True)
+class Cutting:
+    """How drives are cut.
+
+    Attributes:
+        frames: front images in a window.
+        stride: images from the start of a window to the start of the next.
+        seconds: duration of windows that follow one another, in place of `frames` and `stride`; None for those.
+        samples: every t0 on the 0.1 s grid, the one nearest to 5.1 s, or the events that the data set marks.
+
+    Raises:
+        InputError: a window would be empty, or would not move on.
+    """
+
+    frames: int = PAPER_FRAMES
+    stride: int = PAPER_STRIDE
+    seconds: float | None = None
+    samples: SampleChoice = SampleChoice.EVERY
+
+    def __post_init__(self) -> None:
+        if self.frames < 2 or self.stride < 1:
+            raise InputError(
+                f"windows of {self.frames} frames, {self.stride} apart: give at least 2 frames and a stride of 1"
+            )
+        if self.seconds is not None and not self.seconds > 0.0:
+            raise InputError(f"windows of {self.seconds:g} s: give a duration above 0")
+
+
+def cut_drive(drive: Drive, cutting: Cutting, licence: str | None) -> list[ClipInfo]:
+    """The clips that the windows of a drive would be, as rows of a clip table.
+
+    Such a clip is not built yet. It is of kind GT where the data set has true images for all policy cameras, and front
+    only elsewhere; its sample times are those that it will give once its other views are made. Times of its front
+    images are counted from the start of the drive. Its split is that of the data set, None where that has none. The
+    same drive and cutting give the same ids everywhere, and a GT clip keeps its id when it is built.
+
+    Args:
+        drive: the drive.
+        cutting: how it is cut.
+        licence: name of the data set's licence.
+    """
+    description = _describe(drive)
+    return [_clip_of(drive, window, cutting, licence, description) for window in find_windows(drive, cutting)]
+
+
+def find_windows(drive: Drive, cutting: Cutting) -> Iterator[Span]:
+    """Times of the first and the last front image of each window; a window that the drive does not fill is left out."""
+    times = drive.front_us
+    if cutting.seconds is None:
+        starts = np.arange(0, len(times) - cutting.frames + 1, cutting.stride)
+        yield from zip(times[starts].tolist(), times[starts + cutting.frames - 1].tolist(), strict=True)
+    elif len(times) > 1:
+        yield from _windows_of_duration(times, round(1e6 * cutting.seconds))
+
+
+def _windows_of_duration(times: NDArray[np.int64], duration_us: int) -> Iterator[Span]:
+    spacing = int(np.median(np.diff(times)))
+    count = int(times[-1] + spacing) // duration_us
+    edges = np.searchsorted(times, duration_us * np.arange(count + 1))
+    for first, following in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        if following - first > 1:
+            yield int(times[first]), int(times[following - 1])
+
+
+def find_samples(drive: Drive, window: Span, choice: SampleChoice) -> tuple[tuple[int, ...], str | None]:
+    """Times t0 since the start of a window at which it gives a sample, and why there are none where there are none.
+
+    Ego motion that the data set measured counts beyond the window; motion that is still to be recovered from the
+    images ends with them.
+    """
+    start, end = window
+    ego = window if drive.ego_span_us is None else drive.ego_span_us
+    coverage = Coverage((ego[0] - start, ego[1] - start), dict.fromkeys(POLICY_CAMERAS, (0, end - start)))
+    times, reason = sample_times(coverage)
+    if times and drive.usable_us is not None:
+        times, reason = _only_usable(times, (drive.usable_us[0] - start, drive.usable_us[1] - start))
+    if times and choice is SampleChoice.KEYFRAME:
+        times = (min(times, key=lambda time: abs(time - KEYFRAME_US)),)
+    if times and choice is SampleChoice.EVENTS:
+        times, reason = _only_events(times, [time - start for time in drive.event_t0s_us])
+    return times, reason
+
+
+def _only_usable(times: tuple[int, ...], usable: Span) -> tuple[tuple[int, ...], str | None]:
+    first, last = usable[0] - int(HISTORY_OFFSETS_US[0]), usable[1] - int(FUTURE_OFFSETS_US[-1])
+    kept = tuple(time for time in times if first <= time <= last)
+    reason = (
+        f"only {usable[0] / 1e6:.6g} to {usable[1] / 1e6:.6g} s of it may be imitated; a sample needs 7.9 s of that"
+    )
+    return kept, None if kept else reason
+
+
+def _only_events(times: tuple[int, ...], events: list[int]) -> tuple[tuple[int, ...], str | None]:
+    """The times on the grid that are nearest to an event."""
+    nearest = [(min(times, key=lambda time, event=event: abs(time - event)), event) for event in events]
+    kept = tuple(sorted({time for time, event in nearest if abs(time - event) <= STEP_US // 2}))
+    reason = f"the data set marks {len(events)} moments of the drive, none where the clip gives a sample"
+    return kept, None if kept else reason
+
+
+def _clip_of(drive: Drive, window: Span, cutting: Cutting, licence: str | None, description: str) -> ClipInfo:
+    start, end = window
+    times, reason = find_samples(drive, window, cutting.samples)
+    kind = "GT" if set(POLICY_CAMERAS) <= set(drive.true_views) else "front_only"
+    name = f"{drive.key.replace('/', '-')}_{start // 1000:06d}_{end // 1000:06d}"
+    return ClipInfo(
+        clip_id=make_clip_id(drive.source, name, kind, 0),
+        name=name,
+        scene_id=drive.scene_id,
+        source=drive.source,
+        origin=Origin(drive.key, start, end, drive.country, licence),
+        kind=kind,
+        category=drive.category,
+        factors=drive.factors,
+        split=drive.split,
+        duration_us=(end if drive.ego_span_us is None else drive.ego_span_us[1]) - start,
+        sample_t0_us=times,
+        no_sample_reason=reason,
+        created_with=__version__,
+        checksum=_hash_of(f"{description} {window} {times} {licence}".encode()),
+        fingerprint=None,
+        views={},
+    )
+
+
+def _describe(drive: Drive) -> str:
+    """Hash of everything that a data set tells of a drive."""
+    told = asdict(drive)
+    front_us = told.pop("front_us").astype("<i8").tobytes()
+    return _hash_of(json.dumps(told, sort_keys=True).encode() + front_us)
+
+
+def _hash_of(data: bytes) -> str:
+    return hashlib.blake2b(data, digest_size=16).hexdigest()

@@ -1,0 +1,224 @@
+"""The clips that a data set can give, listed in a clip table without decoding an image.
+
+Workers describe and cut drives, and write the rows of each part to a file of its own. Rows are then brought into the
+order of their ids a range of ids at a time, so that a table of ten million rows is never held. What a table says is a
+function of the data set and the cutting alone: the number of workers changes no byte of it.
+"""
+
+import math
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from olt_datasets.drives import Dataset, open_dataset
+from olt_datasets.tables.clip_table import TABLE_SUFFIX, scan_clip_tables
+from olt_datasets.tables.cutting import Cutting, cut_drive
+from olt_generator.errors import InputError
+from olt_generator.files import make_folder, write_whole
+from olt_generator.progress import Progress, silent
+from olt_toolkit.clip import ClipInfo
+from olt_toolkit.clip_table import SCHEMA, write_clip_table
+from olt_toolkit.workers import Engine, map_parallel, use_one_thread
+
+# Enough parts to keep many workers busy, and few enough files to read together.
+_PARTS = 512
+_ROWS_AT_ONCE = 500_000
+_ROW_GROUP = 250_000
+
+
+@dataclass(frozen=True)
+class DatasetPlace:
+    """Where a data set is, and how it is opened; can be sent to other processes.
+
+    Attributes:
+        root: its folder.
+        cache: where its reader keeps what takes long to find again.
+        source: name of its reader; None for the first that recognises the folder.
+    """
+
+    root: Path
+    cache: Path
+    source: str | None = None
+
+    def open(self) -> Dataset:
+        """Open the data set, once in each process.
+
+        Raises:
+            InputError: see `open_dataset`.
+        """
+        return _open_once(self)
+
+
+@dataclass(frozen=True)
+class IndexSummary:
+    """What an index holds.
+
+    Attributes:
+        source: name of the reader.
+        drives: drives that were described.
+        clips: rows of the table.
+        clips_with_samples: rows with at least one sample time.
+        samples: sample times of all rows.
+        kept: rows taken from the table that was there before, with their splits: they describe the same windows.
+        without_clips: keys of drives that fill no window.
+        failed: why drives could not be described, by key.
+    """
+
+    source: str
+    drives: int
+    clips: int
+    clips_with_samples: int
+    samples: int
+    kept: int
+    without_clips: list[str] = field(default_factory=list)
+    failed: dict[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Drives that one worker indexes, and the file that their rows go to."""
+
+    place: DatasetPlace
+    keys: tuple[str, ...]
+    cutting: Cutting
+    keep_going: bool
+    file: Path
+
+
+@dataclass(frozen=True)
+class _PartOutcome:
+    clips: int
+    without_clips: list[str]
+    failed: dict[str, str]
+
+
+def index_dataset(
+    place: DatasetPlace,
+    table: Path,
+    cutting: Cutting,
+    workers: int,
+    on_progress: Progress = silent,
+    keep_going: bool = False,
+    engine: Engine = Engine.LOCAL,
+) -> IndexSummary:
+    """Write the table of all clips that the drives of a data set can be cut into; it appears whole.
+
+    Where the table is there already, rows that still describe the same window of the same drive are taken from it, so
+    that splits which were given to them stay; rows of windows and drives that are gone are left out.
+
+    Args:
+        place: the data set.
+        table: the file to write.
+        cutting: how drives are cut.
+        workers: number of processes.
+        on_progress: told the share of drives that are done.
+        keep_going: whether a drive that cannot be described is told in the summary instead of an error.
+        engine: where the processes run.
+
+    Raises:
+        InputError: the data set or one of its drives cannot be used, or a table at that path cannot be read.
+    """
+    if table.suffix != TABLE_SUFFIX:
+        raise InputError(f"{table}: a table of clips is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
+    known = table if table.is_file() else None
+    if known is not None:
+        scan_clip_tables([known])  # refuses a table that cannot be used before any drive is described
+    keys = place.open().keys()
+    if not keys:
+        raise InputError(f"{place.root}: the data set has no drive; check that its files are unpacked")
+    make_folder(table.parent)
+    with tempfile.TemporaryDirectory(prefix=f".{table.stem}.", dir=table.parent) as folder:
+        parts = _parts(place, keys, cutting, keep_going, Path(folder))
+        outcomes = map_parallel(_index_part, parts, workers, on_progress, engine)
+        clips = sum(outcome.clips for outcome in outcomes)
+        kept = _merge([part.file for part in parts], clips, table, known)
+    return IndexSummary(
+        source=place.open().source,
+        drives=len(keys),
+        clips=clips,
+        **_count_samples(table),
+        kept=kept,
+        without_clips=[key for outcome in outcomes for key in outcome.without_clips],
+        failed={key: message for outcome in outcomes for key, message in outcome.failed.items()},
+    )
+
+
+@lru_cache(maxsize=1)
+def _open_once(place: DatasetPlace) -> Dataset:
+    return open_dataset(place.root, make_folder(place.cache), place.source)
+
+
+def _parts(place: DatasetPlace, keys: list[str], cutting: Cutting, keep_going: bool, folder: Path) -> list[_Part]:
+    size = math.ceil(len(keys) / _PARTS)
+    return [
+        _Part(place, tuple(keys[start : start + size]), cutting, keep_going, folder / f"{start:09d}{TABLE_SUFFIX}")
+        for start in range(0, len(keys), size)
+    ]
+
+
+def _index_part(part: _Part) -> _PartOutcome:
+    use_one_thread()
+    dataset = part.place.open()
+    rows: list[ClipInfo] = []
+    without_clips, failed = [], {}
+    for key in part.keys:
+        try:
+            clips = cut_drive(dataset.drive(key), part.cutting, dataset.licence.name)
+        except InputError as error:
+            if not part.keep_going:
+                raise
+            failed[key] = str(error)
+            continue
+        rows += clips
+        if not clips:
+            without_clips.append(key)
+    write_clip_table(part.file, rows)
+    return _PartOutcome(len(rows), without_clips, failed)
+
+
+def _merge(parts: list[Path], clips: int, table: Path, known: Path | None) -> int:
+    """Write the rows of all parts by clip id; returns how many were taken from the table that is known already."""
+    kept, fresh = 0, pl.scan_parquet(parts)
+    with write_whole(table) as temporary, pq.ParquetWriter(temporary, SCHEMA, compression="zstd") as writer:
+        for in_range in _id_ranges(math.ceil(clips / _ROWS_AT_ONCE)):
+            rows = fresh.filter(in_range).collect()
+            if known is not None:
+                before = pl.scan_parquet(known).filter(in_range)
+                same = before.join(rows.lazy(), on=("clip_id", "checksum"), how="semi").collect()
+                kept += len(same)
+                rows = pl.concat([rows.join(same, on="clip_id", how="anti"), same])
+            rows = rows.sort("clip_id")
+            _refuse_repeated(rows)
+            writer.write_table(_to_stored(rows), row_group_size=_ROW_GROUP)
+    return kept
+
+
+def _id_ranges(count: int) -> Iterator[pl.Expr]:
+    """Conditions that divide all clip ids into `count` ranges of about as many; ids are evenly spread."""
+    bounds = [f"{round(2**32 * part / count):08x}" for part in range(1, count)]
+    for low, high in zip(["", *bounds], [*bounds, "g"], strict=True):
+        yield pl.col("clip_id").is_between(pl.lit(low), pl.lit(high), closed="left")
+
+
+def _refuse_repeated(rows: pl.DataFrame) -> None:
+    repeated = rows.filter(pl.col("clip_id") == pl.col("clip_id").shift(1))
+    if len(repeated):
+        raise InputError(
+            f"two windows are called {repeated['name'][0]!r}; keys must differ in more than slashes and dashes"
+        )
+
+
+def _to_stored(rows: pl.DataFrame) -> pa.Table:
+    return rows.select(SCHEMA.names).to_arrow(compat_level=pl.CompatLevel.oldest()).cast(SCHEMA)
+
+
+def _count_samples(table: Path) -> dict[str, int]:
+    samples = pl.col("sample_t0_us").list.len()
+    counts = pl.scan_parquet(table).select(clips_with_samples=(samples > 0).sum(), samples=samples.sum())
+    return counts.collect(engine="streaming").row(0, named=True)

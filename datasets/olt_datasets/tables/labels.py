@@ -1,0 +1,135 @@
+"""What people know of clips and no data set tells: their category, scene factors and country, from a table of labels.
+
+Labels are a CSV file with a column `scene_id` or `clip_id` and any of `category`, `factors` (separated by semicolons)
+and `country` (two letters, ISO 3166). An empty cell leaves what the clip table says.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from olt_datasets.tables.clip_table import TABLE_SUFFIX, scan_clip_tables
+from olt_generator.errors import InputError
+from olt_generator.files import write_whole
+
+IDS = ("scene_id", "clip_id")
+FIELDS = ("category", "factors", "country")
+_WORD = re.compile(r"[a-z0-9]+(_[a-z0-9]+)*")
+_COUNTRY = re.compile(r"[A-Z]{2}")
+_SHOWN = 3
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Labels, checked.
+
+    Attributes:
+        id_column: which clips a row is for: "scene_id" or "clip_id".
+        rows: that column, each id once, and those of `FIELDS` that the file has; empty cells are null, `factors` lists.
+    """
+
+    id_column: str
+    rows: pl.DataFrame
+
+
+def read_labels(path: Path) -> Labels:
+    """Read a CSV file of labels.
+
+    Raises:
+        InputError: the file cannot be read, lacks a column or has an unknown one, an id is empty or there twice, or a
+            word is not in lower case with underscores; names the row.
+    """
+    try:
+        table = pl.read_csv(path, infer_schema=False)
+    except (pl.exceptions.PolarsError, OSError) as error:
+        reason = str(error).partition("\n")[0]
+        raise InputError(f"{path}: not a readable CSV file ({reason})") from error
+    known = [name for name in IDS if name in table.columns]
+    fields = [name for name in FIELDS if name in table.columns]
+    unknown = sorted(set(table.columns) - {*IDS, *FIELDS})
+    if len(known) != 1 or not fields or unknown:
+        raise InputError(
+            f"{path}: columns {', '.join(table.columns)}; give either {' or '.join(IDS)}, and any of "
+            f"{', '.join(FIELDS)}"
+        )
+    _check_ids(table[known[0]], path)
+    if "factors" in fields:
+        table = table.with_columns(pl.col("factors").str.split(";").list.eval(pl.element().str.strip_chars()))
+        _check_words(table["factors"].explode(), _WORD, "a word in lower case, such as weak_markings", path)
+    for name, pattern, form in (
+        ("category", _WORD, "a word in lower case, such as work_zone"),
+        ("country", _COUNTRY, "two letters, such as DE"),
+    ):
+        if name in fields:
+            _check_words(table[name], pattern, form, path)
+    return Labels(known[0], table.select(known[0], *fields))
+
+
+def label_table(table: Path, labels: Labels, out: Path) -> int:
+    """Write a table of indexed clips again with labels; it appears whole and may replace the old one.
+
+    Returns:
+        The number of clips that labels were found for.
+
+    Raises:
+        InputError: the table cannot be read, or a label is for no clip in it.
+    """
+    for path in (table, out):
+        if path.suffix != TABLE_SUFFIX:
+            raise InputError(f"{path}: labels go into a {TABLE_SUFFIX} table of indexed clips, before clips are built")
+    scan_clip_tables([table])
+    _refuse_unknown(table, labels)
+    labelled = 0
+    with (
+        pq.ParquetFile(table) as file,
+        write_whole(out) as temporary,
+        pq.ParquetWriter(temporary, file.schema_arrow, compression="zstd") as writer,
+    ):
+        for group in range(file.num_row_groups):
+            rows, count = _label_rows(file.read_row_group(group), labels)
+            writer.write_table(rows)
+            labelled += count
+    return labelled
+
+
+def _label_rows(rows: pa.Table, labels: Labels) -> tuple[pa.Table, int]:
+    """Rows of a clip table with labels, and how many found one."""
+    ids = pl.DataFrame({labels.id_column: pl.from_arrow(rows.column(labels.id_column))})
+    found = ids.join(labels.rows.with_columns(labelled=True), on=labels.id_column, how="left", maintain_order="left")
+    for name in labels.rows.columns[1:]:
+        place = rows.schema.get_field_index(name)
+        old = pl.Series(pl.from_arrow(rows.column(name)))
+        new = found[name].zip_with(found[name].is_not_null(), old)
+        cells = new.to_arrow(compat_level=pl.CompatLevel.oldest()).cast(rows.schema.field(place).type)
+        rows = rows.set_column(place, rows.schema.field(place), cells)
+    return rows, int(found["labelled"].sum())
+
+
+def _refuse_unknown(table: Path, labels: Labels) -> None:
+    name = labels.id_column
+    known = pl.scan_parquet(table).select(pl.col(name).unique())
+    absent = labels.rows.lazy().join(known, on=name, how="anti").select(name).collect()[name].sort()
+    if len(absent):
+        raise InputError(
+            f"{table}: holds no clip of {name} {', '.join(absent.head(_SHOWN))}"
+            f"{f' and {len(absent) - _SHOWN} more' if len(absent) > _SHOWN else ''}; remove these rows of the labels"
+        )
+
+
+def _check_ids(ids: pl.Series, path: Path) -> None:
+    if ids.null_count():
+        row = int(ids.is_null().arg_true()[0])
+        raise InputError(f"{path}: row {row + 1}: {ids.name} is empty")
+    twice = ids.filter(ids.is_duplicated())
+    if len(twice):
+        raise InputError(f"{path}: {ids.name} {twice[0]!r} is there more than once; give each one row")
+
+
+def _check_words(words: pl.Series, pattern: re.Pattern[str], form: str, path: Path) -> None:
+    wrong = next((word for word in words.drop_nulls().unique().sort() if not pattern.fullmatch(word)), None)
+    if wrong is not None:
+        raise InputError(f"{path}: {words.name} {wrong!r}: write {form}")

@@ -1,0 +1,98 @@
+"""Tables of indexed clips: whole, the same at any number of workers, and kept where nothing changed."""
+
+from dataclasses import replace
+
+import polars as pl
+import pyarrow.parquet as pq
+import pytest
+
+import olt_datasets.tables.indexing as indexing
+from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.cutting import Cutting
+from olt_datasets.tables.indexing import DatasetPlace, index_dataset
+from olt_datasets.tables.splits import SplitRule, Splitting, split_table
+from olt_generator.errors import InputError
+
+from ..toy_drives import ToyDataset, make_drive
+
+
+@pytest.fixture
+def toy(open_toy):
+    return open_toy(
+        ToyDataset({"a": make_drive("a", 200), "b": make_drive("b", 90, split="test"), "c": make_drive("c", 20)})
+    )
+
+
+def index(place, path, workers=1, **options):
+    return index_dataset(place, path, Cutting(), workers, **options)
+
+
+def test_a_row_for_each_window(toy, tmp_path):
+    place, _ = toy
+    summary = index(place, tmp_path / "clips.parquet")
+    assert (summary.source, summary.drives, summary.clips, summary.kept) == ("toy", 3, 6, 0)
+    assert (summary.without_clips, summary.failed) == (["c"], {})
+    table = read_clip_tables([tmp_path / "clips.parquet"])
+    assert table["clip_id"].is_sorted()
+    assert dict(table["recording"].value_counts().rows()) == {"a": 4, "b": 2}
+    assert table.filter(recording="b")["split"].to_list() == ["test", "test"]
+    assert summary.samples == table["sample_t0_us"].list.len().sum()
+    assert summary.clips_with_samples == table["no_sample_reason"].null_count()
+
+
+def test_unchanged_rows_keep_their_split_and_others_are_new(toy, tmp_path):
+    place, dataset = toy
+    path = tmp_path / "clips.parquet"
+    index(place, path)
+    split_table(path, Splitting(SplitRule.EXTERNAL, ("toy",)), path)
+    dataset.drives["d"] = make_drive("d", 60)
+    dataset.drives["b"] = replace(dataset.drives["b"], notes=("The clock was wrong.",))
+    del dataset.drives["c"]
+    summary = index(place, path)
+    assert (summary.clips, summary.kept) == (7, 4)
+    splits = read_clip_tables([path]).group_by("recording").agg(pl.col("split").unique()).sort("recording")
+    assert splits.rows() == [("a", ["test"]), ("b", ["test"]), ("d", [None])]
+    del dataset.drives["a"]
+    assert index(place, path).clips == 3
+
+
+def test_ranges_and_parts_change_no_row(toy, tmp_path, monkeypatch):
+    place, _ = toy
+    index(place, tmp_path / "once.parquet")
+    monkeypatch.setattr(indexing, "_ROWS_AT_ONCE", 2)
+    monkeypatch.setattr(indexing, "_PARTS", 1)
+    index(place, tmp_path / "ranges.parquet")
+    assert pq.read_table(tmp_path / "ranges.parquet").equals(pq.read_table(tmp_path / "once.parquet"))
+
+
+def test_drives_that_fail_are_told_or_stop_everything(toy, tmp_path):
+    place, dataset = toy
+    dataset.broken = ("bad",)
+    with pytest.raises(InputError, match="bad: poses are missing"):
+        index(place, tmp_path / "clips.parquet")
+    assert list(tmp_path.iterdir()) == []
+    summary = index(place, tmp_path / "clips.parquet", keep_going=True)
+    assert summary.failed == {"bad": "bad: poses are missing"}
+    assert summary.clips == 6
+
+
+def test_what_cannot_be_indexed_is_refused(toy, tmp_path, open_toy):
+    place, _ = toy
+    with pytest.raises(InputError, match=r"ends in \.parquet"):
+        index(place, tmp_path / "clips.csv")
+    (tmp_path / "old.parquet").write_bytes(b"PAR1")
+    with pytest.raises(InputError, match="not a readable Parquet file"):
+        index(place, tmp_path / "old.parquet")
+    with pytest.raises(InputError, match="has no drive"):
+        index(open_toy(ToyDataset({}))[0], tmp_path / "clips.parquet")
+    twins = ToyDataset({"a/b": make_drive("a/b"), "a-b": make_drive("a-b")})
+    with pytest.raises(InputError, match="two windows are called 'a-b_00"):
+        index(open_toy(twins)[0], tmp_path / "clips.parquet")
+
+
+def test_the_number_of_workers_changes_no_byte(tmp_path, shared_real):
+    place = DatasetPlace(shared_real, tmp_path, "kitti_raw")
+    cutting = Cutting(frames=20, stride=10)
+    for workers in (1, 2):
+        index_dataset(place, tmp_path / f"{workers}.parquet", cutting, workers)
+    assert (tmp_path / "1.parquet").read_bytes() == (tmp_path / "2.parquet").read_bytes()

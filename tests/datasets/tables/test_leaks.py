@@ -1,0 +1,170 @@
+"""A planted leak of each kind is found, and a clean table has none."""
+
+import polars as pl
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from olt_datasets.tables.fingerprints import LARGEST_DISTANCE, find_close_hashes, find_near_duplicates
+from olt_datasets.tables.leaks import find_leaks, find_table_leaks, summarize_leaks
+from olt_generator.seeds import make_generator
+from olt_toolkit.clip import Origin
+
+
+def rules(leaks):
+    return [(leak.rule, leak.scene_id) for leak in leaks]
+
+
+def seconds(start, end):
+    return Origin("drive", int(1e6 * start), int(1e6 * end))
+
+
+def draw_hashes(name):
+    return tuple(make_generator("hashes", name).integers(0, 2**64, 5, dtype="uint64").tolist())
+
+
+def flip(hashes, bits, count=5):
+    """The first hashes changed in so many bits, the others replaced."""
+    return tuple(value ^ (2**bits - 1) for value in hashes[:count]) + draw_hashes("others")[count:]
+
+
+@pytest.fixture(scope="module")
+def table(make_clip, make_table):
+    return make_table(
+        make_clip(1, scene_id="a"),
+        make_clip(2, scene_id="a", kind="Syn"),
+        make_clip(3, scene_id="b"),
+        make_clip(4, scene_id="b", kind="Syn", split="val"),
+        make_clip(5, scene_id="c", split="test"),
+        make_clip(6, scene_id="d", origin=seconds(0, 4)),
+        make_clip(7, scene_id="d", origin=seconds(4.1, 8.1), split="test"),
+        make_clip(8, scene_id="e"),
+        make_clip(9, scene_id="e", kind="front_only", split="test"),
+    )
+
+
+def choose(table, *scenes, split="train"):
+    return table.filter(pl.col("scene_id").is_in(scenes) & (pl.col("split") == split))
+
+
+def test_twins_in_one_split_and_windows_apart_are_no_leak(table):
+    assert find_leaks(choose(table, "a", "d"), table) == []
+    assert find_leaks(choose(table, "a", "d").lazy(), table.lazy()) == []
+
+
+def test_clips_of_another_split(table, make_clip, make_table):
+    chosen = table.filter(pl.col("scene_id").is_in(["a", "c"]))
+    assert rules(find_leaks(chosen, table)) == [("split", "c")]
+    assert find_leaks(choose(table, "c", split="test"), table, split="test") == []
+    unsplit = make_table(make_clip(1, split=None))
+    assert rules(find_leaks(unsplit, unsplit)) == [("split", "scene_1")]
+
+
+def test_held_out_scenes(table):
+    leaks = find_leaks(choose(table, "a", "d"), table, held_out_scenes={"d", "elsewhere"})
+    assert rules(leaks) == [("held out", "d")]
+
+
+def test_external_sources(make_clip, make_table):
+    table = make_table(make_clip(1, source="nexar"), make_clip(2, source="pav"), make_clip(3, source="nexar"))
+    leaks = find_leaks(table, table, external_sources=["nexar", "waymo_e2e"])
+    assert rules(leaks) == [("external", "scene_1"), ("external", "scene_3")]
+
+
+def test_twins_in_different_splits(table):
+    assert rules(find_leaks(choose(table, "a", "b", "e"), table)) == [("twin", "b"), ("twin", "e")]
+    assert rules(find_leaks(choose(table, "b", split="val"), table, split="val")) == [("twin", "b")]
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "leaks"), [(3.9, 8, True), (4, 8, True), (4.01, 8, False), (1, 2, True), (-3, 9, True)]
+)
+def test_windows_that_share_a_moment_across_splits(make_clip, make_table, start, end, leaks):
+    table = make_table(
+        make_clip(1, scene_id="a", origin=seconds(0, 4)),
+        make_clip(2, scene_id="a", origin=seconds(start, end), split="test"),
+        make_clip(3, scene_id="b", origin=seconds(start, end), split="test"),
+    )
+    assert rules(find_leaks(table[:1], table)) == [("overlap", "a")] * leaks
+
+
+@pytest.mark.parametrize(
+    ("fingerprint", "leaks"),
+    [
+        (flip(draw_hashes("street"), LARGEST_DISTANCE), True),
+        (flip(draw_hashes("street")[::-1], LARGEST_DISTANCE), True),
+        (flip(draw_hashes("street"), LARGEST_DISTANCE, count=3), True),
+        (flip(draw_hashes("street"), LARGEST_DISTANCE, count=2), False),
+        (flip(draw_hashes("street"), LARGEST_DISTANCE + 1), False),
+        (draw_hashes("street")[:1] * 5, False),
+        (draw_hashes("field"), False),
+        (None, False),
+    ],
+)
+def test_near_duplicates_of_another_scene_in_another_split(make_clip, make_table, fingerprint, leaks):
+    table = make_table(
+        make_clip(1, fingerprint=draw_hashes("street")),
+        make_clip(2, fingerprint=fingerprint, split="test"),
+        make_clip(3, fingerprint=draw_hashes("street")),
+        make_clip(4, fingerprint=None),
+    )
+    chosen = table.filter(pl.col("split") == "train")
+    assert rules(find_leaks(chosen, table)) == [("near-duplicate", "scene_1"), ("near-duplicate", "scene_3")] * leaks
+
+
+def test_images_without_structure_are_like_nothing(make_clip, make_table):
+    table = make_table(make_clip(1, fingerprint=(0,) * 5), make_clip(2, fingerprint=(0,) * 5, split="test"))
+    assert find_leaks(table[:1], table) == []
+
+
+@given(
+    st.lists(st.integers(0, 2**64 - 1), max_size=6),
+    st.lists(st.tuples(st.integers(0, 5), st.sets(st.integers(0, 63), max_size=6)), max_size=12),
+)
+def test_close_hashes_are_all_those_that_differ_in_few_bits(first, changes):
+    second = [
+        (first[place] if place < len(first) else place) ^ sum(1 << bit for bit in bits) for place, bits in changes
+    ]
+    pairs = find_close_hashes(
+        pl.Series(first, dtype=pl.UInt64).to_numpy(), pl.Series(second, dtype=pl.UInt64).to_numpy()
+    )
+    expected = [
+        [i, j] for i, a in enumerate(first) for j, b in enumerate(second) if (a ^ b).bit_count() <= LARGEST_DISTANCE
+    ]
+    assert pairs.tolist() == expected
+
+
+def test_the_search_in_parts_finds_what_it_finds_at_once(monkeypatch):
+    hashes = make_generator("many").integers(0, 2**64, 400, dtype="uint64")
+    fingerprints = pl.Series(hashes.reshape(80, 5).tolist(), dtype=pl.List(pl.UInt64))
+    found = find_near_duplicates(fingerprints, fingerprints)
+    assert found.tolist() == [[place, place] for place in range(80)]
+    monkeypatch.setattr("olt_datasets.tables.fingerprints._PAIRS_AT_ONCE", 3)
+    assert find_near_duplicates(fingerprints, fingerprints).tolist() == found.tolist()
+
+
+def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
+    clean = [
+        make_clip(1, fingerprint=draw_hashes(1)),
+        make_clip(2, fingerprint=draw_hashes(2), split="val"),
+        make_clip(3, fingerprint=draw_hashes(3), split="test", source="nexar"),
+        make_clip(4, scene_id="scene_1", origin=seconds(21, 30), split="test"),
+        make_clip(5, split=None, scene_id="scene_1"),
+    ]
+    assert find_table_leaks(make_table(*clean).lazy(), {"scene_3"}, {"nexar"}) == []
+    planted = {
+        "overlap": make_clip(6, scene_id="scene_2", split="test"),
+        "twin": make_clip(7, scene_id="scene_1", kind="Syn", split="val"),
+        "near-duplicate": make_clip(8, fingerprint=draw_hashes(1), split="val"),
+        "held out": make_clip(9, scene_id="held"),
+        "external": make_clip(10, source="nexar"),
+    }
+    for rule, clip in planted.items():
+        leaks = find_table_leaks(make_table(*clean, clip).lazy(), {"held"}, {"nexar"})
+        assert {leak.rule for leak in leaks} == {rule}
+
+
+def test_summary_counts_what_it_does_not_show(table):
+    leaks = find_leaks(choose(table, "a", "b", "d", "e"), table, held_out_scenes={"a", "b", "d"})
+    assert len(leaks) == 6
+    assert summarize_leaks(leaks).endswith("; and 3 more")

@@ -1,0 +1,118 @@
+"""The paper's rules for splits."""
+
+import re
+
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.leaks import find_table_leaks
+from olt_datasets.tables.splits import SplitRule, Splitting, assign_splits, split_table
+from olt_generator.errors import InputError
+from olt_toolkit.clip import Origin
+
+MARGIN = 1_000_000
+
+
+def rows(windows, source="a", split=None):
+    """Clips of (scene, start, end) in seconds."""
+    return pl.DataFrame(
+        {
+            "scene_id": [scene for scene, *_ in windows],
+            "source": source,
+            "start_us": [round(1e6 * start) for _, start, _ in windows],
+            "end_us": [round(1e6 * end) for _, _, end in windows],
+            "split": pl.Series([split] * len(windows), dtype=pl.String),
+        }
+    )
+
+
+def splits(clips, rule, **options):
+    return assign_splits(clips, Splitting(SplitRule(rule), **options)).to_list()
+
+
+def test_seen_gives_the_latest_windows_of_each_scene_to_test():
+    windows = [("x", start, start + 4) for start in (12.6, 0, 8.4, 4.2)] + [("y", 0, 4), ("z", 0, 4), ("z", 4.2, 8.2)]
+    assert splits(rows(windows), "seen", test=0.25) == ["test", "train", "train", "train", "train", "train", "train"]
+    assert splits(rows(windows), "seen", test=0.5)[-2:] == ["train", "test"]
+    assert splits(rows(windows), "seen", val=0.25, test=0.25)[:4] == ["test", "train", "val", "train"]
+
+
+def test_seen_leaves_out_what_is_too_close_to_a_later_split():
+    windows = [("x", start, start + 4) for start in (0, 2, 4, 6, 8)]
+    assert splits(rows(windows), "seen", test=0.2) == ["train", "train", None, None, "test"]
+    assert splits(rows(windows), "seen", test=0.2, gap=3.0) == ["train", None, None, None, "test"]
+
+
+@settings(max_examples=30)
+@given(
+    windows=st.lists(st.tuples(st.sampled_from("xyz"), st.integers(0, 60), st.integers(1, 6)), min_size=1, max_size=30),
+    val=st.sampled_from([0.0, 0.2]),
+    gap=st.sampled_from([0.0, 1.0]),
+)
+def test_seen_splits_are_apart_in_time(windows, val, gap):
+    clips = rows([(scene, start, start + length) for scene, start, length in windows])
+    clips = clips.with_columns(assign_splits(clips, Splitting(SplitRule.SEEN, val=val, test=0.3, gap=gap)))
+    pairs = clips.join(clips, on="scene_id").filter(pl.col("split") < pl.col("split_right"))
+    assert clips["split"].null_count() < len(clips)
+    order = {"train": 0, "val": 1, "test": 2}
+    for row in pairs.iter_rows(named=True):
+        earlier, later = ("", "_right") if order[row["split"]] < order[row["split_right"]] else ("_right", "")
+        assert row[f"end_us{earlier}"] + 1e6 * gap < row[f"start_us{later}"]
+
+
+def test_unseen_keeps_scenes_whole_and_further_scenes_move_none():
+    windows = [(f"scene {number % 500}", number, number + 1) for number in range(1000)]
+    found = splits(rows(windows), "unseen", val=0.1, test=0.2)
+    assert found[:500] == found[500:]
+    assert 70 < found[:500].count("test") < 130
+    assert 30 < found[:500].count("val") < 70
+    assert splits(rows([("new", 0, 1), *windows]), "unseen", val=0.1, test=0.2)[1:] == found
+    assert splits(rows(windows), "unseen", val=0.1, test=0.2, seed=1) != found
+
+
+def test_rules_are_for_the_named_sources_only():
+    clips = pl.concat([rows([("x", 0, 1)] * 2, source="nexar", split="train"), rows([("y", 0, 1)], split="val")])
+    assert splits(clips, "external", sources=("nexar",)) == ["test", "test", "val"]
+    assert splits(clips, "own") == ["train", "train", "val"]
+    assert splits(clips, "unseen", sources=("a",), test=0.0) == ["train", "train", "train"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rule": "seen", "test": 1.0}, "sum to less than 1"),
+        ({"rule": "seen", "val": -0.1}, "sum to less than 1"),
+        ({"rule": "seen", "gap": -1.0}, "a gap of -1 s"),
+        ({"rule": "external"}, "name the sources"),
+        ({"rule": "external", "sources": ("waymo",)}, "no clip of source 'waymo'"),
+        ({"rule": "own"}, "clips of a have no split of their own"),
+    ],
+)
+def test_rules_that_cannot_be_applied_are_refused(options, message):
+    with pytest.raises(InputError, match=message):
+        splits(rows([("x", 0, 1)]), **options)
+
+
+def test_a_split_table_is_written_whole_and_has_no_leak(write_store, make_clip, tmp_path):
+    clips = [
+        make_clip(number, scene_id=f"s{number % 4}", origin=Origin("d", number * MARGIN, number * MARGIN + 900_000))
+        for number in range(20)
+    ]
+    table = (write_store(*clips) / "clips.parquet").rename(tmp_path / "indexed.parquet")
+    before = read_clip_tables([table])
+    counts = split_table(table, Splitting(SplitRule.SEEN, test=0.4), tmp_path / "split.parquet")
+    assert counts == {"train": 12, "test": 8}
+    after = read_clip_tables([tmp_path / "split.parquet"])
+    assert after.drop("split", "store").equals(before.drop("split", "store"))
+    assert find_table_leaks(after.lazy()) == []
+    assert split_table(table, Splitting(SplitRule.SEEN, test=0.4), table) == counts
+    assert read_clip_tables([table]).drop("store").equals(after.drop("store"))
+
+
+def test_splits_of_built_clips_stay(write_store, make_clip, tmp_path):
+    store = write_store(make_clip(1))
+    with pytest.raises(InputError, match=re.escape(f"{store}: splits are given in a .parquet table")):
+        split_table(store, Splitting(SplitRule.SEEN), tmp_path / "out.parquet")
