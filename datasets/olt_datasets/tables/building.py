@@ -27,6 +27,8 @@ from olt_toolkit.workers import Engine, map_parallel, use_one_thread
 _RENDERED_SOURCES = frozenset({"synthetic"})
 # Images of cameras whose views are all true are at most so many times as wide as high.
 _WIDEST_SHAPE = 2
+# Pixels stay square: heights are whole numbers for images of 16 x 9, and little changed by rounding for others.
+_WIDTH_STEP, _SMALLEST_WIDTH = 16, 512
 
 
 @dataclass(frozen=True)
@@ -112,9 +114,9 @@ def _build_or_report(job: RowJob) -> Outcome:
 
 
 def _true_images(job: RowJob) -> OpenOptions:
-    """True views are only fitted to the clip's size: they are opened as large as that needs, and no larger."""
-    width = max(job.options.width, _WIDEST_SHAPE * job.options.height)
-    return replace(job.opening, width=width, views=POLICY_CAMERAS)
+    """True views are only fitted to the clip's size: they are opened as large as that needs, and little larger."""
+    needed = max(job.options.width, _WIDEST_SHAPE * job.options.height, _SMALLEST_WIDTH)
+    return replace(job.opening, width=-(-needed // _WIDTH_STEP) * _WIDTH_STEP, views=POLICY_CAMERAS)
 
 
 def _build(job: RowJob) -> dict[str, Any]:
