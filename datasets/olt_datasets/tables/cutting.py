@@ -125,7 +125,9 @@ def _clip_of(drive: Drive, window: Span, cutting: Cutting, licence: str | None, 
     start, end = window
     times, reason = find_samples(drive, window, cutting.samples)
     kind = "GT" if set(POLICY_CAMERAS) <= set(drive.true_views) else "front_only"
-    name = f"{drive.key.replace('/', '-')}_{start // 1000:06d}_{end // 1000:06d}"
+    # The key may be the same in two folders; the scene is not.
+    scene = drive.scene_id.removeprefix(f"{drive.source}/").replace("/", "-")
+    name = f"{scene}_{start // 1000:06d}_{end // 1000:06d}"
     return ClipInfo(
         clip_id=make_clip_id(drive.source, name, kind, 0),
         name=name,

@@ -61,7 +61,7 @@ def test_what_is_built_is_not_built_again(open_toy, tmp_path):
 
 
 def test_windows_that_fail_are_told_or_stop_everything(open_toy, tmp_path):
-    front = replace(SURROUND, key="b", true_views=(FRONT_WIDE,))
+    front = replace(SURROUND, key="b", scene_id="toy/b", true_views=(FRONT_WIDE,))
     place, _ = open_toy(ToyDataset({"a": SURROUND, "b": front}))
     rows = [*rows_of(SURROUND)[:1], replace(rows_of(front)[0], kind="GT")]
     jobs = jobs_for(rows, place, tmp_path / "clips", keep_going=True)
@@ -76,7 +76,7 @@ def test_windows_that_fail_are_told_or_stop_everything(open_toy, tmp_path):
 def test_another_data_set_is_refused(open_toy, tmp_path):
     place, _ = open_toy(ToyDataset({"a": SURROUND}))
     (job, *_) = jobs_for(rows_of(replace(SURROUND, source="other")), place, tmp_path / "clips")
-    with pytest.raises(InputError, match=r"holds data of toy, but the clip 'a_000000_002900' is of other"):
+    with pytest.raises(InputError, match=r"holds data of toy, but the clip 'toy-a_000000_002900' is of other"):
         build_rows([job], workers=1)
 
 

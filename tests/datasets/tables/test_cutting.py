@@ -132,3 +132,10 @@ def test_ids_are_told_by_the_window_and_checksums_by_everything_told():
     for changed in changes:
         assert changed[0].clip_id == clips[0].clip_id
         assert changed[0].checksum != clips[0].checksum
+
+
+def test_drives_of_one_key_in_two_folders_give_different_clips():
+    here = make_drive(".", images=100)
+    there = replace(here, scene_id="toy/elsewhere")
+    (first, *_), (second, *_) = (cut_drive(drive, Cutting(), None) for drive in (here, there))
+    assert first.clip_id != second.clip_id
