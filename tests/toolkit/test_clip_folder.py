@@ -7,7 +7,7 @@ import pytest
 
 from olt_generator.seeds import make_generator
 from olt_generator.video import write_video
-from olt_toolkit.clip_folder import BuildJob, Outcome, build_folder, find_recordings
+from olt_toolkit.clip_folder import BuildJob, Outcome, build_clips, find_recordings
 from olt_toolkit.clip_views import BuildOptions
 from olt_toolkit.recording import OpenOptions
 from olt_toolkit.source_choice import SourceChoice
@@ -26,7 +26,7 @@ def videos(tmp_path) -> Path:
 def build(videos: Path, store: Path, workers: int, engine: Engine = Engine.LOCAL) -> list[Outcome]:
     options = BuildOptions(width=96, height=54)
     jobs = [BuildJob(path, store, OpenOptions(), options, SourceChoice()) for path in find_recordings(videos)]
-    return build_folder(jobs, workers, engine=engine)
+    return build_clips(jobs, workers, engine=engine)
 
 
 def files_of(store: Path) -> dict[str, bytes]:

@@ -6,9 +6,10 @@ their paths. So an interrupted run that is taken up again leaves the same bytes 
 
 import time
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
@@ -25,6 +26,33 @@ from olt_toolkit.workers import Engine, map_parallel, use_one_thread
 PREVIEWS = "previews"
 # Decoding this much of a recording tells its name and source, which its clip's id is made from.
 _GLANCE_SECONDS = 0.3
+
+
+class ClipJob(Protocol):
+    """What one clip is built of; picklable, because workers build."""
+
+    @property
+    def path(self) -> Path:
+        """What the outcome is listed under."""
+        ...
+
+    @property
+    def store(self) -> Path:
+        """Folder of the clip store."""
+        ...
+
+    @property
+    def keep_going(self) -> bool:
+        """Whether input that cannot be used is an outcome instead of an error."""
+        ...
+
+    def build(self) -> "Outcome":
+        """Build the clip and stage it, unless an earlier run did.
+
+        Raises:
+            InputError: the input cannot be used.
+        """
+        ...
 
 
 @dataclass(frozen=True)
@@ -46,6 +74,14 @@ class BuildJob:
     options: BuildOptions
     sources: SourceChoice
     keep_going: bool = False
+
+    def build(self) -> "Outcome":
+        """See `ClipJob.build`."""
+        glance = open_recording(self.path, replace(self.opening, duration=min(_GLANCE_SECONDS, self.opening.duration)))
+        clip_id = clip_id_of(glance, self.options)
+        if is_finished(self.store, clip_id, glance.name):
+            return Outcome(self.path, "found", clip_id)
+        return Outcome(self.path, "built", clip_id, stage_clip(self, open_recording(self.path, self.opening)))
 
 
 @dataclass(frozen=True)
@@ -84,22 +120,22 @@ def find_recordings(folder: Path) -> list[Path]:
     return found
 
 
-def build_folder(
-    jobs: list[BuildJob], workers: int, on_progress: Progress = silent, engine: Engine = Engine.LOCAL
+def build_clips(
+    jobs: Sequence[ClipJob], workers: int, on_progress: Progress = silent, engine: Engine = Engine.LOCAL
 ) -> list[Outcome]:
-    """Build the clips of several recordings and commit them to their store.
+    """Build the clips of several jobs and commit them to their store.
 
     Args:
         jobs: what to build, all for one store.
         workers: number of processes.
-        on_progress: told the share of recordings that are done.
+        on_progress: told the share of jobs that are done.
         engine: where the processes run.
 
     Returns:
         An outcome for each job, in their order.
 
     Raises:
-        InputError: a recording cannot be used and its job does not keep going. Clips staged by then are found by the
+        InputError: something cannot be used and its job does not keep going. Clips staged by then are found by the
             next run.
     """
     outcomes = map_parallel(_build_or_report, jobs, workers, on_progress, engine)
@@ -129,22 +165,14 @@ def stage_clip(
     return summarize_build(built, info) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
 
 
-def _build_or_report(job: BuildJob) -> Outcome:
+def _build_or_report(job: ClipJob) -> Outcome:
     use_one_thread()
     try:
-        return _build_unless_found(job)
+        return job.build()
     except InputError as error:
         if not job.keep_going:
             raise
         return Outcome(job.path, "failed", message=str(error))
-
-
-def _build_unless_found(job: BuildJob) -> Outcome:
-    glance = open_recording(job.path, replace(job.opening, duration=min(_GLANCE_SECONDS, job.opening.duration)))
-    clip_id = clip_id_of(glance, job.options)
-    if is_finished(job.store, clip_id, glance.name):
-        return Outcome(job.path, "found", clip_id)
-    return Outcome(job.path, "built", clip_id, stage_clip(job, open_recording(job.path, job.opening)))
 
 
 def is_finished(root: Path, clip_id: str, name: str) -> bool:

@@ -72,13 +72,13 @@ def build(
 
 
 def _build(jobs: "list[RowJob]", workers: int | None, engine: Engine) -> "list[Outcome]":
-    from olt_datasets.tables.building import build_rows
+    from olt_toolkit.clip_folder import build_clips
     from olt_toolkit.console import make_progress
     from olt_toolkit.workers import default_workers
 
     with make_progress() as progress:
         task = progress.add_task("clips", total=len(jobs))
-        return build_rows(
+        return build_clips(
             jobs,
             workers or default_workers(),
             lambda share: progress.update(task, completed=round(share * len(jobs))),

@@ -15,9 +15,7 @@ from olt_datasets.mixtures.mixture import Mixture, MixtureComponent
 from olt_generator.errors import InputError
 from olt_toolkit.clip import Split, make_clip_id
 from olt_toolkit.clip_store import ClipStore
-
-DEFAULT_KEYFRAME_US = 5_100_000
-"""Where the public recipes take their sample when they are not told to take it from the index."""
+from olt_toolkit.sample import KEYFRAME_US
 
 
 @dataclass(frozen=True)
@@ -149,7 +147,7 @@ def _store_groups(store: Path, split: Split, left_out: Counter[str]) -> Iterator
 
 
 def _default_first(t0s_us: tuple[int, ...]) -> tuple[int, ...]:
-    return tuple(sorted(t0s_us, key=lambda t0_us: (t0_us != DEFAULT_KEYFRAME_US, t0_us)))
+    return tuple(sorted(t0s_us, key=lambda t0_us: (t0_us != KEYFRAME_US, t0_us)))
 
 
 def _notes(mixture: Mixture) -> Iterator[str]:

@@ -15,7 +15,7 @@ from typing import Any
 import pandas as pd
 
 from olt_datasets.export.chunks import ChunkPlan, ChunkResult, plan_chunks, write_chunk
-from olt_datasets.export.contents import DEFAULT_KEYFRAME_US, Contents, ExportGroup, ExportItem
+from olt_datasets.export.contents import Contents, ExportGroup, ExportItem
 from olt_datasets.export.options import WorkOptions, fingerprint_export
 from olt_datasets.export.writing import EXPORT_FILE, find_finished, naming, resumable_folder, write_file
 from olt_generator.errors import InputError
@@ -26,6 +26,7 @@ from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.clip_table import CLIP_TABLE, write_clip_table
 from olt_toolkit.pai_layout import CLIP_INDEX
 from olt_toolkit.pai_tables import read_indexed, to_bytes
+from olt_toolkit.sample import KEYFRAME_US
 from olt_toolkit.workers import map_parallel
 
 
@@ -115,7 +116,7 @@ def _summarize(
         "format": "pai",
         "split": contents.split,
         "clips": len(rows),
-        "clips_with_default_keyframe": sum(DEFAULT_KEYFRAME_US in row.item.t0s_us for row in rows),
+        "clips_with_default_keyframe": sum(KEYFRAME_US in row.item.t0s_us for row in rows),
         "further_uses": sum(row.item.listed_as != row.item.clip_id for row in rows),
         "groups": groups,
         "components": _join_groups(groups),

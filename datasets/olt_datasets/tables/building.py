@@ -13,15 +13,12 @@ from typing import Any
 from olt_datasets.tables.choices import BuiltKind
 from olt_datasets.tables.indexing import DatasetPlace
 from olt_generator.errors import InputError
-from olt_generator.progress import Progress, silent
 from olt_toolkit.clip import ClipInfo, make_clip_id
 from olt_toolkit.clip_folder import BuildJob, Outcome, is_finished, stage_clip
-from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.clip_views import BuildOptions
 from olt_toolkit.recording import OpenOptions
 from olt_toolkit.rig import POLICY_CAMERAS
 from olt_toolkit.source_choice import SourceChoice
-from olt_toolkit.workers import Engine, map_parallel, use_one_thread
 
 # Data sets whose images a renderer made and no camera took.
 _RENDERED_SOURCES = frozenset({"synthetic"})
@@ -61,6 +58,17 @@ class RowJob:
         """The id of the clip that will be built."""
         return make_clip_id(self.row.source, self.row.name, self.kind.value, self.options.seed)
 
+    @property
+    def path(self) -> Path:
+        """The name of the row, under which its outcome is listed."""
+        return Path(self.row.name)
+
+    def build(self) -> Outcome:
+        """See `olt_toolkit.clip_folder.ClipJob.build`."""
+        if is_finished(self.store, self.clip_id, self.row.name):
+            return Outcome(self.path, "found", self.clip_id)
+        return Outcome(self.path, "built", self.clip_id, _build(self))
+
 
 def find_buildable(rows: Sequence[ClipInfo], kind: BuiltKind) -> list[ClipInfo]:
     """The rows of which a clip of this kind can be made: GT only of rows of that kind, Syn of all.
@@ -75,42 +83,6 @@ def find_buildable(rows: Sequence[ClipInfo], kind: BuiltKind) -> list[ClipInfo]:
     if unsplit:
         raise InputError(f"{len(unsplit)} clips are in no split, as {unsplit[0]!r}; run `olt data split` before")
     return found
-
-
-def build_rows(
-    jobs: list[RowJob], workers: int, on_progress: Progress = silent, engine: Engine = Engine.LOCAL
-) -> list[Outcome]:
-    """Build the clips of rows and commit them to their store.
-
-    Args:
-        jobs: what to build, all for one store.
-        workers: number of processes.
-        on_progress: told the share of rows that are done.
-        engine: where the processes run.
-
-    Returns:
-        An outcome for each job, in their order; its path is the name of the row.
-
-    Raises:
-        InputError: a window cannot be used and its job does not keep going. Clips staged by then are found by the next
-            run.
-    """
-    outcomes = map_parallel(_build_or_report, jobs, workers, on_progress, engine)
-    ClipStore(jobs[0].store).commit([outcome.clip_id for outcome in outcomes if outcome.clip_id is not None])
-    return outcomes
-
-
-def _build_or_report(job: RowJob) -> Outcome:
-    use_one_thread()
-    name = Path(job.row.name)
-    if is_finished(job.store, job.clip_id, job.row.name):
-        return Outcome(name, "found", job.clip_id)
-    try:
-        return Outcome(name, "built", job.clip_id, _build(job))
-    except InputError as error:
-        if not job.keep_going:
-            raise
-        return Outcome(name, "failed", message=str(error))
 
 
 def _true_images(job: RowJob) -> OpenOptions:

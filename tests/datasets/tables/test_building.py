@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from olt_datasets.tables.building import RowJob, build_rows, find_buildable
+from olt_datasets.tables.building import RowJob, find_buildable
 from olt_datasets.tables.choices import BuiltKind
 from olt_datasets.tables.cutting import Cutting, cut_drive
 from olt_datasets.tables.indexing import DatasetPlace, index_dataset
 from olt_datasets.tables.splits import SplitRule, Splitting, split_table
 from olt_generator.errors import InputError
+from olt_toolkit.clip_folder import build_clips
 from olt_toolkit.clip_store import ClipStore
 from olt_toolkit.clip_table import read_clip_table
 from olt_toolkit.clip_views import BuildOptions
@@ -38,7 +39,7 @@ def jobs_for(rows, place, store, kind=BuiltKind.GT, **changes):
 def test_a_built_clip_is_what_its_row_says(open_toy, tmp_path):
     place, dataset = open_toy(ToyDataset({"a": SURROUND}))
     rows = rows_of(SURROUND)
-    outcomes = build_rows(jobs_for(rows, place, tmp_path / "clips"), workers=1)
+    outcomes = build_clips(jobs_for(rows, place, tmp_path / "clips"), workers=1)
     assert [outcome.state for outcome in outcomes] == ["built", "built"]
     store = ClipStore(tmp_path / "clips")
     assert [clip.clip_id for clip in store.clips()] == [row.clip_id for row in rows]
@@ -55,8 +56,8 @@ def test_a_built_clip_is_what_its_row_says(open_toy, tmp_path):
 def test_what_is_built_is_not_built_again(open_toy, tmp_path):
     place, dataset = open_toy(ToyDataset({"a": SURROUND}))
     jobs = jobs_for(rows_of(SURROUND), place, tmp_path / "clips")
-    build_rows(jobs[:1], workers=1)
-    assert [outcome.state for outcome in build_rows(jobs, workers=1)] == ["found", "built"]
+    build_clips(jobs[:1], workers=1)
+    assert [outcome.state for outcome in build_clips(jobs, workers=1)] == ["found", "built"]
     assert len(dataset.opened) == 2
 
 
@@ -65,19 +66,19 @@ def test_windows_that_fail_are_told_or_stop_everything(open_toy, tmp_path):
     place, _ = open_toy(ToyDataset({"a": SURROUND, "b": front}))
     rows = [*rows_of(SURROUND)[:1], replace(rows_of(front)[0], kind="GT")]
     jobs = jobs_for(rows, place, tmp_path / "clips", keep_going=True)
-    outcomes = build_rows(jobs, workers=1)
+    outcomes = build_clips(jobs, workers=1)
     assert [outcome.state for outcome in outcomes] == ["built", "failed"]
     assert "no true images of" in outcomes[1].message
     assert len(ClipStore(tmp_path / "clips").clips()) == 1
     with pytest.raises(InputError, match="no true images of"):
-        build_rows([replace(job, keep_going=False) for job in jobs], workers=1)
+        build_clips([replace(job, keep_going=False) for job in jobs], workers=1)
 
 
 def test_another_data_set_is_refused(open_toy, tmp_path):
     place, _ = open_toy(ToyDataset({"a": SURROUND}))
     (job, *_) = jobs_for(rows_of(replace(SURROUND, source="other")), place, tmp_path / "clips")
     with pytest.raises(InputError, match=r"holds data of toy, but the clip 'toy-a_000000_002900' is of other"):
-        build_rows([job], workers=1)
+        build_clips([job], workers=1)
 
 
 def test_rows_of_which_a_clip_can_be_made():
@@ -98,7 +99,7 @@ def test_a_real_drive_becomes_syn_clips(shared_real, tmp_path):
     split_table(table, Splitting(SplitRule.SEEN, test=0.4), table)
     rows = find_buildable(read_clip_table(table), BuiltKind.SYN)
     jobs = jobs_for(rows, place, tmp_path / "clips", BuiltKind.SYN, options=BuildOptions(width=128, height=72))
-    build_rows(jobs, workers=2)
+    build_clips(jobs, workers=2)
     clips = sorted(ClipStore(tmp_path / "clips").clips(), key=lambda clip: clip.origin.start_us)
     assert [(clip.kind, clip.split) for clip in clips] == [("Syn", "train"), ("Syn", "test")]
     assert {clip.origin.licence for clip in clips} == {rows[0].origin.licence}

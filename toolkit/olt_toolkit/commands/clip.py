@@ -235,7 +235,7 @@ def _build_all(job: "BuildJob", recordings: list[Path], workers: int | None, eng
     from dataclasses import asdict, replace
 
     from olt_generator.errors import InputError
-    from olt_toolkit.clip_folder import build_folder
+    from olt_toolkit.clip_folder import build_clips
     from olt_toolkit.commands.clip_tables import print_outcomes
     from olt_toolkit.console import make_progress, print_json
     from olt_toolkit.workers import default_workers
@@ -243,7 +243,7 @@ def _build_all(job: "BuildJob", recordings: list[Path], workers: int | None, eng
     jobs = [replace(job, path=path) for path in recordings]
     with make_progress() as progress:
         task = progress.add_task("clips", total=len(jobs))
-        outcomes = build_folder(
+        outcomes = build_clips(
             jobs,
             workers or default_workers(),
             lambda share: progress.update(task, completed=round(share * len(jobs))),
