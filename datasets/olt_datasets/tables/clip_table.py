@@ -6,7 +6,7 @@ given, so that everything drawn from a table by row number is reproducible.
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +18,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from olt_generator.errors import InputError
+from olt_generator.files import write_whole
 from olt_toolkit.clip import ClipKind, Split
 from olt_toolkit.clip_table import CLIP_TABLE, OPTIONAL_COLUMNS, VERSION_KEY, check_table_version
 from olt_toolkit.clip_table import SCHEMA as STORED_SCHEMA
@@ -51,6 +52,33 @@ def scan_clip_tables(paths: Sequence[Path]) -> pl.LazyFrame:
 def read_clip_tables(paths: Sequence[Path]) -> pl.DataFrame:
     """All rows and columns of `scan_clip_tables`, in memory."""
     return scan_clip_tables(paths).collect()
+
+
+def rewrite_rows(table: Path, out: Path, change: Callable[[pa.Table, int], pa.Table]) -> None:
+    """Write a table of indexed clips again, changed row group by row group; it appears whole and may replace the old.
+
+    Args:
+        table: the table, checked before.
+        out: the table to write.
+        change: gives the new rows for old ones and the number of the first of them; the same columns, as many rows.
+    """
+    with (
+        pq.ParquetFile(table) as file,
+        write_whole(out) as temporary,
+        pq.ParquetWriter(temporary, file.schema_arrow, compression="zstd") as writer,
+    ):
+        start = 0
+        for group in range(file.num_row_groups):
+            rows = file.read_row_group(group)
+            writer.write_table(change(rows, start))
+            start += len(rows)
+
+
+def replace_column(rows: pa.Table, name: str, cells: pl.Series) -> pa.Table:
+    """Rows with other cells in one column, in the column's own type."""
+    place = rows.schema.get_field_index(name)
+    new = cells.to_arrow(compat_level=pl.CompatLevel.oldest()).cast(rows.schema.field(place).type)
+    return rows.set_column(place, rows.schema.field(place), new)
 
 
 def explode_samples(table: pl.DataFrame) -> pl.DataFrame:

@@ -10,11 +10,9 @@ from pathlib import Path
 
 import polars as pl
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from olt_datasets.tables.clip_table import TABLE_SUFFIX, scan_clip_tables
+from olt_datasets.tables.clip_table import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
 from olt_generator.errors import InputError
-from olt_generator.files import write_whole
 
 IDS = ("scene_id", "clip_id")
 FIELDS = ("category", "factors", "country")
@@ -84,29 +82,25 @@ def label_table(table: Path, labels: Labels, out: Path) -> int:
     scan_clip_tables([table])
     _refuse_unknown(table, labels)
     labelled = 0
-    with (
-        pq.ParquetFile(table) as file,
-        write_whole(out) as temporary,
-        pq.ParquetWriter(temporary, file.schema_arrow, compression="zstd") as writer,
-    ):
-        for group in range(file.num_row_groups):
-            rows, count = _label_rows(file.read_row_group(group), labels)
-            writer.write_table(rows)
-            labelled += count
+
+    def change(rows: pa.Table, _: int) -> pa.Table:
+        nonlocal labelled
+        found = _find_labels(rows, labels)
+        labelled += int(found["labelled"].sum())
+        for name in labels.rows.columns[1:]:
+            old = pl.Series(pl.from_arrow(rows.column(name)))
+            rows = replace_column(rows, name, found[name].zip_with(found[name].is_not_null(), old))
+        return rows
+
+    rewrite_rows(table, out, change)
     return labelled
 
 
-def _label_rows(rows: pa.Table, labels: Labels) -> tuple[pa.Table, int]:
-    """Rows of a clip table with labels, and how many found one."""
+def _find_labels(rows: pa.Table, labels: Labels) -> pl.DataFrame:
+    """The labels of each row of a clip table, and true in the column `labelled` where there are any."""
     ids = pl.DataFrame({labels.id_column: pl.from_arrow(rows.column(labels.id_column))})
-    found = ids.join(labels.rows.with_columns(labelled=True), on=labels.id_column, how="left", maintain_order="left")
-    for name in labels.rows.columns[1:]:
-        place = rows.schema.get_field_index(name)
-        old = pl.Series(pl.from_arrow(rows.column(name)))
-        new = found[name].zip_with(found[name].is_not_null(), old)
-        cells = new.to_arrow(compat_level=pl.CompatLevel.oldest()).cast(rows.schema.field(place).type)
-        rows = rows.set_column(place, rows.schema.field(place), cells)
-    return rows, int(found["labelled"].sum())
+    marked = labels.rows.with_columns(labelled=True)
+    return ids.join(marked, on=labels.id_column, how="left", maintain_order="left")
 
 
 def _refuse_unknown(table: Path, labels: Labels) -> None:

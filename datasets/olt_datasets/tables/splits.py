@@ -13,13 +13,10 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
-import pyarrow as pa
-import pyarrow.parquet as pq
 
 from olt_datasets.tables.choices import SplitRule
-from olt_datasets.tables.clip_table import TABLE_SUFFIX, scan_clip_tables
+from olt_datasets.tables.clip_table import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
 from olt_generator.errors import InputError
-from olt_generator.files import write_whole
 from olt_generator.seeds import derive_seed
 
 _SEED_RANGE = 2.0**63
@@ -78,7 +75,8 @@ def split_table(table: Path, splitting: Splitting, out: Path) -> dict[str, int]:
     # In the order of the file, not that of the clips: splits are written back row by row.
     columns = pl.scan_parquet(table).select(pl.col(_WORDS).cast(pl.Categorical), "start_us", "end_us", "split")
     splits = assign_splits(columns.collect(engine="streaming"), splitting)
-    _write_splits(table, splits, out)
+    words = splits.cast(pl.String)
+    rewrite_rows(table, out, lambda rows, start: replace_column(rows, "split", words.slice(start, len(rows))))
     return {name or "none": count for name, count in splits.value_counts(sort=True).rows()}
 
 
@@ -151,14 +149,3 @@ def _by_own(clips: pl.DataFrame, _: Splitting) -> pl.Series:
             f"rule own: clips of {', '.join(without)} have no split of their own; split them by another rule"
         )
     return clips["split"].cast(_SPLIT)
-
-
-def _write_splits(table: Path, splits: pl.Series, out: Path) -> None:
-    with pq.ParquetFile(table) as file, write_whole(out) as temporary:
-        index, start = file.schema_arrow.get_field_index("split"), 0
-        with pq.ParquetWriter(temporary, file.schema_arrow, compression="zstd") as writer:
-            for group in range(file.num_row_groups):
-                rows = file.read_row_group(group)
-                new = splits.slice(start, len(rows)).cast(pl.String).to_arrow(compat_level=pl.CompatLevel.oldest())
-                writer.write_table(rows.set_column(index, file.schema_arrow.field(index), new.cast(pa.string())))
-                start += len(rows)
