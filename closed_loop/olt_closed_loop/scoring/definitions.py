@@ -156,14 +156,15 @@ def _strict(record: DriveRecord, skip: bool) -> dict[str, Any]:
     span = _scored_span(record)
     collisions, unreachable = find_collisions(ego, record.agents, boxes, *span, skip_unreachable=skip)
     offroad_us = first_departure(road, ego, *span, skip=skip) if road else None
-    progress, left_path_us = _progress(record)
+    recorded_m = _recorded_length(record)
+    progress, left_path_us = _progress(record, recorded_m)
     metrics = measure_driving(record, ego, boxes)
     at_fault = sum(collision.at_fault for collision in collisions)
     left_road = int(offroad_us is not None)
     reason = "collision_at_fault" if at_fault else "offroad" if left_road else None
     return {
         "valid": True,
-        "score": 0.0 if reason else _progress_score(record, progress),
+        "score": 0.0 if reason else _progress_score(recorded_m, progress),
         "progress": progress,
         "collided": bool(collisions),
         "collided_at_fault": at_fault > 0,
@@ -208,8 +209,8 @@ def _scored_span(record: DriveRecord) -> tuple[int, int]:
     return max(record.handover_us, int(record.timestamps_us[0])), int(record.timestamps_us[-1])
 
 
-def _progress(record: DriveRecord) -> tuple[float, int | None]:
-    """Progress of the drive, and when it left the path."""
+def _progress(record: DriveRecord, recorded_m: float) -> tuple[float, int | None]:
+    """Progress of the drive along the metres that were recorded, and when it left the path."""
     tracker = PathTracker(record.recorded_poses[:, :2])
     handed_over, reached, left_path_us = 0.0, 0.0, None
     for time_us, position in zip(record.timestamps_us.tolist(), record.poses[:, :2], strict=True):
@@ -220,8 +221,7 @@ def _progress(record: DriveRecord) -> tuple[float, int | None]:
         reached = arc_length
         if time_us <= record.handover_us:
             handed_over = reached
-    recorded = _recorded_length(record)
-    return (min((reached - handed_over) / recorded, 1.0) if recorded > 0.0 else 1.0), left_path_us
+    return (min((reached - handed_over) / recorded_m, 1.0) if recorded_m > 0.0 else 1.0), left_path_us
 
 
 def recorded_length(scene: Scene, rollout: Rollout) -> float:
@@ -237,8 +237,8 @@ def _recorded_length(record: DriveRecord) -> float:
     return float(end - start)
 
 
-def _progress_score(record: DriveRecord, progress: float) -> float:
-    if _recorded_length(record) < SHORT_RECORDING:
+def _progress_score(recorded_m: float, progress: float) -> float:
+    if recorded_m < SHORT_RECORDING:
         return 1.0
     return min(progress / FULL_PROGRESS, 1.0)
 

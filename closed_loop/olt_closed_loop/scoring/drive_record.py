@@ -81,11 +81,6 @@ class DriveRecord:
     drivable: tuple[Array, ...] = ()
     plans: tuple[Plan, ...] = ()
 
-    @property
-    def has_map(self) -> bool:
-        """Whether there is any road to be on or off."""
-        return bool(self.lanes or self.drivable)
-
 
 def record_drive_in_scene(scene: Scene, rollout: Rollout) -> DriveRecord:
     """The record of a rollout of a scene. A policy's plan is the one sample that it drew."""

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.simulation.batch_policy import BatchPolicy, ObservationBatch
@@ -193,8 +194,9 @@ def _left_out(policy: Policy, settings: SimulationSettings) -> tuple[str, ...]:
 
 def replay(scene: Scene, settings: SimulationSettings | None = None) -> Rollout:
     """The rollout of an ego that is where the recording says at every step, with no policy and no vehicle."""
-    times = step_times(scene, settings or SimulationSettings())
-    return _given_motion(scene, "replay", settings or SimulationSettings(), recorded_motion(scene, times))
+    settings = settings or SimulationSettings()
+    times = step_times(scene, settings)
+    return _given_motion(scene, "replay", settings, times, recorded_motion(scene, times))
 
 
 def stand(scene: Scene, settings: SimulationSettings | None = None) -> Rollout:
@@ -206,11 +208,12 @@ def stand(scene: Scene, settings: SimulationSettings | None = None) -> Rollout:
     recorded.states[first:] = recorded.states[first]
     recorded.states[first:, STATE.speed :] = 0.0
     recorded.heights[first:] = recorded.heights[first]
-    return _given_motion(scene, "stand", settings, recorded)
+    return _given_motion(scene, "stand", settings, times, recorded)
 
 
-def _given_motion(scene: Scene, name: str, settings: SimulationSettings, motion: RecordedMotion) -> Rollout:
-    times = step_times(scene, settings)
+def _given_motion(
+    scene: Scene, name: str, settings: SimulationSettings, times: NDArray[np.int64], motion: RecordedMotion
+) -> Rollout:
     return Rollout(
         scene=scene.name,
         category=scene.category,

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from olt_datasets.sources.kitti import PASSAT, check_increasing, decode_image, list_images, trim_reference, usual_travel
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
-from olt_generator.poses import Array, aim_camera, camera_pose_in_rig, invert
+from olt_generator.poses import Array, aim_camera, camera_pose_in_rig, invert, make_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
 from olt_toolkit.recording import OpenOptions, Recording
@@ -139,7 +139,7 @@ def _read_poses(path: Path, count: int) -> Array | None:
     rows = _read_rows(path, 12).reshape(-1, 3, 4)
     if len(rows) != count:
         raise InputError(f"{path}: {len(rows)} poses for {count} images; copy the sequence again")
-    return np.concatenate([rows, np.tile([[[0.0, 0.0, 0.0, 1.0]]], (len(rows), 1, 1))], axis=1)
+    return make_pose(rows[..., :3], rows[..., 3])
 
 
 def _mount(T_start_camera: Array | None) -> Array:

@@ -39,6 +39,10 @@ class _RoadMap:
             raise UnmeasuredError("the map has no road edges")
         return _vertex_tree(list(self.edges))
 
+    @cached_property
+    def _edge_lines(self) -> Geometries:
+        return np.array([shapely.LineString(edge[:, :2]) for edge in self.edges], dtype=object)
+
     def lanes_near(self, positions: Array) -> list[tuple[int, ...]]:
         """For positions (n, 3), the lanes with a vertex of the centre line within 6 m."""
         return [
@@ -56,9 +60,7 @@ class _RoadMap:
     def edges_at(self, positions: Array) -> Geometries:
         """For positions (n, 3), the edge that owns the nearest vertex."""
         tree, edge_of = self._edge_tree
-        nearest = edge_of[tree.query(positions)[1]]
-        lines = np.array([shapely.LineString(edge[:, :2]) for edge in self.edges], dtype=object)
-        return lines[nearest]
+        return self._edge_lines[edge_of[tree.query(positions)[1]]]
 
 
 def measure_road(surroundings: Surroundings) -> dict[str, MetricSeries]:
