@@ -8,7 +8,7 @@ clips of held-out scenes belong in a store of their own.
 
 import fcntl
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from pathlib import Path
@@ -50,6 +50,7 @@ from olt_toolkit.policy_window import (
     IMAGE_OFFSETS_US,
     Coverage,
     check_sample_window,
+    newest_frames,
 )
 from olt_toolkit.rig import CAMERA_INDEX, POLICY_CAMERAS, MountedCamera, VehicleDimensions
 from olt_toolkit.sample import PolicySample, SampleKey
@@ -171,10 +172,7 @@ class ClipStore:
         """
         info = self.info(clip_id)
         timestamps = {camera: self.read_timestamps(clip_id, camera) for camera in info.views}
-        spans = {camera: (int(times[0]), int(times[-1])) for camera, times in timestamps.items()}
-        coverage = Coverage(self.read_ego_motion(clip_id).span_us, spans)
-        for t0_us in t0s_us:
-            check_sample_window(t0_us, coverage, f"{self.root}: clip {clip_id}")
+        self._check_windows(clip_id, t0s_us, self.read_ego_motion(clip_id), timestamps)
         for camera in info.views:
             video, where = self._video(clip_id, camera)
             check_video(video, len(timestamps[camera]), where)
@@ -241,7 +239,7 @@ class ClipStore:
                 f"{self.root}: clip {clip_id}: {camera} covers {timestamps_us[0]} to {timestamps_us[-1]} us; "
                 f"{times_us[0]} to {times_us[-1]} us was asked for"
             )
-        indices = _newest(timestamps_us, times_us)
+        indices = newest_frames(timestamps_us, times_us)
         video, where = self._video(clip_id, camera)
         return decode_frames(video, indices, where), timestamps_us[indices]
 
@@ -280,13 +278,11 @@ class ClipStore:
         present = [name for name in POLICY_CAMERAS if name in self.info(clip_id).views]
         timestamps = {name: self.read_timestamps(clip_id, name) for name in present}
         motion = self.read_ego_motion(clip_id)
-        spans = {name: (int(times[0]), int(times[-1])) for name, times in timestamps.items()}
-        for t0_us in t0s_us:
-            check_sample_window(t0_us, Coverage(motion.span_us, spans), where)
+        self._check_windows(clip_id, t0s_us, motion, timestamps)
 
         asked = np.array(t0s_us)[:, None] + IMAGE_OFFSETS_US
         query, places = np.unique(asked, return_inverse=True)
-        indices = {name: _newest(timestamps[name], query) for name in POLICY_CAMERAS}
+        indices = {name: newest_frames(timestamps[name], query) for name in POLICY_CAMERAS}
         views = [self._decode(clip_id, name, indices[name], image_size) for name in POLICY_CAMERAS]
         if len({images.shape for images in views}) > 1:
             raise InputError(f"{where}: its cameras have different image sizes; give an image size to scale them to")
@@ -295,6 +291,14 @@ class ClipStore:
             _assemble_sample(clip_id, t0_us, _pick(views, place), shown[:, place], motion)
             for t0_us, place in zip(t0s_us, places.reshape(asked.shape), strict=True)
         ]
+
+    def _check_windows(
+        self, clip_id: str, t0s_us: Sequence[int], motion: EgoMotion, timestamps: Mapping[str, NDArray[np.int64]]
+    ) -> None:
+        spans = {camera: (int(times[0]), int(times[-1])) for camera, times in timestamps.items()}
+        coverage = Coverage(motion.span_us, spans)
+        for t0_us in t0s_us:
+            check_sample_window(t0_us, coverage, f"{self.root}: clip {clip_id}")
 
     def _decode(
         self, clip_id: str, camera: str, indices: NDArray[np.int64], size: tuple[int, int] | None
@@ -391,11 +395,6 @@ def _pick(views: Sequence[NDArray[np.uint8]], places: NDArray[np.int64]) -> NDAr
     for target, images in zip(picked, views, strict=True):
         np.take(images, places, axis=0, out=target)
     return picked
-
-
-def _newest(timestamps_us: NDArray[np.int64], times_us: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers (m,) of the newest frames at or before each time."""
-    return np.searchsorted(timestamps_us, times_us, side="right") - 1
 
 
 def _poses_at(motion: EgoMotion, t0_us: int) -> tuple[Array, Array]:

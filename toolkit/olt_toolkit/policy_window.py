@@ -52,6 +52,11 @@ def sample_times(coverage: Coverage) -> tuple[tuple[int, ...], str | None]:
     )
 
 
+def newest_frames(timestamps_us: NDArray[np.int64], times_us: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers (m,) of the newest of the frames at times (n,) at or before each time; -1 before the first."""
+    return np.searchsorted(timestamps_us, times_us, side="right") - 1
+
+
 def shown_frames(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
     """Numbers (m,) of the frames that samples with t0 on the 0.1 s grid show, out of frames at these times (n,).
 
@@ -60,8 +65,7 @@ def shown_frames(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
     """
     first, last = int(timestamps_us[0]), int(timestamps_us[-1])
     grid = np.arange(-(-first // STEP_US), last // STEP_US + 1) * STEP_US
-    newest = np.searchsorted(timestamps_us, grid, side="right") - 1
-    return np.unique(np.concatenate([[0], newest, [len(timestamps_us) - 1]]))
+    return np.unique(np.concatenate([[0], newest_frames(timestamps_us, grid), [len(timestamps_us) - 1]]))
 
 
 def sampled_frames(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -1,6 +1,6 @@
 """A picture of the shares of a mixture."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ def draw_mixture(mixture: Mixture, path: Path) -> None:
 
     summary = mixture.describe()
     figure, panels = pyplot.subplots(2, 3, figsize=(13, 7), layout="constrained")
-    _draw_components(panels[0, 0], mixture)
+    _draw_components(panels[0, 0], mixture, summary["components"])
     for axes, group in zip(panels.flat[1:], GROUPS, strict=True):
         _draw_shares(axes, summary[f"by_{group}"], max(len(mixture), 1))
         axes.set_title(f"by {group}" + (" (a sample has any number)" if group == "factors" else ""))
@@ -33,12 +33,11 @@ def draw_mixture(mixture: Mixture, path: Path) -> None:
     pyplot.close(figure)
 
 
-def _draw_components(axes: Any, mixture: Mixture) -> None:
+def _draw_components(axes: Any, mixture: Mixture, parts: Sequence[Mapping[str, Any]]) -> None:
     epochs = mixture.recipe.named_epochs
     if len(epochs) > 1:
         _draw_curriculum(axes, mixture, range(epochs[-1] + 2))
         return
-    parts = mixture.describe()["components"]
     places = range(len(parts))
     got = [part["got"] / len(mixture) for part in parts]
     axes.barh(places, got, color="tab:blue", label="got")
