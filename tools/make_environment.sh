@@ -1,5 +1,5 @@
 #!/bin/sh
-# Make the environment from the pinned versions: uv where it is on the PATH, else venv and pip.
+# Make the environment from the pinned versions: uv, from the PATH or else from the package index, with pip as fallback.
 set -eu
 venv=$1
 python=${PYTHON:-python3}
@@ -7,13 +7,17 @@ python=${PYTHON:-python3}
     echo "$python is older than Python 3.11; set PYTHON to a newer one" >&2
     exit 1
 }
-if command -v uv >/dev/null 2>&1; then
-    uv venv --quiet --allow-existing --python "$python" "$venv"
+"$python" -m venv "$venv"
+pip="$venv/bin/python -m pip --quiet --disable-pip-version-check"
+uv=$(command -v uv || true)
+if [ -z "$uv" ] && $pip install uv; then
+    uv=$venv/bin/uv
+fi
+if [ -n "$uv" ]; then
     # Compiled once here, as pip does, instead of by every process that imports torch.
-    VIRTUAL_ENV=$venv uv pip install --quiet --compile-bytecode --requirement requirements.txt
-    VIRTUAL_ENV=$venv uv pip install --quiet --no-deps --no-build-isolation --editable .
+    VIRTUAL_ENV=$venv "$uv" pip install --quiet --compile-bytecode --requirement requirements.txt
+    VIRTUAL_ENV=$venv "$uv" pip install --quiet --no-deps --no-build-isolation --editable toolkit/generator --editable .
 else
-    "$python" -m venv "$venv"
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --requirement requirements.txt
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+    $pip install --requirement requirements.txt
+    $pip install --no-deps --no-build-isolation --editable toolkit/generator --editable .
 fi

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from olt_closed_loop.scoring.score_table import ScoreRow, ScoreTable
+    from olt_closed_loop.evaluation.score_table import ScoreRow, ScoreTable
 
 EVENT_WORDS = {
     "policy_errors": "the policy raised an error",
@@ -62,17 +62,17 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Drive scenes with a policy and print AS and CR by category; the gate must hold on every scene."""
-    from olt_closed_loop.scoring.score_table import summarize_scores
-    from olt_closed_loop.simulation.evaluation import (
+    from olt_closed_loop.evaluation.evaluation import (
         count_left_out,
         count_vehicle_steps,
         find_scenes,
         run_closed_loop,
         save_results,
     )
+    from olt_closed_loop.evaluation.score_table import summarize_scores
     from olt_closed_loop.simulation.settings import SimulationSettings
-    from olt_toolkit.console import make_progress, print_json, print_line
-    from olt_toolkit.workers import default_workers
+    from olt_toolkit.runtime.console import make_progress, print_json, print_line
+    from olt_toolkit.runtime.workers import default_workers
 
     settings = SimulationSettings(
         duration_us=round(duration * 1e6),
@@ -135,9 +135,9 @@ def gate(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Check on scenes that drives of known worth get what they are worth."""
-    from olt_closed_loop.scoring.gate import check_gate
-    from olt_closed_loop.simulation.evaluation import find_scenes, load_scene
-    from olt_toolkit.console import make_progress, print_json, print_table
+    from olt_closed_loop.evaluation.evaluation import find_scenes, load_scene
+    from olt_closed_loop.evaluation.gate import check_gate
+    from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
     sources = find_scenes(scenes)
     with make_progress() as progress:
@@ -159,10 +159,10 @@ def convert_scene(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write a recorded drive as a scene, and say what was assumed and whether the gate holds on it."""
-    from olt_closed_loop.scenes.stage import write_scene
-    from olt_closed_loop.scoring.gate import check_gate
-    from olt_closed_loop.simulation.evaluation import load_scene
-    from olt_toolkit.console import make_progress, print_json, print_table
+    from olt_closed_loop.evaluation.evaluation import load_scene
+    from olt_closed_loop.evaluation.gate import check_gate
+    from olt_closed_loop.scenes.scene_file import write_scene
+    from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
     if out.suffix not in (".usda", ".usdc"):
         raise typer.BadParameter(f"{out}: give a file ending in .usda or .usdc")
@@ -193,15 +193,15 @@ def convert_scene(
 
 @app.command()
 def score_rollout(
-    file: Annotated[Path, typer.Argument(help="One rollout as JSON (olt_closed_loop.scoring.rollout_files).")],
+    file: Annotated[Path, typer.Argument(help="One rollout as JSON (olt_closed_loop.rollouts.rollout_files).")],
     definition: Annotated[ScoreDefinition, typer.Option(help="How the score is defined.")] = ScoreDefinition.strict,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Score one recorded rollout."""
+    from olt_closed_loop.rollouts.rollout_files import read_rollout_file
     from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
     from olt_closed_loop.scoring.definitions import score_record
-    from olt_closed_loop.scoring.rollout_files import read_rollout_file
-    from olt_toolkit.console import print_json, print_table
+    from olt_toolkit.runtime.console import print_json, print_table
 
     record = read_rollout_file(file)
     if definition is ScoreDefinition.alpasim:
@@ -220,7 +220,7 @@ def score_rollout(
 
 
 def _print_scores(policy: str, table: "ScoreTable") -> None:
-    from olt_toolkit.console import print_table
+    from olt_toolkit.runtime.console import print_table
 
     columns = ["category", "valid / rollouts", "AS", "95 %", "CR", "95 %", "solves failed / late"]
     print_table(f"{policy}, definition {table.definition}", columns, [_cells(row) for row in table.rows])

@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from olt_sft_recipes.language_model import KeysValues, join_heads, make_perceptron, split_heads
 from olt_sft_recipes.toy_config import ToyPolicyConfig
-from olt_toolkit.policy import FUTURE_STEPS
+from olt_toolkit.policy.contract import FUTURE_STEPS
 
 ACTION_SIZE = 2
 TIME_FREQUENCIES = 10

@@ -15,9 +15,9 @@ from olt_generator.cameras import pixel_rays
 from olt_generator.poses import Array, invert, planar_pose, transform
 from olt_sft_recipes.toy_config import ToyPolicyConfig
 from olt_sft_recipes.toy_inputs import look_at, planar_poses
-from olt_toolkit.action_space import trajectory_to_actions
-from olt_toolkit.rig import POLICY_CAMERAS, pav_rig
-from olt_toolkit.sample import PolicySample
+from olt_toolkit.policy.action_space import trajectory_to_actions
+from olt_toolkit.policy.sample import PolicySample
+from olt_toolkit.rigs.rig import POLICY_CAMERAS, pav_rig
 
 # Left and right change places in a mirror: cross-left, front, cross-right, tele.
 MIRRORED_CAMERAS = [2, 1, 0, 3]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from olt_generator.poses import Array
-from olt_toolkit.policy import STEP_SECONDS
+from olt_toolkit.policy.contract import STEP_SECONDS
 
 HORIZONS_SECONDS = (0.5, 1.0, 3.0, 5.0)
 # Length, width and height in metres of the box whose corners are compared; it is centred on the trajectory.

@@ -5,9 +5,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from olt_sft_recipes.metrics import corner_distance, displacement_errors
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.policy import Observation, Policy
-from olt_toolkit.sample import PolicySample, SampleKey
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.policy.contract import Observation, Policy
+from olt_toolkit.policy.sample import PolicySample, SampleKey
 
 
 def evaluate_open_loop(

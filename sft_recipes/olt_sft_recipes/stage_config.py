@@ -19,7 +19,7 @@ from pydantic import (
 )
 
 from olt_generator.errors import InputError
-from olt_toolkit.yaml_files import read_yaml_mapping
+from olt_toolkit.runtime.yaml_files import read_yaml_mapping
 
 
 class StageConfig(BaseModel):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.poses import Array
-from olt_toolkit.policy import FUTURE_STEPS, HISTORY_STEPS
+from olt_toolkit.policy.contract import FUTURE_STEPS, HISTORY_STEPS
 
 Tokens = NDArray[np.int64]
 

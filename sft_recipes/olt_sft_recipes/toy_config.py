@@ -4,8 +4,8 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, PositiveInt, model_validator
 
-from olt_toolkit.policy import IMAGE_FRAMES
-from olt_toolkit.rig import POLICY_CAMERAS
+from olt_toolkit.policy.contract import IMAGE_FRAMES
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 CAMERAS = len(POLICY_CAMERAS)
 

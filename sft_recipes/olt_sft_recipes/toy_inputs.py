@@ -10,9 +10,9 @@ from torch import Tensor
 from olt_generator.poses import Array, yaw_of
 from olt_sft_recipes.tokens import encode_history
 from olt_sft_recipes.toy_config import ToyPolicyConfig
-from olt_toolkit.action_space import DEFAULT_SETTINGS
-from olt_toolkit.images import resize_images
-from olt_toolkit.policy import STEP_SECONDS
+from olt_toolkit.clips.images import resize_images
+from olt_toolkit.policy.action_space import DEFAULT_SETTINGS
+from olt_toolkit.policy.contract import STEP_SECONDS
 
 MOTION_FEATURES = 7
 # Speeds are given relative to a middle one, in units that bring city speeds to within -1 and 1; m/s.

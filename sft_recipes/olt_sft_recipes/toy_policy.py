@@ -18,16 +18,16 @@ from olt_sft_recipes.action_expert import ACTION_SIZE
 from olt_sft_recipes.toy_config import ToyPolicyConfig
 from olt_sft_recipes.toy_inputs import encode_inputs, look_at, planar_poses
 from olt_sft_recipes.toy_model import ToyModel
-from olt_toolkit.action_space import actions_to_trajectory, estimate_initial_speed
-from olt_toolkit.policy import FUTURE_STEPS, Observation, Plan
-from olt_toolkit.rig import POLICY_CAMERAS
+from olt_toolkit.policy.action_space import actions_to_trajectory, estimate_initial_speed
+from olt_toolkit.policy.contract import FUTURE_STEPS, Observation, PlannedTrajectory
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 CONFIG_FILE = "config.json"
 WEIGHTS_FILE = "model.safetensors"
 
 
 class ToyPolicy:
-    """Drives with the toy model (contract `olt_toolkit.policy.Policy`)."""
+    """Drives with the toy model (contract `olt_toolkit.policy.contract.Policy`)."""
 
     name = "toy"
     cameras = POLICY_CAMERAS
@@ -45,7 +45,7 @@ class ToyPolicy:
         """
         return cls(read_model(folder))
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation) -> PlannedTrajectory:
         """Draw one plan; the same observation gives the same plan.
 
         Raises:
@@ -60,7 +60,7 @@ class ToyPolicy:
             cache = self.model.cache(encode_inputs(images[None], history[None]))
             actions = self.model.expert.sample(noise, cache)[0].double().numpy()
         speed = estimate_initial_speed(observation.history_xyz, observation.history_rotation)
-        return Plan(*actions_to_trajectory(actions, speed))
+        return PlannedTrajectory(*actions_to_trajectory(actions, speed))
 
 
 def load_toy(path: str | None) -> ToyPolicy:

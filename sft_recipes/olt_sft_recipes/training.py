@@ -34,7 +34,7 @@ from olt_sft_recipes.toy_config import ToyPolicyConfig
 from olt_sft_recipes.toy_inputs import PolicyInputs, encode_inputs
 from olt_sft_recipes.toy_model import ToyModel
 from olt_sft_recipes.toy_policy import load_tensors, read_config, read_tensors, save_model
-from olt_toolkit.sample import PolicySample, SampleKey
+from olt_toolkit.policy.sample import PolicySample, SampleKey
 
 Batches = Callable[[int], Sequence[Sequence[SampleKey]]]
 """The batches of an epoch."""

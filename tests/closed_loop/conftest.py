@@ -8,7 +8,7 @@ import pytest
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_generator.poses import planar_pose, transform
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 
 def _straight_scene(

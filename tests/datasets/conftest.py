@@ -7,25 +7,25 @@ import numpy as np
 import polars as pl
 import pytest
 
-import olt_datasets.drives
+import olt_toolkit.recordings.drives
 from olt_datasets.tables.clip_table import SCHEMA
 from olt_datasets.tables.indexing import DatasetPlace
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.clip import (
+from olt_toolkit.clips.clip import (
     CameraStream,
     Clip,
     ClipInfo,
     ClipKind,
+    ClipOrigin,
     EgoMotion,
-    Origin,
     Split,
     ViewProvenance,
     make_clip_id,
 )
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.clip_table import CLIP_TABLE, write_clip_table
-from olt_toolkit.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.table import CLIP_TABLE, write_clip_table
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
 
 from .toy_drives import ToyDataset, ToyReader
 
@@ -44,7 +44,7 @@ def _make_clip(
     split: Split | None = "train",
     scene_id: str | None = None,
     samples: int = 1,
-    origin: Origin | None = None,
+    origin: ClipOrigin | None = None,
     fingerprint: tuple[int, ...] | None = None,
 ) -> ClipInfo:
     return ClipInfo(
@@ -52,7 +52,7 @@ def _make_clip(
         name=f"drive {number}",
         scene_id=scene_id or f"scene_{number}",
         source=source,
-        origin=origin or Origin(f"drive {number}", 0, 20_000_000),
+        origin=origin or ClipOrigin(f"drive {number}", 0, 20_000_000),
         kind=kind,
         category=category,
         factors=factors,
@@ -102,7 +102,7 @@ def open_toy(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monke
 
     def open_one(dataset: ToyDataset) -> tuple[DatasetPlace, ToyDataset]:
         reader, root = ToyReader(dataset), tmp_path_factory.mktemp("toy")
-        monkeypatch.setattr(olt_datasets.drives, "readers", lambda: {reader.name: reader})
+        monkeypatch.setattr(olt_toolkit.recordings.drives, "readers", lambda: {reader.name: reader})
         return DatasetPlace(root, root / "cache"), dataset
 
     return open_one
@@ -133,7 +133,7 @@ def real_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
         name="straight",
         scene_id="straight",
         source="test",
-        origin=Origin("straight", 0, 8_900_000),
+        origin=ClipOrigin("straight", 0, 8_900_000),
         kind="GT",
         category="nominal",
         factors=(),
@@ -144,6 +144,6 @@ def real_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
         provenance={name: ViewProvenance("rendered", "test", "1", None, 1.0, 0.0) for name in streams},
     )
     store = ClipStore(tmp_path_factory.mktemp("clips"))
-    store.stage(clip)
+    store.prepare(clip)
     store.commit([clip.clip_id])
     return store.root

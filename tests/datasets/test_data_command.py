@@ -10,7 +10,7 @@ from olt_datasets.commands.data import app
 from olt_datasets.commands.mix import app as mix
 from olt_datasets.tables.clip_table import read_clip_tables
 from olt_generator.errors import InputError
-from olt_toolkit.rig import POLICY_CAMERAS
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 from .toy_drives import ToyDataset, make_drive
 

@@ -11,7 +11,7 @@ from olt_datasets.mixtures.plan import PLAN_SUFFIXES, read_plan
 from olt_datasets.mixtures.recipe import builtin_recipe
 from olt_datasets.tables.clip_table import read_clip_tables
 from olt_generator.errors import InputError
-from olt_toolkit.clip_table import CLIP_TABLE
+from olt_toolkit.clips.table import CLIP_TABLE
 
 
 def run(*arguments):

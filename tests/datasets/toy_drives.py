@@ -5,12 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from olt_datasets.drives import Drive, Licence
 from olt_generator.errors import InputError
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.recording import Recording
-from olt_toolkit.rig import DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS, pav_rig
 
 WIDTH, HEIGHT = 64, 36
 LICENCE = Licence("CC0", "No registration.", "Everything is allowed.")

@@ -10,7 +10,7 @@ from olt_generator.cameras import PinholeCamera, pixel_rays
 from olt_generator.distance.depth import (
     FAR_DISTANCE,
     DistanceEstimate,
-    Origin,
+    DistanceOrigin,
     SweepSettings,
     estimate_distance,
     road_distance,
@@ -61,13 +61,13 @@ def true_distance(rendered) -> np.ndarray:
 def test_every_rule_is_right_about_its_pixels(estimate, true_distance):
     relative_error = np.abs(estimate.distance - true_distance) / true_distance
     assert estimate.distance.dtype == np.float32
-    assert np.median(relative_error[estimate.origin == Origin.PLANE]) < 0.001
-    assert np.median(relative_error[estimate.origin == Origin.PARALLAX]) < 0.05
-    assert np.median(relative_error[estimate.origin == Origin.INTERPOLATED]) < 0.15
-    assert np.median(relative_error[estimate.origin == Origin.FAR]) < 0.001
-    for origin, least in ((Origin.PLANE, 0.1), (Origin.PARALLAX, 0.1), (Origin.FAR, 0.1)):
+    assert np.median(relative_error[estimate.origin == DistanceOrigin.PLANE]) < 0.001
+    assert np.median(relative_error[estimate.origin == DistanceOrigin.PARALLAX]) < 0.05
+    assert np.median(relative_error[estimate.origin == DistanceOrigin.INTERPOLATED]) < 0.15
+    assert np.median(relative_error[estimate.origin == DistanceOrigin.FAR]) < 0.001
+    for origin, least in ((DistanceOrigin.PLANE, 0.1), (DistanceOrigin.PARALLAX, 0.1), (DistanceOrigin.FAR, 0.1)):
         assert np.mean(estimate.origin == origin) > least
-    assert not np.any(estimate.origin == Origin.VEHICLE)
+    assert not np.any(estimate.origin == DistanceOrigin.VEHICLE)
 
 
 def test_most_pixels_are_right_and_parallax_is_why(estimate, true_distance):
@@ -79,7 +79,7 @@ def test_most_pixels_are_right_and_parallax_is_why(estimate, true_distance):
 
 
 def test_every_frame_has_parallax(estimate):
-    assert np.all((estimate.origin == Origin.PARALLAX).mean(axis=(1, 2)) > 0.05)
+    assert np.all((estimate.origin == DistanceOrigin.PARALLAX).mean(axis=(1, 2)) > 0.05)
 
 
 def test_confidence_is_the_share_of_pixels_that_are_right(estimate, true_distance):
@@ -111,14 +111,14 @@ def test_standstill_leaves_road_and_far(frames):
     estimate = estimate_distance(frames, CAMERA, trajectory_of(0.0), T_RIG_CAMERA)
     road = road_distance(CAMERA, T_RIG_CAMERA)
     assert np.array_equal(estimate.distance[3], np.minimum(road, FAR_DISTANCE))
-    assert np.array_equal(estimate.origin[3] == Origin.PLANE, road < FAR_DISTANCE)
-    assert set(np.unique(estimate.origin)) == {Origin.PLANE, Origin.FAR}
+    assert np.array_equal(estimate.origin[3] == DistanceOrigin.PLANE, road < FAR_DISTANCE)
+    assert set(np.unique(estimate.origin)) == {DistanceOrigin.PLANE, DistanceOrigin.FAR}
 
 
 def test_plain_images_leave_road_and_far():
     grey = np.full((COUNT, CAMERA.height, CAMERA.width, 3), 90, np.uint8)
     estimate = estimate_distance(grey, CAMERA, DRIVE, T_RIG_CAMERA)
-    assert set(np.unique(estimate.origin)) == {Origin.PLANE, Origin.FAR}
+    assert set(np.unique(estimate.origin)) == {DistanceOrigin.PLANE, DistanceOrigin.FAR}
 
 
 def test_one_frame_is_enough(frames):
@@ -233,7 +233,7 @@ def test_the_bonnet_is_found_and_not_warped(long_drive):
     frames, camera, trajectory = long_drive
     painted, bonnet = with_bonnet(frames)
     estimate = estimate_distance(painted, camera, trajectory, T_RIG_CAMERA)
-    found = estimate.origin[0] == Origin.VEHICLE
+    found = estimate.origin[0] == DistanceOrigin.VEHICLE
     assert (found & bonnet).sum() > 0.8 * (found | bonnet).sum()
     assert np.all(np.isnan(estimate.distance[:, found]))
     assert np.all(np.isfinite(estimate.distance[:, ~found]))

@@ -9,7 +9,7 @@ from olt_generator.motion.focal_length import estimate_field_of_view
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_toolkit.benchmarks.street import render_street
-from olt_toolkit.recording import OpenOptions
+from olt_toolkit.recordings.recording import OpenOptions
 
 FRAME_US = 100_000
 

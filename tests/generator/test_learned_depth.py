@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import PinholeCamera, pixel_rays
-from olt_generator.distance.depth import Origin
+from olt_generator.distance.depth import DistanceOrigin
 from olt_generator.distance.depth_anything import DepthAnything
 from olt_generator.distance.depth_crafter import FILES, DepthCrafter, DiffusionSettings
 from olt_generator.distance.depth_source import GeometricDepth, make_metric
@@ -65,7 +65,7 @@ def test_a_perfect_relative_network_gives_metres(rendered):
     near = truth < 60.0
     assert estimate.distance.shape == (2, 72, 128)
     assert np.median(np.abs(estimate.distance[near] - truth[near]) / truth[near]) < 0.05
-    assert set(np.unique(estimate.origin)) == {Origin.LEARNED}
+    assert set(np.unique(estimate.origin)) == {DistanceOrigin.LEARNED}
     assert estimate.alignment is not None and estimate.alignment.residual < 0.05
     assert estimate.confidence.max() == pytest.approx(estimate.alignment.agreement)
 

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
+from olt_closed_loop.rollouts.rollout_files import read_rollout_file
 from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
 from olt_closed_loop.scoring.definitions import score_record
-from olt_closed_loop.scoring.rollout_files import read_rollout_file
 
 # Metres or shares. Interpolation in single precision differs in the last bit: 8e-6 m at 100 m, 1.5e-5 m at 200 m.
 TOLERANCES = {

@@ -9,8 +9,8 @@ import pytest
 from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_generator.cameras import BrownConradyCamera, PinholeCamera
 from olt_generator.poses import make_pose, pose_from_quaternion
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.rigs import load_rig, read_nvidia_calibration
+from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.rig_files import load_rig, read_nvidia_calibration
 
 KITTI_DRIVE = "kitti_raw_2011_09_26_drive_0013"
 ARGOVERSE = "argoverse2_sensor_log_7fab2350/calibration"

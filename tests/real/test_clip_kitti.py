@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from olt_toolkit.clip_store import ClipStore
+from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.commands.clip import app
-from olt_toolkit.rig import FRONT_WIDE
-from olt_toolkit.sample import SampleKey
+from olt_toolkit.policy.sample import SampleKey
+from olt_toolkit.rigs.rig import FRONT_WIDE
 
 
 @pytest.mark.slow

@@ -6,9 +6,9 @@ import pytest
 
 from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_generator.cameras import pixel_rays
-from olt_generator.distance.depth import FAR_DISTANCE, Origin, estimate_distance
+from olt_generator.distance.depth import FAR_DISTANCE, DistanceOrigin, estimate_distance
 from olt_generator.poses import invert, transform
-from olt_toolkit.recording import OpenOptions
+from olt_toolkit.recordings.recording import OpenOptions
 
 pytestmark = pytest.mark.slow
 
@@ -34,7 +34,7 @@ def test_distances_agree_with_lidar(six_cameras):
     origin = estimate.origin[0, row, column]
     error = np.abs(found - np.minimum(truth, FAR_DISTANCE)) / truth
     print(f"\n{len(truth)} points, median error {np.median(error):.3f}, within a tenth {np.mean(error < 0.1):.3f}")
-    for rule in Origin:
+    for rule in DistanceOrigin:
         here = origin == rule
         if here.any():
             print(f"{rule.name}: {here.mean():.2f} of points, median error {np.median(error[here]):.3f}")
@@ -44,10 +44,10 @@ def test_distances_agree_with_lidar(six_cameras):
             f"confidence {low} to {high}: {here.mean():.2f} of points, within a tenth {np.mean(error[here] < 0.1):.2f}"
         )
     assert len(truth) > 1000
-    road = origin == Origin.PLANE
+    road = origin == DistanceOrigin.PLANE
     assert np.median(error) < 0.12
     assert np.median(error[road]) < 0.1
-    assert np.median(error[origin == Origin.PARALLAX]) < 0.12
+    assert np.median(error[origin == DistanceOrigin.PARALLAX]) < 0.12
     assert np.median(error[confidence > 0.9]) < np.median(error[confidence < 0.3])
 
 

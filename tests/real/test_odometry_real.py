@@ -9,8 +9,8 @@ from olt_datasets.sources.video import SOURCE as VIDEO
 from olt_generator.motion.odometry import estimate_odometry
 from olt_generator.motion.pose_metrics import measure_smoothness
 from olt_generator.motion.smoother import smooth_trajectory
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.trajectory_errors import measure_clips, summarize_clips
+from olt_toolkit.clips.trajectory_errors import measure_clips, summarize_clips
+from olt_toolkit.recordings.recording import OpenOptions
 
 pytestmark = pytest.mark.slow
 

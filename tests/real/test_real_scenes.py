@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from olt_closed_loop.evaluation.gate import check_gate
+from olt_closed_loop.scenes.scene_file import read_scene, write_scene
 from olt_closed_loop.scenes.sources import find_recordings, read_recording
-from olt_closed_loop.scenes.stage import read_scene, write_scene
 from olt_closed_loop.scoring.definitions import score_rollout
-from olt_closed_loop.scoring.gate import check_gate
 from olt_closed_loop.simulation.closed_loop import simulate
 from olt_closed_loop.simulation.policies import make_policy
 from olt_closed_loop.simulation.settings import SimulationSettings

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from olt_datasets.drives import open_dataset
 from olt_datasets.sources.argoverse2 import DATASET as ARGOVERSE2
 from olt_datasets.sources.kitti_raw import SOURCE as KITTI_RAW
 from olt_generator.poses import yaw_of
 from olt_generator.video import read_video
-from olt_toolkit.recording import OpenOptions
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions
 
 NARROW = OpenOptions(width=160)
 

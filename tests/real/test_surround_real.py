@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from olt_datasets.drives import open_dataset
 from olt_datasets.sources.mosaic import Mosaic, coverage
 from olt_generator.cameras import PinholeCamera
 from olt_generator.lenses.remap import Remapper
 from olt_generator.poses import make_pose, pose_from_quaternion
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, pav_rig
-from olt_toolkit.rigs import read_nvidia_calibration
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, pav_rig
+from olt_toolkit.rigs.rig_files import read_nvidia_calibration
 
 FOLDER = "nuscenes_scene_0061_six_cameras"
 STEP_US = 83_333

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from olt_sft_recipes.toy_config import ToyPolicyConfig
-from olt_toolkit.sample import PolicySample, SampleKey
+from olt_toolkit.policy.sample import PolicySample, SampleKey
 
 
 @pytest.fixture(scope="session")

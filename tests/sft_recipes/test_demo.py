@@ -10,7 +10,7 @@ from olt_sft_recipes.demo.scenes import ROLES, plan_scenes
 from olt_sft_recipes.demo.settings import DemoSettings
 from olt_sft_recipes.demo.stage_log import StageLog
 from olt_sft_recipes.demo.summary import list_left_out
-from olt_toolkit.rig import FRONT_WIDE
+from olt_toolkit.rigs.rig import FRONT_WIDE
 
 SMALL = DemoSettings(
     nominal_clips=1,

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from olt_sft_recipes.driving_samples import DrivingSamples
-from olt_toolkit.action_space import actions_to_trajectory
+from olt_toolkit.policy.action_space import actions_to_trajectory
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from olt_sft_recipes.tokens import decode_actions, encode_actions, encode_history
-from olt_toolkit.action_space import trajectory_to_actions
+from olt_toolkit.policy.action_space import trajectory_to_actions
 
 # Facts sheet alpamayo_interface, section 3: (speed, acceleration, curvature), first four future words, first six
 # history words.

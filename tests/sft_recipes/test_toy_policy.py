@@ -9,7 +9,7 @@ from olt_sft_recipes.driving_samples import DrivingSamples
 from olt_sft_recipes.toy_inputs import encode_inputs
 from olt_sft_recipes.toy_model import ToyModel
 from olt_sft_recipes.toy_policy import ToyPolicy, load_toy, read_model, save_model
-from olt_toolkit.policy import Observation
+from olt_toolkit.policy.contract import Observation
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ import pytest
 
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.clip import CameraStream, Clip, EgoMotion, Origin, ViewProvenance, make_clip_id
-from olt_toolkit.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
 
 WIDTH, HEIGHT = 128, 72
 
@@ -41,7 +41,7 @@ def make_clip() -> Callable[..., Clip]:
             name=name,
             scene_id="bend",
             source="test",
-            origin=Origin("bend", 0, 8_900_000, "DE", "CC0"),
+            origin=ClipOrigin("bend", 0, 8_900_000, "DE", "CC0"),
             kind="GT",
             category="nominal",
             factors=("rain",),

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from olt_generator.poses import planar_pose
-from olt_toolkit.action_space import (
+from olt_toolkit.policy.action_space import (
     DEFAULT_SETTINGS,
     actions_to_trajectory,
     estimate_initial_speed,

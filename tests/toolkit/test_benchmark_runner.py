@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from olt_generator.errors import InputError
-from olt_toolkit import benchmark_runner
-from olt_toolkit.benchmark import Benchmark, Setting
-from olt_toolkit.benchmark_plot import plot_benchmark, spread_out
+from olt_toolkit.bench import runner as benchmark_runner
+from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.bench.plot import plot_benchmark, spread_out
 
 
 def fake_benchmark(times_and_errors):

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from olt_generator.errors import InputError
-from olt_toolkit.chunk_archive import LARGEST_MEMBER, ChunkArchive
+from olt_toolkit.clips.chunk_archive import LARGEST_MEMBER, ChunkArchive
 
 
 @pytest.fixture

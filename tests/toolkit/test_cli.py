@@ -9,7 +9,7 @@ import pytest
 import typer
 
 from olt_generator.errors import InputError
-from olt_toolkit import cli
+from olt_toolkit.runtime import command_line as cli
 
 
 @pytest.fixture
@@ -86,7 +86,7 @@ def test_every_registered_command_answers_help():
 
 def test_help_loads_no_heavy_library():
     code = (
-        "import sys; from olt_toolkit.cli import build_command; build_command();"
+        "import sys; from olt_toolkit.runtime.command_line import build_command; build_command();"
         "heavy = ('torch', 'numpy', 'cv2', 'casadi', 'pxr', 'pandas', 'matplotlib');"
         "print([name for name in heavy if name in sys.modules])"
     )

@@ -9,10 +9,10 @@ from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.clip_builder import BuildOptions, build_clip
-from olt_toolkit.clip_files import describe_clip
-from olt_toolkit.recording import Recording
-from olt_toolkit.rig import (
+from olt_toolkit.clips.builder import BuildOptions, build_clip
+from olt_toolkit.clips.files import describe_clip
+from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.rigs.rig import (
     CROSS_LEFT,
     CROSS_RIGHT,
     DEFAULT_VEHICLE,

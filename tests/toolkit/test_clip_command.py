@@ -6,18 +6,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import olt_toolkit.recording
+import olt_toolkit.recordings.recording
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import read_video
-from olt_toolkit.clip import make_clip_id
-from olt_toolkit.clip_store import ClipStore
+from olt_toolkit.clips.clip import make_clip_id
+from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.commands.clip import app
-from olt_toolkit.recording import Recording
-from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS
 
 FRAMES = 10
 
@@ -61,7 +61,7 @@ def source(monkeypatch):
         def __lt__(self, other):
             return False
 
-    monkeypatch.setattr(olt_toolkit.recording, "entry_points", lambda group: [Entry()])
+    monkeypatch.setattr(olt_toolkit.recordings.recording, "entry_points", lambda group: [Entry()])
     return reader
 
 
@@ -196,7 +196,7 @@ def test_interrupted_build_leaves_nothing_and_the_next_one_completes(tmp_path, d
 
     store = tmp_path / "clips"
     with monkeypatch.context() as patch:
-        patch.setattr("olt_toolkit.clip_files.write_video", interrupt)
+        patch.setattr("olt_toolkit.clips.files.write_video", interrupt)
         assert build(drive, "--out", store).exit_code != 0
     assert [path for path in store.rglob("*") if path.is_file()] == []
     assert build(drive, "--out", store).exit_code == 0
@@ -335,7 +335,7 @@ def test_unknown_cameras_are_refused(tmp_path, drive):
 @pytest.fixture
 def store(tmp_path, make_clip):
     store = ClipStore(tmp_path / "clips")
-    store.stage(make_clip("bend"))
+    store.prepare(make_clip("bend"))
     store.commit([make_clip_id("bend")])
     return store
 

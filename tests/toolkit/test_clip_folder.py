@@ -7,11 +7,11 @@ import pytest
 
 from olt_generator.seeds import make_generator
 from olt_generator.video import write_video
-from olt_toolkit.clip_folder import BuildJob, Outcome, build_clips, find_recordings
-from olt_toolkit.clip_views import BuildOptions
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.source_choice import SourceChoice
-from olt_toolkit.workers import Engine
+from olt_toolkit.clips.build_job import BuildJob, Outcome, build_clips, find_recordings
+from olt_toolkit.clips.estimators import SourceChoice
+from olt_toolkit.clips.views import BuildOptions
+from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.runtime.workers import Engine
 
 
 @pytest.fixture

@@ -13,11 +13,11 @@ from olt_generator.metrics.matchers import SiftMatcher
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.benchmarks.street import render_street
-from olt_toolkit.clip import CameraStream, EgoMotion, make_clip_id
-from olt_toolkit.clip_score import score_against, score_consistency
-from olt_toolkit.clip_store import ClipStore
+from olt_toolkit.clips.clip import CameraStream, EgoMotion, make_clip_id
+from olt_toolkit.clips.score import score_against, score_consistency
+from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.commands.clip import app
-from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, pav_rig
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, pav_rig
 
 CAMERAS = (CROSS_LEFT, FRONT_WIDE, CROSS_RIGHT)
 TRUE, COPIED, DISTURBED, FRONT_ONLY = (make_clip_id(name) for name in ("true", "copied", "disturbed", "front only"))
@@ -51,7 +51,7 @@ def store(tmp_path_factory, make_clip):
             ego_motion=EgoMotion.from_trajectory(trajectory),
         )
         provenance = {camera: clip.provenance[camera] for camera in streams}
-        store.stage(replace(clip, provenance=provenance))
+        store.prepare(replace(clip, provenance=provenance))
     store.commit([TRUE, COPIED, DISTURBED, FRONT_ONLY])
     return store
 
@@ -110,7 +110,7 @@ def test_clips_are_found_by_name_and_by_id(store, make_clip):
         store.find("nothing")
     other = ClipStore(store.root.parent / "twice")
     for seed in (1, 2):
-        other.stage(make_clip("twin", clip_id=make_clip_id("twin", seed)))
+        other.prepare(make_clip("twin", clip_id=make_clip_id("twin", seed)))
     other.commit([make_clip_id("twin", seed) for seed in (1, 2)])
     with pytest.raises(InputError, match="2 clips are called 'twin'"):
         other.find("twin")

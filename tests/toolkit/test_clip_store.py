@@ -9,14 +9,14 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation
 
-import olt_toolkit.clip_store as clip_store_module
+import olt_toolkit.clips.store as clip_store_module
 from olt_generator.cameras import FthetaCamera
 from olt_generator.errors import InputError
-from olt_toolkit.clip import ViewProvenance, make_clip_id
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.rig import CROSS_LEFT, FRONT_WIDE, POLICY_CAMERAS
-from olt_toolkit.sample import SampleKey
-from olt_toolkit.workers import map_parallel
+from olt_toolkit.clips.clip import ViewProvenance, make_clip_id
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.policy.sample import SampleKey
+from olt_toolkit.rigs.rig import CROSS_LEFT, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.runtime.workers import map_parallel
 
 T0_US = 2_000_000
 
@@ -26,7 +26,7 @@ def two_clips(tmp_path_factory, make_clip):
     """The folder of a store of two clips, for copying."""
     store = ClipStore(tmp_path_factory.mktemp("two_clips"))
     for name in ("bend", "other"):
-        store.stage(make_clip(name))
+        store.prepare(make_clip(name))
     store.commit([make_clip_id("bend"), make_clip_id("other")])
     return store.root
 
@@ -50,9 +50,9 @@ def tree(root):
     }
 
 
-def stage_clip(job):
+def prepare_clip(job):
     root, clip = job
-    ClipStore(root).stage(clip)
+    ClipStore(root).prepare(clip)
 
 
 def test_clip_table_comes_back(store, make_clip):
@@ -69,20 +69,20 @@ def test_clip_table_comes_back(store, make_clip):
 
 def test_only_times_at_which_a_clip_may_be_sampled_are_told(tmp_path, make_clip):
     store = ClipStore(tmp_path)
-    info = store.stage(make_clip(sample_t0_us=(2_000_000, 2_100_000, 9_000_000)))
+    info = store.prepare(make_clip(sample_t0_us=(2_000_000, 2_100_000, 9_000_000)))
     assert (info.sample_t0_us, info.no_sample_reason) == ((2_000_000, 2_100_000), None)
-    info = store.stage(make_clip(sample_t0_us=(9_000_000,)))
+    info = store.prepare(make_clip(sample_t0_us=(9_000_000,)))
     assert (info.sample_t0_us, info.no_sample_reason is None) == ((), False)
-    assert "6.4 s of future" in store.stage(make_clip(seconds=5.0, sample_t0_us=(2_000_000,))).no_sample_reason
+    assert "6.4 s of future" in store.prepare(make_clip(seconds=5.0, sample_t0_us=(2_000_000,))).no_sample_reason
 
 
 def test_checksum_follows_the_files(tmp_path, make_clip):
     store, clip = ClipStore(tmp_path), make_clip()
-    first = store.stage(clip)
-    assert store.stage(clip) == first
+    first = store.prepare(clip)
+    assert store.prepare(clip) == first
     slower = replace(clip.ego_motion, velocity=0.5 * clip.ego_motion.velocity)
-    assert store.stage(replace(clip, ego_motion=slower)).checksum != first.checksum
-    assert store.stage(replace(clip, category="other")).checksum == first.checksum
+    assert store.prepare(replace(clip, ego_motion=slower)).checksum != first.checksum
+    assert store.prepare(replace(clip, category="other")).checksum == first.checksum
 
 
 def test_ego_motion_and_calibration_come_back(store, make_clip):
@@ -141,7 +141,7 @@ def test_irregular_timestamps_are_kept(tmp_path, make_clip):
     times = clip.ego_motion.trajectory.timestamps_us * 1034 // 1000
     streams = {name: replace(stream, timestamps_us=times) for name, stream in clip.streams.items()}
     store = ClipStore(tmp_path)
-    store.stage(replace(clip, streams=streams))
+    store.prepare(replace(clip, streams=streams))
     store.commit([clip.clip_id])
     sample = store.load_sample(SampleKey(str(tmp_path), clip.clip_id, 3_000_000))
     assert sample.absolute_timestamps[0].tolist() == [2_688_400, 2_791_800, 2_895_200, 2_998_600]
@@ -151,7 +151,7 @@ def test_irregular_timestamps_are_kept(tmp_path, make_clip):
 def test_clip_too_short_for_a_sample_says_so(tmp_path, make_clip):
     clip = make_clip("short", 4.0)
     store = ClipStore(tmp_path)
-    store.stage(clip)
+    store.prepare(clip)
     store.commit([clip.clip_id])
     info = store.info(clip.clip_id)
     assert info.sample_t0_us == ()
@@ -164,7 +164,7 @@ def test_clip_without_side_views_is_stored_and_says_why_it_gives_no_sample(tmp_p
     clip = make_clip("front", kind="front_only")
     only = {FRONT_WIDE: clip.streams[FRONT_WIDE]}
     store = ClipStore(tmp_path)
-    store.stage(replace(clip, streams=only, provenance={FRONT_WIDE: clip.provenance[FRONT_WIDE]}))
+    store.prepare(replace(clip, streams=only, provenance={FRONT_WIDE: clip.provenance[FRONT_WIDE]}))
     store.commit([clip.clip_id])
     assert "no camera_cross_left_120fov" in store.info(clip.clip_id).no_sample_reason
     presence = pd.read_parquet(tmp_path / "metadata/feature_presence.parquet")
@@ -177,7 +177,7 @@ def test_the_same_clips_give_the_same_bytes_in_any_order_of_staging(tmp_path, ma
     clips = [make_clip(name, 2.0) for name in ("a", "b")]
     for root, order in [(tmp_path / "one", clips), (tmp_path / "two", clips[::-1])]:
         for clip in order:
-            ClipStore(root).stage(clip)
+            ClipStore(root).prepare(clip)
         ClipStore(root).commit([clip.clip_id for clip in clips])
     assert tree(tmp_path / "one") == tree(tmp_path / "two")
 
@@ -186,17 +186,17 @@ def test_the_same_clips_give_the_same_bytes_in_any_order_of_staging(tmp_path, ma
 def test_the_same_clips_give_the_same_bytes_from_any_number_of_processes(tmp_path, make_clip):
     clips = [make_clip(name, 2.0) for name in ("a", "b", "c")]
     for root, workers in [(tmp_path / "one", 1), (tmp_path / "two", 2)]:
-        map_parallel(stage_clip, [(root, clip) for clip in clips], workers)
+        map_parallel(prepare_clip, [(root, clip) for clip in clips], workers)
         ClipStore(root).commit([clip.clip_id for clip in clips])
     assert tree(tmp_path / "one") == tree(tmp_path / "two")
 
 
 def test_each_commit_makes_a_new_chunk_and_leaves_the_old_ones(store, make_clip):
     before = tree(store.root)
-    store.stage(make_clip("third"))
-    assert store.is_staged(make_clip_id("third"))
+    store.prepare(make_clip("third"))
+    assert store.is_prepared(make_clip_id("third"))
     assert store.commit([make_clip_id("third")]) == (make_clip_id("third"),)
-    assert not store.is_staged(make_clip_id("third"))
+    assert not store.is_prepared(make_clip_id("third"))
     after = tree(store.root)
     assert all(after[name] == data for name, data in before.items() if "chunk_0000" in name)
     assert pd.read_parquet(store.root / "clip_index.parquet")["chunk"].tolist() == [0, 0, 1]
@@ -210,14 +210,14 @@ def test_many_clips_are_split_into_chunks(tmp_path, make_clip, monkeypatch):
     clips = [make_clip(name, 2.0) for name in "abc"]
     store = ClipStore(tmp_path)
     for clip in clips:
-        store.stage(clip)
+        store.prepare(clip)
     store.commit([clip.clip_id for clip in clips])
     assert pd.read_parquet(tmp_path / "clip_index.parquet")["chunk"].tolist() == [0, 0, 1]
 
 
 def test_committing_again_changes_nothing(store, make_clip):
     before = tree(store.root)
-    store.stage(make_clip("bend", category="other"))
+    store.prepare(make_clip("bend", category="other"))
     assert store.commit([make_clip_id("bend")]) == ()
     assert tree(store.root) == before
 
@@ -227,7 +227,7 @@ def test_interrupted_commit_leaves_the_old_store_and_the_next_one_completes(stor
     def interrupt(*_args, **_options):
         raise KeyboardInterrupt
 
-    store.stage(make_clip("third"))
+    store.prepare(make_clip("third"))
     with monkeypatch.context() as patch:
         target = clip_store_module.shutil if stop_at == "shutil" else clip_store_module
         patch.setattr(target, "rmtree" if stop_at == "shutil" else stop_at, interrupt)
@@ -238,7 +238,7 @@ def test_interrupted_commit_leaves_the_old_store_and_the_next_one_completes(stor
     after.load_sample(key_of(store))
     after.commit([make_clip_id("third")])
     assert [info.name for info in after.clips()] == ["bend", "other", "third"]
-    assert not after.is_staged(make_clip_id("third"))
+    assert not after.is_prepared(make_clip_id("third"))
     after.load_sample(key_of(store, "third"))
 
 
@@ -249,8 +249,8 @@ def test_interrupted_staging_leaves_nothing(tmp_path, make_clip, monkeypatch):
     monkeypatch.setattr(clip_store_module, "write_clip_files", interrupt)
     store = ClipStore(tmp_path)
     with pytest.raises(KeyboardInterrupt):
-        store.stage(make_clip())
-    assert not store.is_staged(make_clip_id("bend"))
+        store.prepare(make_clip())
+    assert not store.is_prepared(make_clip_id("bend"))
     assert list((tmp_path / ".staging").iterdir()) == []
 
 
@@ -260,7 +260,7 @@ def test_one_writer_at_a_time(store):
 
 
 def test_unstaged_clip_is_refused(store):
-    with pytest.raises(InputError, match="neither staged nor in the store"):
+    with pytest.raises(InputError, match="is not in the store; prepare it"):
         store.commit([make_clip_id("nowhere")])
 
 
@@ -288,12 +288,12 @@ def test_unstaged_clip_is_refused(store):
         ),
     ],
 )
-def test_contradictory_clips_are_not_staged(tmp_path, make_clip, change, message):
+def test_contradictory_clips_are_not_prepared(tmp_path, make_clip, change, message):
     clip = make_clip()
     changed = replace(clip, **change(clip))
     with pytest.raises(InputError, match=message):
-        ClipStore(tmp_path).stage(changed)
-    assert not ClipStore(tmp_path).is_staged(clip.clip_id)
+        ClipStore(tmp_path).prepare(changed)
+    assert not ClipStore(tmp_path).is_prepared(clip.clip_id)
 
 
 def with_stream(clip, **changes):

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from olt_generator.errors import InputError
 from olt_generator.video import write_video
-from olt_toolkit.chunk_archive import ByteRange
-from olt_toolkit.clip_video import check_video, decode_frames, decode_images
-from olt_toolkit.mp4_index import read_mp4_index
+from olt_toolkit.clips.chunk_archive import ByteRange
+from olt_toolkit.clips.mp4_index import read_mp4_index
+from olt_toolkit.clips.video import check_video, decode_frames, decode_images
 
 COUNT, HEIGHT, WIDTH = 50, 96, 160
 PLAIN = {"crf": "20", "preset": "ultrafast", "threads": "1", "bf": "0"}

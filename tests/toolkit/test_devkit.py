@@ -6,10 +6,10 @@ import pytest
 
 from olt_generator.cameras import pixel_rays
 from olt_generator.poses import invert, make_pose
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.policy_window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, IMAGE_OFFSETS_US
-from olt_toolkit.rig import POLICY_CAMERAS
-from olt_toolkit.sample import SampleKey
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.policy.sample import SampleKey
+from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, IMAGE_OFFSETS_US
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 REVISION = "0" * 40
 T0_US = 2_010_000  # between frames and between poses
@@ -23,7 +23,7 @@ def clip(make_clip):
 @pytest.fixture(scope="module")
 def store(clip, tmp_path_factory):
     store = ClipStore(tmp_path_factory.mktemp("clips"))
-    store.stage(clip)
+    store.prepare(clip)
     store.commit([clip.clip_id])
     return store
 

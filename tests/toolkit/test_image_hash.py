@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from olt_generator.seeds import make_generator
-from olt_toolkit.image_hash import FINGERPRINT_IMAGES, fingerprint_images, hash_image
+from olt_toolkit.clips.image_hash import FINGERPRINT_IMAGES, fingerprint_images, hash_image
 
 
 def make_picture(name):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import PinholeCamera, fit_camera
-from olt_toolkit.images import fit_images
+from olt_toolkit.clips.images import fit_images
 
 
 @pytest.mark.parametrize("size", [(320, 200), (100, 56), (64, 64), (40, 100)])

@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
-from olt_toolkit.pictures import (
+from olt_toolkit.clips.pictures import (
     INVENTED_TINT,
     contact_sheet,
     preview,
@@ -12,7 +12,7 @@ from olt_toolkit.pictures import (
     write_clip_pictures,
     write_picture,
 )
-from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
 
 GREY = np.full((6, 20, 40, 3), 100, np.uint8)
 TIMES_US = 100_000 * np.arange(6)

@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from olt_generator.errors import InputError
-from olt_toolkit.policy_window import (
+from olt_toolkit.policy.window import (
     IMAGE_OFFSETS_US,
     Coverage,
     check_sample_window,
@@ -12,7 +12,7 @@ from olt_toolkit.policy_window import (
     sampled_frames,
     shown_frames,
 )
-from olt_toolkit.rig import POLICY_CAMERAS
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 SECOND = 1_000_000
 

@@ -4,7 +4,7 @@ import signal
 import pytest
 
 from olt_generator.errors import InputError
-from olt_toolkit.workers import Engine, map_parallel
+from olt_toolkit.runtime.workers import Engine, map_parallel
 
 ray = pytest.importorskip("ray", reason="needs the extra `distributed`")
 

@@ -5,13 +5,13 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-import olt_toolkit.recording
+import olt_toolkit.recordings.recording
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_toolkit.benchmarks.odometry import CAMERA, MOUNTING, make_drive
 from olt_toolkit.commands.clip import app
-from olt_toolkit.recording import Recording
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def drive(monkeypatch, tmp_path):
     recording = Recording(
         "street", "test", frames, reference.timestamps_us, CAMERA, MOUNTING, DEFAULT_VEHICLE, reference=reference
     )
-    monkeypatch.setattr(olt_toolkit.recording, "open_recording", lambda path, options: recording)
+    monkeypatch.setattr(olt_toolkit.recordings.recording, "open_recording", lambda path, options: recording)
     return tmp_path / "street.drive"
 
 

@@ -4,7 +4,7 @@ import time
 import pytest
 
 from olt_generator.files import write_whole
-from olt_toolkit.workers import map_parallel
+from olt_toolkit.runtime.workers import map_parallel
 
 
 def square(number):

@@ -1,5 +1,5 @@
 """`python -m olt_toolkit` is `olt`."""
 
-from olt_toolkit.cli import main
+from olt_toolkit.runtime.command_line import main
 
 main()

@@ -6,12 +6,12 @@ from functools import lru_cache
 import numpy as np
 
 from olt_closed_loop.benchmarks.score_drives import DURATION_US, HANDOVER_US, known_drives
+from olt_closed_loop.rollouts.drive_record import DriveRecord
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_contact
 from olt_closed_loop.scoring.contacts import first_contacts
-from olt_closed_loop.scoring.drive_record import DriveRecord
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
 from olt_generator.poses import Array
-from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting
 
 DRIVES = 40
 STEPS_MS = (500, 200, 100, 50, 20)

@@ -13,9 +13,9 @@ from olt_closed_loop.control.tracking import ControlSettings, TrackingController
 from olt_closed_loop.vehicle.models import VehicleParameters
 from olt_closed_loop.vehicle.presets import alpasim_vehicle
 from olt_generator.poses import Array
-from olt_toolkit.benchmark import Benchmark, Setting
-from olt_toolkit.policy import STEP_SECONDS, STEP_US
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 STEPS = 100
 TIMED_DRIVES = (9, 27, 45, 63)

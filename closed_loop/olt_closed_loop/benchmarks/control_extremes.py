@@ -22,9 +22,9 @@ from olt_closed_loop.vehicle.presets import alpasim_vehicle
 from olt_closed_loop.vehicle.tyres import GRAVITY
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
-from olt_toolkit.benchmark import Grid
-from olt_toolkit.policy import STEP_SECONDS, STEP_US
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.bench.benchmark import Grid
+from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 VEHICLES: dict[str, VehicleParameters] = {
     "kinematic": VehicleParameters.from_dimensions(DEFAULT_VEHICLE),

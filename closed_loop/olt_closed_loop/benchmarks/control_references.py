@@ -14,7 +14,7 @@ import numpy as np
 from olt_closed_loop.control.plans import WorldPlan
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
-from olt_toolkit.policy import STEP_SECONDS, STEP_US
+from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
 
 REFERENCE_SECONDS = 15.0
 PLAN_POINTS = 51

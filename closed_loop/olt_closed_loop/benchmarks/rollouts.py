@@ -5,11 +5,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from olt_closed_loop.evaluation.evaluation import Result, run_closed_loop
 from olt_closed_loop.scenes.procedural import CATEGORIES, generate_scene
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.evaluation import Result, run_closed_loop
 from olt_closed_loop.simulation.settings import SimulationSettings
-from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting
 
 SCENES, ROLLOUTS = 53, 2
 DURATION_US = 20_000_000

@@ -6,11 +6,11 @@ from functools import lru_cache
 import numpy as np
 
 from olt_closed_loop.benchmarks.score_drives import known_drives
+from olt_closed_loop.evaluation.score_table import summarize_scores
+from olt_closed_loop.rollouts.drive_record import DriveRecord
 from olt_closed_loop.scoring.definitions import Definition, score_record
-from olt_closed_loop.scoring.drive_record import DriveRecord
-from olt_closed_loop.scoring.score_table import summarize_scores
 from olt_generator.poses import Array
-from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting
 
 DRIVES = 40
 REFERENCE_STEP_US = 1000

@@ -6,12 +6,12 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from olt_closed_loop.rollouts.drive_record import PLAN_STEP_US, DriveRecord, EgoBox, LaneLines, TimedPlan
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.scoring.drive_record import PLAN_STEP_US, DriveRecord, EgoBox, LaneLines, Plan
 from olt_closed_loop.scoring.moving_boxes import corners
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
-from olt_toolkit.policy import FUTURE_STEPS
+from olt_toolkit.policy.contract import FUTURE_STEPS
 
 DURATION_US = 8_000_000
 HANDOVER_US = 1_700_000
@@ -140,10 +140,10 @@ class CrowdedDrive:
         plans = tuple(self._plan(int(now_us)) for now_us in times[times >= HANDOVER_US][:-1])
         return DriveRecord("crowded", HANDOVER_US, times, rig, EGO, agents, times, rig, lanes, edges, plans=plans)
 
-    def _plan(self, now_us: int) -> Plan:
+    def _plan(self, now_us: int) -> TimedPlan:
         times = now_us + PLAN_STEP_US * np.arange(FUTURE_STEPS + 1, dtype=np.int64)
         poses = _rig(self.ego, times)[:, [0, 1, 3]]
-        return Plan(now_us, now_us + PLAN_STEP_US, times, poses, (poses,))
+        return TimedPlan(now_us, now_us + PLAN_STEP_US, times, poses, (poses,))
 
     def nearest_m(self, start_us: int) -> float:
         """Smallest distance in metres to an agent from a time on, of the exact outlines every millisecond."""

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 
 from olt_closed_loop.benchmarks.score_drives import HANDOVER_US, crowded_drive
 from olt_closed_loop.scoring.definitions import DEFINITIONS, Definition, score_record
-from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting
 
 AGENTS = (20, 60)
 DEFAULT = "strict, 20 agents"

@@ -13,8 +13,8 @@ from olt_closed_loop.vehicle.integrators import Method, make_batch_stepper, make
 from olt_closed_loop.vehicle.models import MODELS, STATE, Model, VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle.presets import DRY_FRICTION, alpasim_vehicle
 from olt_generator.poses import Array
-from olt_toolkit.benchmark import Benchmark, Setting
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 HOLD = 0.2
 """Seconds for which a control is held, and after which positions are compared."""

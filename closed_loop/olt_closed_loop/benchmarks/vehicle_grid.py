@@ -17,7 +17,7 @@ from olt_closed_loop.vehicle.models import STATE, VehicleParameters
 from olt_closed_loop.vehicle.presets import DRY_FRICTION, alpasim_vehicle
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
-from olt_toolkit.benchmark import Grid
+from olt_toolkit.bench.benchmark import Grid
 
 SPEEDS = (0.0, 1.0, 5.0, 10.0, 20.0, 40.0, 60.0)
 FRICTIONS = (0.05, 0.3, 0.7, 1.2)

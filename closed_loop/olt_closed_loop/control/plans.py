@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.poses import Array, yaw_of
-from olt_toolkit.policy import FUTURE_STEPS, STEP_US, Plan
+from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_US, PlannedTrajectory
 
 MAX_PLAN_SPEED = 65.0
 """m/s over any second of a plan. Vehicle and control are made for 60 m/s; the rest is room to catch up."""
@@ -53,7 +53,7 @@ class WorldPlan:
         return np.stack([np.interp(asked, known, column) for column in self.poses.T], axis=-1)
 
 
-def place_plan(plan: Plan, x: float, y: float, yaw: float, time_us: int) -> WorldPlan:
+def place_plan(plan: PlannedTrajectory, x: float, y: float, yaw: float, time_us: int) -> WorldPlan:
     """The plan that was made in the rig at (x, y, yaw), in the world.
 
     Raises:

@@ -34,7 +34,7 @@ from olt_closed_loop.control.solver import SolveFailed, Solver
 from olt_closed_loop.vehicle.models import STATE, VehicleParameters, steering_for
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
-from olt_toolkit.policy import STEP_SECONDS, STEP_US
+from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
 
 ControlMethod = Literal["lqr", "linear", "nonlinear"]
 

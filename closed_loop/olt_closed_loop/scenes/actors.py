@@ -8,7 +8,7 @@ from olt_closed_loop.scenes.roads import Road
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array, transform, yaw_of
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.rig import VehicleDimensions
+from olt_toolkit.rigs.rig import VehicleDimensions
 
 AGENT_SAMPLE_US = 100_000
 

@@ -14,7 +14,7 @@ from olt_closed_loop.scenes.driving import Drive, Intention, offset_profile
 from olt_closed_loop.scenes.roads import LANE_WIDTH, Road
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 HALF_EGO = DEFAULT_VEHICLE.width / 2
 EGO_FRONT = DEFAULT_VEHICLE.rear_axle_to_bbox_center + DEFAULT_VEHICLE.length / 2

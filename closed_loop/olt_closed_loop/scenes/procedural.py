@@ -9,7 +9,7 @@ from olt_closed_loop.scenes.roads import Road, generate_road
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 CATEGORIES: tuple[str, ...] = tuple(EVENTS)
 DURATION_US = 14_000_000

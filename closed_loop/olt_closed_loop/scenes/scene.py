@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.rig import VehicleDimensions
+from olt_toolkit.rigs.rig import VehicleDimensions
 
 
 @dataclass(frozen=True)

@@ -31,15 +31,15 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
+from olt_closed_loop.rollouts.drive_record import DriveRecord, record_drive_in_scene
+from olt_closed_loop.rollouts.progress import PathTracker
+from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
 from olt_closed_loop.scoring.collisions import Collision, find_collisions
 from olt_closed_loop.scoring.drivable import first_departure, road_of
-from olt_closed_loop.scoring.drive_record import DriveRecord, record_drive_in_scene
 from olt_closed_loop.scoring.driving_metrics import measure_driving
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
-from olt_closed_loop.scoring.progress import PathTracker
-from olt_closed_loop.simulation.rollout import Rollout
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 

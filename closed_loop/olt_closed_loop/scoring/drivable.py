@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from olt_closed_loop.scoring.drive_record import DriveRecord, LaneLines
+from olt_closed_loop.rollouts.drive_record import DriveRecord, LaneLines
 from olt_closed_loop.scoring.moving_boxes import MovingBox, corners
 from olt_generator.poses import Array
 

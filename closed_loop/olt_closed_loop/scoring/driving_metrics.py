@@ -14,8 +14,8 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from olt_closed_loop.rollouts.drive_record import DriveRecord
 from olt_closed_loop.scoring.drivable import lane_area
-from olt_closed_loop.scoring.drive_record import DriveRecord
 from olt_closed_loop.scoring.moving_boxes import MovingBox, corners, separations
 from olt_generator.poses import Array
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_closed_loop.rollouts.drive_record import DriveRecord
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.scoring.drive_record import DriveRecord
 from olt_generator.poses import Array
 
 _SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])

@@ -18,7 +18,7 @@ from olt_closed_loop.sensors.views import View, view_of
 from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
-from olt_toolkit.rig import Rig
+from olt_toolkit.rigs.rig import Rig
 
 _HAZE_DISTANCE = 700.0
 _AMBIENT = 0.55
@@ -154,7 +154,7 @@ def render_rig(
 def _load_looks(scene: Scene) -> Looks:
     if scene.looks is None:
         return generate_looks(scene)
-    from olt_closed_loop.scenes.stage import read_looks  # USD is loaded only for scenes that come from a stage
+    from olt_closed_loop.scenes.scene_file import read_looks  # USD is loaded only for scenes that come from a stage
 
     looks = read_looks(Path(scene.looks))
     for agent in scene.agents:

@@ -8,9 +8,9 @@ from olt_closed_loop.sensors.ray_casting import SceneRenderer, render_rig
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.policy_window import Span
-from olt_toolkit.recording import Recording
-from olt_toolkit.rig import FRONT_WIDE, pav_rig
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.rigs.rig import FRONT_WIDE, pav_rig
 
 
 def record_drive(

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.sensors.ray_casting import SceneRenderer
 from olt_generator.poses import Array
-from olt_toolkit.rig import Rig, pav_rig
+from olt_toolkit.rigs.rig import Rig, pav_rig
 
 
 class RigSensors:

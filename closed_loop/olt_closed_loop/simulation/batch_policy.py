@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.poses import Array
-from olt_toolkit.policy import Observation, Policy
+from olt_toolkit.policy.contract import Observation, Policy
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class ObservationBatch:
 
 @dataclass(frozen=True)
 class PlanBatch:
-    """The plans of n rollouts: xyz (n, 64, 3) and rotation (n, 64, 3, 3), as in `Plan`."""
+    """The plans of n rollouts: xyz (n, 64, 3) and rotation (n, 64, 3, 3), as in `PlannedTrajectory`."""
 
     xyz: Array
     rotation: Array

@@ -16,17 +16,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.simulation.batch_policy import BatchPolicy, ObservationBatch
 from olt_closed_loop.simulation.recorded_motion import RecordedMotion, recorded_motion
-from olt_closed_loop.simulation.rollout import Rollout
 from olt_closed_loop.simulation.running_drive import RunningDrive, Sensors
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
 from olt_closed_loop.vehicle.models import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import planar_pose
-from olt_toolkit.policy import FUTURE_STEPS, IMAGE_FRAMES, Observation, Plan, Policy
-from olt_toolkit.rig import CAMERA_INDEX
+from olt_toolkit.policy.contract import FUTURE_STEPS, IMAGE_FRAMES, Observation, PlannedTrajectory, Policy
+from olt_toolkit.rigs.rig import CAMERA_INDEX
 
 
 @dataclass(frozen=True)
@@ -128,17 +128,17 @@ def _plan(drives: Sequence[RunningDrive], policy: Policy, step: int) -> None:
 # Whatever a foreign policy raises ends its own rollout and no other, so any exception is an answer here.
 
 
-def _answer(policy: Policy, observation: Observation) -> Plan | Exception:
+def _answer(policy: Policy, observation: Observation) -> PlannedTrajectory | Exception:
     try:
         return policy.plan(observation)
     except Exception as error:
         return error
 
 
-def _answer_batch(policy: BatchPolicy, seen: ObservationBatch) -> list[Plan | Exception]:
+def _answer_batch(policy: BatchPolicy, seen: ObservationBatch) -> list[PlannedTrajectory | Exception]:
     try:
         plans = policy.plan_batch(seen)
-        return [Plan(xyz, rotation) for xyz, rotation in zip(plans.xyz, plans.rotation, strict=True)]
+        return [PlannedTrajectory(xyz, rotation) for xyz, rotation in zip(plans.xyz, plans.rotation, strict=True)]
     except Exception as error:
         if len(seen.seeds) == 1:
             return [error]

@@ -12,7 +12,7 @@ from olt_closed_loop.simulation.batch_policy import ObservationBatch, PlanBatch
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.policy import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, Plan, Policy
+from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, PlannedTrajectory, Policy
 
 FUTURE_TIMES: Array = STEP_SECONDS * np.arange(1, FUTURE_STEPS + 1, dtype=np.float64)
 PolicyLoader = Callable[[str | None], Policy]
@@ -40,10 +40,10 @@ class _BatchPolicy(ABC):
     image_size: tuple[int, int] = (0, 0)
     uses_route = False
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation) -> PlannedTrajectory:
         """See `Policy.plan`."""
         plans = self.plan_batch(ObservationBatch.of(observation))
-        return Plan(plans.xyz[0], plans.rotation[0])
+        return PlannedTrajectory(plans.xyz[0], plans.rotation[0])
 
     @abstractmethod
     def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
@@ -112,7 +112,7 @@ class ReplayPolicy:
         self._T_world_rig = np.eye(4)
         self._time_us: int | None = None
 
-    def plan(self, observation: Observation) -> Plan:
+    def plan(self, observation: Observation) -> PlannedTrajectory:
         """See `Policy.plan`; after the recording's end the plan goes straight on at the last recorded speed."""
         now = observation.time_us
         if self._time_us is not None and now == self._time_us + STEP_US:
@@ -122,7 +122,7 @@ class ReplayPolicy:
         self._time_us = now
         future_us = now + STEP_US * np.arange(1, FUTURE_STEPS + 1, dtype=np.int64)
         in_rig = invert(self._T_world_rig) @ _going_on(self._recording, future_us)
-        return Plan(in_rig[:, :3, 3], in_rig[:, :3, :3])
+        return PlannedTrajectory(in_rig[:, :3, 3], in_rig[:, :3, :3])
 
 
 def load_constant_velocity(argument: str | None) -> Policy:

@@ -17,7 +17,7 @@ import numpy as np
 
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array
-from olt_toolkit.policy import STEP_SECONDS, STEP_US
+from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
 
 ACCELERATION = 1.5
 """a, m/s^2."""

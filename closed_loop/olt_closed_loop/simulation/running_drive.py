@@ -11,17 +11,24 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.control.plans import PlanRefused, WorldPlan, place_plan
 from olt_closed_loop.control.tracking import TrackingController
+from olt_closed_loop.rollouts.progress import PathTracker
+from olt_closed_loop.rollouts.rollout import Events, Rollout
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scoring.progress import PathTracker
 from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
-from olt_closed_loop.simulation.rollout import Events, Rollout
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
 from olt_closed_loop.vehicle.integrators import make_stepper
 from olt_closed_loop.vehicle.models import STATE, STATE_SIZE, with_rolling_tyres
 from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import derive_seed
-from olt_toolkit.policy import FUTURE_STEPS, HISTORY_STEPS, IMAGE_FRAMES, STEP_SECONDS, Plan, Policy
+from olt_toolkit.policy.contract import (
+    FUTURE_STEPS,
+    HISTORY_STEPS,
+    IMAGE_FRAMES,
+    STEP_SECONDS,
+    PlannedTrajectory,
+    Policy,
+)
 
 ROUTE_POINTS = 20
 ROUTE_LENGTH = 80.0
@@ -147,7 +154,7 @@ class RunningDrive:
         self._frames.append(pictures)
         self._rendered += 1
 
-    def accept(self, plan: Plan, step: int) -> None:
+    def accept(self, plan: PlannedTrajectory, step: int) -> None:
         """Keep the plan made at a step, or count that it is refused."""
         try:
             x, y, yaw = self._states[step, : STATE.speed]

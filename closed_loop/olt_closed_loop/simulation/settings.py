@@ -7,13 +7,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.control.tracking import ControlSettings
+from olt_closed_loop.rollouts.rollout import Traffic
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.rollout import Traffic
 from olt_closed_loop.vehicle.integrators import DEFAULT_METHOD, DEFAULT_SUBSTEPS, Method
 from olt_closed_loop.vehicle.models import VehicleParameters
 from olt_closed_loop.vehicle.presets import vehicle_with_tyres
 from olt_generator.errors import InputError
-from olt_toolkit.policy import IMAGE_FRAMES, STEP_US
+from olt_toolkit.policy.contract import IMAGE_FRAMES, STEP_US
 
 VehicleKind = Literal["kinematic", "tyres"]
 

@@ -30,7 +30,7 @@ import numpy as np
 from olt_closed_loop.vehicle.actuators import actuator_rate, clip
 from olt_closed_loop.vehicle.tyres import GRAVITY, friction_share, inverse_speed, linear_force
 from olt_generator.poses import Array
-from olt_toolkit.rig import VehicleDimensions
+from olt_toolkit.rigs.rig import VehicleDimensions
 
 STATE_SIZE = 6
 """Size of the kinematic state, with which every state begins."""

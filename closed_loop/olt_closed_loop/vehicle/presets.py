@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from olt_closed_loop.vehicle.models import TyreParameters, VehicleParameters
-from olt_toolkit.rig import DEFAULT_VEHICLE, VehicleDimensions
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, VehicleDimensions
 
 # Facts sheet alpasim, section 4; it gives the stiffness of one tyre, of which an axle has two.
 ALPASIM_TYRES = TyreParameters(

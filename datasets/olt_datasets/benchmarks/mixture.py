@@ -13,7 +13,7 @@ from olt_datasets.mixtures.mixture import Mixture, compose_mixture
 from olt_datasets.mixtures.recipe import parse_recipe
 from olt_datasets.tables.clip_table import SCHEMA
 from olt_generator.seeds import derive_seed
-from olt_toolkit.benchmark import Benchmark, Grid, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Grid, Setting
 
 BATCH_SIZE = 32
 SHARE = 0.3

@@ -15,8 +15,8 @@ from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.recipe import parse_recipe
 from olt_datasets.tables.clip_table import scan_clip_tables
 from olt_generator.seeds import make_generator
-from olt_toolkit.benchmark_runner import resident_mib
-from olt_toolkit.clip_table import SCHEMA
+from olt_toolkit.bench.runner import resident_mib
+from olt_toolkit.clips.table import SCHEMA
 
 ROWS_AT_ONCE = 100_000
 LONG_TAIL = ("cyclists", "work_zone", "uncommon_vehicle", "animal")

@@ -17,12 +17,12 @@ from olt_generator.poses import planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
 from olt_toolkit import __version__
-from olt_toolkit.benchmark import Benchmark, Setting
-from olt_toolkit.clip import CameraStream, Clip, EgoMotion, Origin, ViewProvenance, make_clip_id
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.policy_window import IMAGE_OFFSETS_US
-from olt_toolkit.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
-from olt_toolkit.sample import SampleKey
+from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.policy.sample import SampleKey
+from olt_toolkit.policy.window import IMAGE_OFFSETS_US
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
 
 IMAGE_SIZE = (320, 576)
 CLIP_ID = make_clip_id("samples benchmark")
@@ -42,7 +42,7 @@ def exported_clip(width: int, height: int) -> Path:
     if not folder.is_dir():
         with write_whole_folder(folder) as temporary:
             store = ClipStore(temporary / "store")
-            store.stage(make_clip(width, height))
+            store.prepare(make_clip(width, height))
             store.commit([CLIP_ID])
             export_pai(contents_of_stores([store.root], "train"), temporary / "pai", WorkOptions())
     return folder / "pai"
@@ -65,7 +65,7 @@ def make_clip(width: int, height: int) -> Clip:
         name="samples benchmark",
         scene_id="samples benchmark",
         source="benchmark",
-        origin=Origin("samples benchmark", int(image_us[0]), int(image_us[-1])),
+        origin=ClipOrigin("samples benchmark", int(image_us[0]), int(image_us[-1])),
         kind="GT",
         category="nominal",
         factors=(),

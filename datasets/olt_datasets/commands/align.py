@@ -36,7 +36,7 @@ def align(
     from olt_datasets.mixtures.alignment import PAPER_COVERAGE, align_sources, measure_coverage
     from olt_datasets.tables.clip_table import scan_clip_tables
     from olt_generator.errors import InputError
-    from olt_toolkit.console import print_json
+    from olt_toolkit.runtime.console import print_json
 
     if example:
         found = align_sources(PAPER_COVERAGE, PAPER_COVERAGE["nv"], samples=samples, seed=seed)
@@ -90,7 +90,7 @@ def _read_weights(text: str) -> dict[str, float]:
 
 
 def _show(found: "Alignment") -> None:
-    from olt_toolkit.console import print_line, print_table
+    from olt_toolkit.runtime.console import print_line, print_table
 
     factors = list(found.target)
     rows: list[list[Any]] = [

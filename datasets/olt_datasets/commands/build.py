@@ -7,6 +7,7 @@ import typer
 
 from olt_datasets.commands.dataset_options import DEFAULT_CACHE, CacheOption, JsonOption, SourceOption
 from olt_datasets.tables.choices import BuiltKind
+from olt_toolkit.clips.estimators import DepthChoice, PoseChoice, SourceChoice
 from olt_toolkit.commands.clip_options import (
     CameraHeightOption,
     DepthOption,
@@ -20,12 +21,11 @@ from olt_toolkit.commands.clip_options import (
     make_open_options,
 )
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
-from olt_toolkit.source_choice import DepthChoice, PoseChoice, SourceChoice
-from olt_toolkit.workers import Engine
+from olt_toolkit.runtime.workers import Engine
 
 if TYPE_CHECKING:
     from olt_datasets.tables.building import RowJob
-    from olt_toolkit.clip_folder import Outcome
+    from olt_toolkit.clips.build_job import Outcome
 
 
 def build(
@@ -58,8 +58,8 @@ def build(
     from olt_datasets.tables.building import RowJob, find_buildable
     from olt_datasets.tables.indexing import DatasetPlace
     from olt_generator.files import make_folder
-    from olt_toolkit.clip_table import read_clip_table
-    from olt_toolkit.clip_views import BuildOptions
+    from olt_toolkit.clips.table import read_clip_table
+    from olt_toolkit.clips.views import BuildOptions
 
     place = DatasetPlace(root, cache.expanduser(), source)
     choice = SourceChoice(poses, mapanything_weights, depth, depth_weights, device)
@@ -72,9 +72,9 @@ def build(
 
 
 def _build(jobs: "list[RowJob]", workers: int | None, engine: Engine) -> "list[Outcome]":
-    from olt_toolkit.clip_folder import build_clips
-    from olt_toolkit.console import make_progress
-    from olt_toolkit.workers import default_workers
+    from olt_toolkit.clips.build_job import build_clips
+    from olt_toolkit.runtime.console import make_progress
+    from olt_toolkit.runtime.workers import default_workers
 
     with make_progress() as progress:
         task = progress.add_task("clips", total=len(jobs))
@@ -90,8 +90,8 @@ def _show(outcomes: "list[Outcome]", store: Path, as_json: bool) -> None:
     from dataclasses import asdict
 
     from olt_generator.errors import InputError
-    from olt_toolkit.commands.clip_tables import print_outcomes
-    from olt_toolkit.console import print_json
+    from olt_toolkit.commands.clip_output import print_outcomes
+    from olt_toolkit.runtime.console import print_json
 
     if as_json:
         print_json({"store": str(store), "clips": [asdict(each) | {"path": str(each.path)} for each in outcomes]})

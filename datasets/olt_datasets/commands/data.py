@@ -16,8 +16,8 @@ app = typer.Typer(
 @app.command()
 def sources() -> None:
     """List the data sets that can be read, with licence and access."""
-    from olt_datasets.drives import readers
-    from olt_toolkit.console import print_table
+    from olt_toolkit.recordings.drives import readers
+    from olt_toolkit.runtime.console import print_table
 
     rows = [(name, reader.licence.name, reader.licence.access) for name, reader in readers().items()]
     print_table("Data sets", ("source", "licence", "access"), rows)

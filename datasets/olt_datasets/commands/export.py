@@ -8,7 +8,7 @@ import typer
 
 from olt_datasets.tables.choices import SplitName
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
-from olt_toolkit.workers import Engine
+from olt_toolkit.runtime.workers import Engine
 
 if TYPE_CHECKING:
     from olt_datasets.export.contents import Contents
@@ -42,8 +42,8 @@ def export(
     from olt_datasets.export.options import WorkOptions
     from olt_datasets.export.pai import export_pai
     from olt_generator.errors import InputError
-    from olt_toolkit.console import make_progress, print_json
-    from olt_toolkit.workers import default_workers
+    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.runtime.workers import default_workers
 
     contents = _contents(inputs, split)
     options = WorkOptions(keep_going, workers or default_workers(), engine)
@@ -72,7 +72,7 @@ def _contents(inputs: list[Path], split: SplitName) -> "Contents":
 
 
 def _show(summary: dict[str, Any]) -> None:
-    from olt_toolkit.console import print_line
+    from olt_toolkit.runtime.console import print_line
 
     if summary["format"] == Format.PAI.value:
         _show_chunks(summary)
@@ -90,7 +90,7 @@ def _show(summary: dict[str, Any]) -> None:
 
 
 def _show_chunks(summary: dict[str, Any]) -> None:
-    from olt_toolkit.console import print_line, print_table
+    from olt_toolkit.runtime.console import print_line, print_table
 
     columns = ("component", "kind", "source", "clips", "chunk_ids")
     title = f"{summary['out']}: {summary['clips']} clips of split {summary['split']}"

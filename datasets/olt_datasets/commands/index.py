@@ -9,7 +9,7 @@ import typer
 from olt_datasets.commands.dataset_options import DEFAULT_CACHE, CacheOption, JsonOption, SourceOption
 from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, SampleChoice, SplitRule
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
-from olt_toolkit.workers import Engine
+from olt_toolkit.runtime.workers import Engine
 
 _SHOWN = 20
 
@@ -40,8 +40,8 @@ def index(
     from olt_datasets.tables.cutting import Cutting
     from olt_datasets.tables.indexing import DatasetPlace, index_dataset
     from olt_generator.errors import InputError
-    from olt_toolkit.console import make_progress, print_json, print_line
-    from olt_toolkit.workers import default_workers
+    from olt_toolkit.runtime.console import make_progress, print_json, print_line
+    from olt_toolkit.runtime.workers import default_workers
 
     cutting = Cutting(frames, stride, seconds, samples)
     place = DatasetPlace(root, cache.expanduser(), source)
@@ -90,7 +90,7 @@ def split(
     never trained on. own: the data set's own splits, which every clip must have.
     """
     from olt_datasets.tables.splits import Splitting, split_table
-    from olt_toolkit.console import print_json, print_table
+    from olt_toolkit.runtime.console import print_json, print_table
 
     counts = split_table(table, Splitting(rule, tuple(source or ()), val, test, gap, seed), out)
     if as_json:
@@ -116,7 +116,7 @@ def check(
     """
     from olt_datasets.tables.clip_table import scan_clip_tables
     from olt_datasets.tables.leaks import find_table_leaks
-    from olt_toolkit.console import print_json, print_line
+    from olt_toolkit.runtime.console import print_json, print_line
 
     leaks = find_table_leaks(scan_clip_tables(tables), held_out or (), external or ())
     if as_json:

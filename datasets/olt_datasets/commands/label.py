@@ -19,7 +19,7 @@ def label(
     Recipes choose clips by them, and most data sets tell none.
     """
     from olt_datasets.tables.labels import label_table, read_labels
-    from olt_toolkit.console import print_json, print_line
+    from olt_toolkit.runtime.console import print_json, print_line
 
     labelled = label_table(table, read_labels(labels), out)
     if as_json:

@@ -18,7 +18,7 @@ def make_up(
     from olt_datasets.tables.clip_table import TABLE_SUFFIX
     from olt_generator.errors import InputError
     from olt_generator.files import write_whole
-    from olt_toolkit.console import print_json, print_line
+    from olt_toolkit.runtime.console import print_json, print_line
 
     if out.suffix != TABLE_SUFFIX:
         raise InputError(f"{out}: a table of clips is written as Parquet; give a name that ends in {TABLE_SUFFIX}")

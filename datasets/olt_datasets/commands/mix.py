@@ -81,7 +81,7 @@ def check(recipe: RecipeArgument, stores: StoresOption, as_json: JsonOption = Fa
     from olt_datasets.mixtures.mixture import check_recipe
     from olt_datasets.mixtures.recipe import find_recipe
     from olt_datasets.tables.clip_table import scan_clip_tables
-    from olt_toolkit.console import print_json, print_line
+    from olt_toolkit.runtime.console import print_json, print_line
 
     findings = check_recipe(find_recipe(recipe), scan_clip_tables(stores))
     refused = bool(findings["shortages"] or findings["leaks"])
@@ -123,7 +123,7 @@ def _training(stages: Sequence[str]) -> Any:
 
 def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:
     from olt_datasets.mixtures.mixture import GROUPS
-    from olt_toolkit.console import print_json, print_table
+    from olt_toolkit.runtime.console import print_json, print_table
 
     if as_json:
         print_json(summary)
@@ -146,7 +146,7 @@ def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:
 
 
 def _show_training(training: Mapping[str, Mapping[str, int]]) -> None:
-    from olt_toolkit.console import print_table
+    from olt_toolkit.runtime.console import print_table
 
     columns = ("global_batch", "samples_per_epoch", "padded_samples", "steps_per_epoch", "total_steps")
     rows = [(stage, *(numbers[column] for column in columns)) for stage, numbers in training.items()]
@@ -156,7 +156,7 @@ def _show_training(training: Mapping[str, Mapping[str, int]]) -> None:
 
 def _show_difference(summary: dict[str, Any], as_json: bool) -> None:
     from olt_datasets.mixtures.mixture import GROUPS
-    from olt_toolkit.console import print_json, print_table
+    from olt_toolkit.runtime.console import print_json, print_table
 
     if as_json:
         print_json(summary)
@@ -179,7 +179,7 @@ def _show_difference(summary: dict[str, Any], as_json: bool) -> None:
 
 
 def _show_recipe(recipe: "Recipe", as_json: bool) -> None:
-    from olt_toolkit.console import print_json, print_table
+    from olt_toolkit.runtime.console import print_json, print_table
 
     if as_json:
         print_json(recipe.model_dump(mode="json"))

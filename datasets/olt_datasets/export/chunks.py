@@ -17,9 +17,9 @@ import pandas as pd
 from olt_datasets.export.contents import ExportGroup, ExportItem
 from olt_datasets.export.writing import finished_part, link_or_copy, naming, note_finished, write_file
 from olt_generator.errors import InputError
-from olt_toolkit.clip_files import add_member, has_feature
-from olt_toolkit.clip_store import CLIPS_PER_CHUNK, ClipStore
-from olt_toolkit.pai_layout import CALIBRATIONS, FEATURES
+from olt_toolkit.clips.files import add_member, has_feature
+from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES
+from olt_toolkit.clips.store import CLIPS_PER_CHUNK, ClipStore
 
 How = Literal["linked", "copied", "packed"]
 Member = tuple[str, str, bytes]

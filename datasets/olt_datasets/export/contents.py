@@ -13,9 +13,9 @@ from pathlib import Path
 
 from olt_datasets.mixtures.mixture import Mixture, MixtureComponent
 from olt_generator.errors import InputError
-from olt_toolkit.clip import Split, make_clip_id
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.sample import KEYFRAME_US
+from olt_toolkit.clips.clip import Split, make_clip_id
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.policy.sample import KEYFRAME_US
 
 
 @dataclass(frozen=True)

@@ -24,12 +24,12 @@ from olt_datasets.export.options import WorkOptions, fingerprint_export
 from olt_datasets.export.writing import EXPORT_FILE, find_finished, resumable_folder, write_file
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
-from olt_toolkit.clip import ClipInfo
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.policy import STEP_US
-from olt_toolkit.policy_window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
-from olt_toolkit.rig import POLICY_CAMERAS
-from olt_toolkit.workers import map_parallel
+from olt_toolkit.clips.clip import ClipInfo
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.policy.contract import STEP_US
+from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.runtime.workers import map_parallel
 
 VERSION = "v3.0"
 POLICY_IMAGE_SIZE = (320, 576)

@@ -18,12 +18,12 @@ from olt_datasets.export.writing import finished_part, naming, note_finished
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, yaw_of
 from olt_generator.video import write_video
-from olt_toolkit.clip import EgoMotion
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.images import resize_images
-from olt_toolkit.policy import STEP_US
-from olt_toolkit.policy_window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, IMAGE_OFFSETS_US
-from olt_toolkit.rig import POLICY_CAMERAS
+from olt_toolkit.clips.clip import EgoMotion
+from olt_toolkit.clips.images import resize_images
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.policy.contract import STEP_US
+from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, IMAGE_OFFSETS_US
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 FRAME_RATE = 10
 FILES_PER_CHUNK = 1000

@@ -5,7 +5,7 @@ import json
 from dataclasses import asdict, dataclass
 
 from olt_datasets.export.contents import Contents
-from olt_toolkit.workers import Engine
+from olt_toolkit.runtime.workers import Engine
 
 
 @dataclass(frozen=True)

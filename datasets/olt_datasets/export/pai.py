@@ -20,14 +20,14 @@ from olt_datasets.export.options import WorkOptions, fingerprint_export
 from olt_datasets.export.writing import EXPORT_FILE, find_finished, naming, resumable_folder, write_file
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
-from olt_toolkit.clip import ClipInfo
-from olt_toolkit.clip_files import write_metadata
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.clip_table import CLIP_TABLE, write_clip_table
-from olt_toolkit.pai_layout import CLIP_INDEX
-from olt_toolkit.pai_tables import read_indexed, to_bytes
-from olt_toolkit.sample import KEYFRAME_US
-from olt_toolkit.workers import map_parallel
+from olt_toolkit.clips.clip import ClipInfo
+from olt_toolkit.clips.files import write_metadata
+from olt_toolkit.clips.pai_layout import CLIP_INDEX
+from olt_toolkit.clips.pai_tables import read_indexed, to_bytes
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.table import CLIP_TABLE, write_clip_table
+from olt_toolkit.policy.sample import KEYFRAME_US
+from olt_toolkit.runtime.workers import map_parallel
 
 
 def export_pai(

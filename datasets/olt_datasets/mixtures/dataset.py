@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Protocol
 
 from olt_datasets.mixtures.mixture import Mixture
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.sample import PolicySample, SampleKey
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.policy.sample import PolicySample, SampleKey
 
 
 class SampleStore(Protocol):

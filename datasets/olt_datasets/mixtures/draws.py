@@ -19,7 +19,7 @@ import polars as pl
 
 from olt_datasets.mixtures.recipe import Component
 from olt_generator.seeds import make_generator
-from olt_toolkit.sample import KEYFRAME_US
+from olt_toolkit.policy.sample import KEYFRAME_US
 
 # The last 48 bytes of a scene's id count; those that end alike have ties, which is harmless.
 SCENE_WORDS = 6

@@ -34,7 +34,7 @@ from olt_datasets.mixtures.selection import (
 from olt_datasets.tables.leaks import Leak, find_leaks, summarize_leaks
 from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
-from olt_toolkit.sample import SampleKey
+from olt_toolkit.policy.sample import SampleKey
 
 KEY_COLUMNS = ("store", "clip_id", "t0_us")
 GROUPS = ("source", "kind", "category", "factors", "country")

@@ -33,7 +33,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from olt_generator.errors import InputError
-from olt_toolkit.yaml_files import read_yaml_mapping
+from olt_toolkit.runtime.yaml_files import read_yaml_mapping
 
 RECIPE_VERSION = 1
 RECIPE_SUFFIXES = (".yaml", ".yml")

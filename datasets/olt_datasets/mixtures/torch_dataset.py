@@ -16,7 +16,7 @@ from torch.utils.data import Dataset, Sampler
 from olt_datasets.mixtures.dataset import MixtureDataset
 from olt_datasets.mixtures.mixture import Mixture
 from olt_generator.errors import InputError
-from olt_toolkit.sample import PolicySample, SampleKey
+from olt_toolkit.policy.sample import PolicySample, SampleKey
 
 
 class TorchMixtureDataset(Dataset[dict[str, Any]]):

@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from olt_closed_loop.scenes.sources.argoverse2 import read_motion_ego, read_sensor_ego
-from olt_datasets.drives import Drive, Licence
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.clip import Split
-from olt_toolkit.policy_window import Span
-from olt_toolkit.recording import OpenOptions, Recording
+from olt_toolkit.clips.clip import Split
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
 
 NAME = "argoverse2"
 LICENCE = Licence(

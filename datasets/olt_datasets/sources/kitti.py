@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.recording import Recording
-from olt_toolkit.rig import VehicleDimensions
+from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.rigs.rig import VehicleDimensions
 
 # VW Passat B6 estate, KITTI's car; the rear overhang places the centre of the box.
 PASSAT = VehicleDimensions(

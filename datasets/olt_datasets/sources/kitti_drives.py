@@ -12,14 +12,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.drives import Drive, Licence
 from olt_datasets.sources import kitti_odometry, kitti_raw
 from olt_datasets.sources.image_times import starting_at
 from olt_datasets.sources.windows import images_within
 from olt_generator.errors import InputError
-from olt_toolkit.policy_window import Span
-from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import FRONT_WIDE
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import FRONT_WIDE
 
 LICENCE = Licence(
     "CC BY-NC-SA 3.0",

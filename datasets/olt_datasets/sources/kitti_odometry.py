@@ -18,7 +18,7 @@ from olt_generator.errors import InputError
 from olt_generator.poses import Array, aim_camera, camera_pose_in_rig, invert, make_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
-from olt_toolkit.recording import OpenOptions, Recording
+from olt_toolkit.recordings.recording import OpenOptions, Recording
 
 # KITTI's sensor sketch: camera 0 stands 1.65 m above the road; calib_imu_to_velo and calib_velo_to_cam of the raw data
 # place it 1.08 m ahead and 0.32 m to the left of the IMU, which sits close to the rear axle.

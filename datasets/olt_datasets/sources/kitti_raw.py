@@ -23,7 +23,7 @@ from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, make_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
-from olt_toolkit.recording import OpenOptions, Recording
+from olt_toolkit.recordings.recording import OpenOptions, Recording
 
 IMU_HEIGHT = 0.93
 EARTH_RADIUS = 6378137.0

@@ -14,7 +14,7 @@ from olt_generator.cameras import Mask, pixel_rays
 from olt_generator.errors import InputError
 from olt_generator.lenses.remap import Remapper
 from olt_generator.poses import Array
-from olt_toolkit.rig import MountedCamera
+from olt_toolkit.rigs.rig import MountedCamera
 
 Image = NDArray[np.uint8]
 

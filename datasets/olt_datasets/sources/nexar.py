@@ -15,15 +15,15 @@ from pathlib import Path
 
 import numpy as np
 
-from olt_datasets.drives import Drive, Licence
 from olt_datasets.sources.video import CAMERA
 from olt_datasets.sources.video_folder import UNKNOWN_CAMERA, open_video_window
 from olt_generator.errors import InputError
 from olt_generator.video import read_frame_times
-from olt_toolkit.clip import Split
-from olt_toolkit.policy_window import Span
-from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import FRONT_WIDE
+from olt_toolkit.clips.clip import Split
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import FRONT_WIDE
 
 NAME = "nexar"
 LICENCE = Licence(

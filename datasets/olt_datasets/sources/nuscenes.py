@@ -11,18 +11,18 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from olt_datasets.drives import Drive, Licence
 from olt_datasets.sources.nuscenes_tables import LENS, MOUNTING, POSITION, TABLES, camera_images
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import pose_from_quaternion
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.clip import Split
-from olt_toolkit.policy_window import Span
-from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import MountedCamera
-from olt_toolkit.rigs import load_rig
+from olt_toolkit.clips.clip import Split
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import MountedCamera
+from olt_toolkit.rigs.rig_files import load_rig
 
 SOURCE = "nuscenes"
 FRONT = "CAM_FRONT"

@@ -18,16 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
-from olt_datasets.drives import Drive, Licence
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_generator.cameras import BrownConradyCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, pose_from_quaternion
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.policy_window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, Span
-from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import MountedCamera
-from olt_toolkit.rigs import load_rig
+from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, Span
+from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import MountedCamera
+from olt_toolkit.rigs.rig_files import load_rig
 
 SOURCE = "pandaset"
 FRONT = "front_camera"

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.drives import Drive, Licence
 from olt_datasets.sources.image_times import FARTHEST_US, farthest_apart, nearest_images, starting_at
 from olt_datasets.sources.pav_tables import (
     ClipEvents,
@@ -25,10 +24,8 @@ from olt_datasets.sources.windows import images_within
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
-from olt_toolkit.chunk_archive import ChunkArchive
-from olt_toolkit.clip_table import CLIP_TABLE
-from olt_toolkit.clip_video import decode_frames
-from olt_toolkit.pai_layout import (
+from olt_toolkit.clips.chunk_archive import ChunkArchive
+from olt_toolkit.clips.pai_layout import (
     CAMERA_INTRINSICS,
     CLIP_INDEX,
     EGOMOTION,
@@ -39,10 +36,13 @@ from olt_toolkit.pai_layout import (
     VEHICLE_DIMENSIONS,
     VIDEO,
 )
-from olt_toolkit.pai_tables import read_egomotion, read_mounted_camera, read_timestamps, read_vehicle
-from olt_toolkit.policy_window import Span
-from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import CAMERA_INDEX, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, short_name
+from olt_toolkit.clips.pai_tables import read_egomotion, read_mounted_camera, read_timestamps, read_vehicle
+from olt_toolkit.clips.table import CLIP_TABLE
+from olt_toolkit.clips.video import decode_frames
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, short_name
 
 SOURCE = "pav"
 LICENCE = Licence(

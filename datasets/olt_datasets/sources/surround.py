@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.drives import Drive
 from olt_datasets.sources.image_times import FARTHEST_US, farthest_apart, nearest_images, starting_at
 from olt_datasets.sources.mosaic import Mosaic, coverage
 from olt_datasets.sources.windows import images_within
@@ -23,10 +22,11 @@ from olt_generator.errors import InputError
 from olt_generator.lenses.remap import Remapper
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
-from olt_toolkit.clip import UNLABELLED, Split
-from olt_toolkit.policy_window import Span
-from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, pav_rig, short_name
+from olt_toolkit.clips.clip import UNLABELLED, Split
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import Drive
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, pav_rig, short_name
 
 Image = NDArray[np.uint8]
 

@@ -22,14 +22,14 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from olt_closed_loop.scenes.procedural import CATEGORIES, DURATION_US, generate_scene
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.sensors.recorder import frame_times, record_drive
-from olt_datasets.drives import Drive, Licence
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.clip import Split
-from olt_toolkit.policy_window import Span
-from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import POLICY_CAMERAS, pav_rig
-from olt_toolkit.yaml_files import read_yaml_mapping
+from olt_toolkit.clips.clip import Split
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import POLICY_CAMERAS, pav_rig
+from olt_toolkit.runtime.yaml_files import read_yaml_mapping
 
 NAME = "synthetic"
 FILE = "synthetic.yaml"

@@ -10,8 +10,8 @@ from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.motion.focal_length import estimate_field_of_view
 from olt_generator.video import Video, read_video
-from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rigs import load_rig
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig_files import load_rig
 
 SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm", ".ts", ".mpg", ".mpeg"})
 # The rig in which an unknown camera is taken to be, and its only camera.

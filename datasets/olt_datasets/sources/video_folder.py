@@ -9,7 +9,6 @@ import json
 from dataclasses import asdict
 from pathlib import Path
 
-from olt_datasets.drives import Drive, Licence
 from olt_datasets.sources.video import (
     CAMERA,
     GIVEN,
@@ -22,9 +21,10 @@ from olt_datasets.sources.video import (
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.video import read_frame_times, read_video, read_video_window
-from olt_toolkit.policy_window import Span
-from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import FRONT_WIDE
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import FRONT_WIDE
 
 NAME = "video"
 LICENCE = Licence(

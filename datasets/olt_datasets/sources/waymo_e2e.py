@@ -12,7 +12,6 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from olt_datasets.drives import Drive, Licence
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_datasets.sources.tfrecord import map_records, read_record
 from olt_datasets.sources.waymo_frames import CAMERAS, FrameImages, read_images
@@ -20,10 +19,11 @@ from olt_datasets.sources.waymo_index import SHARDS, build_index, positions
 from olt_datasets.sources.waymo_motion import FramePath, chain_paths
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.clip import Split
-from olt_toolkit.policy_window import Span
-from olt_toolkit.recording import OpenOptions, Recording
-from olt_toolkit.rig import MountedCamera, VehicleDimensions
+from olt_toolkit.clips.clip import Split
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
 NAME = "waymo_e2e"
 LICENCE = Licence(

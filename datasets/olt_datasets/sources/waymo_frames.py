@@ -13,7 +13,7 @@ from olt_datasets.sources.wire_format import Message
 from olt_generator.cameras import BrownConradyCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import R_FORWARD_CAMERA, Array, make_pose
-from olt_toolkit.rig import MountedCamera
+from olt_toolkit.rigs.rig import MountedCamera
 
 CAMERAS = {
     1: "FRONT",

@@ -18,7 +18,7 @@ from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
-from olt_toolkit.workers import default_workers, map_parallel
+from olt_toolkit.runtime.workers import default_workers, map_parallel
 
 SHARDS = "*.tfrecord*"
 SCHEMA = pl.Schema(

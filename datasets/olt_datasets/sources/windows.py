@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
-from olt_toolkit.policy_window import Span
+from olt_toolkit.policy.window import Span
 
 
 def images_within(front_us: NDArray[np.int64], window_us: Span, where: str) -> NDArray[np.intp]:

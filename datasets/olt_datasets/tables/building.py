@@ -1,7 +1,7 @@
 """From the rows of a table of indexed clips to a store of built ones.
 
-Each row's window is opened by the reader of its data set and built as `olt clip build` builds a recording: staged with
-its pictures as soon as it is done, and all are committed together at the end. So an interrupted run that is taken up
+Each row's window is opened by the reader of its data set and built as `olt clip build` builds a recording: prepared
+with its pictures as soon as it is done, and all are committed together at the end. So an interrupted run that is taken up
 again leaves the same bytes as one that was not.
 """
 
@@ -13,12 +13,12 @@ from typing import Any
 from olt_datasets.tables.choices import BuiltKind
 from olt_datasets.tables.indexing import DatasetPlace
 from olt_generator.errors import InputError
-from olt_toolkit.clip import ClipInfo, make_clip_id
-from olt_toolkit.clip_folder import BuildJob, Outcome, is_finished, stage_clip
-from olt_toolkit.clip_views import BuildOptions
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.rig import POLICY_CAMERAS
-from olt_toolkit.source_choice import SourceChoice
+from olt_toolkit.clips.build_job import BuildJob, Outcome, is_finished, prepare_clip
+from olt_toolkit.clips.clip import ClipInfo, make_clip_id
+from olt_toolkit.clips.estimators import SourceChoice
+from olt_toolkit.clips.views import BuildOptions
+from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 # Data sets whose images a renderer made and no camera took.
 _RENDERED_SOURCES = frozenset({"synthetic"})
@@ -64,7 +64,7 @@ class RowJob:
         return Path(self.row.name)
 
     def build(self) -> Outcome:
-        """See `olt_toolkit.clip_folder.ClipJob.build`."""
+        """See `olt_toolkit.clips.build_job.ClipJob.build`."""
         if is_finished(self.store, self.clip_id, self.row.name):
             return Outcome(self.path, "found", self.clip_id)
         return Outcome(self.path, "built", self.clip_id, _build(self))
@@ -115,4 +115,4 @@ def _build(job: RowJob) -> dict[str, Any]:
         use_reference_views=real_views,
         use_reference_motion=recording.reference is not None,
     )
-    return stage_clip(BuildJob(job.place.root, job.store, opening, options, job.sources), recording)
+    return prepare_clip(BuildJob(job.place.root, job.store, opening, options, job.sources), recording)

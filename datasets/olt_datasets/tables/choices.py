@@ -7,7 +7,7 @@ PAPER_FRAMES = 41
 PAPER_STRIDE = 42
 
 SplitName = Literal["train", "val", "test"]
-"""The names of `olt_toolkit.clip.Split`, for commands."""
+"""The names of `olt_toolkit.clips.clip.Split`, for commands."""
 
 
 class SampleChoice(StrEnum):

@@ -19,9 +19,9 @@ import pyarrow.parquet as pq
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_toolkit.clip import ClipKind, Split
-from olt_toolkit.clip_table import CLIP_TABLE, OPTIONAL_COLUMNS, VERSION_KEY, check_table_version
-from olt_toolkit.clip_table import SCHEMA as STORED_SCHEMA
+from olt_toolkit.clips.clip import ClipKind, Split
+from olt_toolkit.clips.table import CLIP_TABLE, OPTIONAL_COLUMNS, VERSION_KEY, check_table_version
+from olt_toolkit.clips.table import SCHEMA as STORED_SCHEMA
 
 # The provenance of every view stays in the store; no mixture depends on it.
 SCHEMA = pl.DataFrame(STORED_SCHEMA.empty_table()).drop("views").schema

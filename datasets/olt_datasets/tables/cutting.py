@@ -11,14 +11,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.drives import Drive
 from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, SampleChoice
 from olt_generator.errors import InputError
 from olt_toolkit import __version__
-from olt_toolkit.clip import ClipInfo, Origin, make_clip_id
-from olt_toolkit.policy_window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, STEP_US, Coverage, Span, sample_times
-from olt_toolkit.rig import POLICY_CAMERAS
-from olt_toolkit.sample import KEYFRAME_US
+from olt_toolkit.clips.clip import ClipInfo, ClipOrigin, make_clip_id
+from olt_toolkit.policy.sample import KEYFRAME_US
+from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, STEP_US, Coverage, Span, sample_times
+from olt_toolkit.recordings.drives import Drive
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def _clip_of(drive: Drive, window: Span, cutting: Cutting, licence: str | None, 
         name=name,
         scene_id=drive.scene_id,
         source=drive.source,
-        origin=Origin(drive.key, start, end, drive.country, licence),
+        origin=ClipOrigin(drive.key, start, end, drive.country, licence),
         kind=kind,
         category=drive.category,
         factors=drive.factors,

@@ -16,15 +16,15 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from olt_datasets.drives import Dataset, open_dataset
 from olt_datasets.tables.clip_table import TABLE_SUFFIX, scan_clip_tables
 from olt_datasets.tables.cutting import Cutting, cut_drive
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
 from olt_generator.progress import Progress, silent
-from olt_toolkit.clip import ClipInfo
-from olt_toolkit.clip_table import SCHEMA, write_clip_table
-from olt_toolkit.workers import Engine, map_parallel, use_one_thread
+from olt_toolkit.clips.clip import ClipInfo
+from olt_toolkit.clips.table import SCHEMA, write_clip_table
+from olt_toolkit.recordings.drives import Dataset, open_dataset
+from olt_toolkit.runtime.workers import Engine, map_parallel, use_one_thread
 
 # Enough parts to keep many workers busy, and few enough files to read together.
 _PARTS = 512

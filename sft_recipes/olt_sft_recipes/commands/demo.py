@@ -22,7 +22,7 @@ def demo(
     from olt_sft_recipes.demo import main_job
     from olt_sft_recipes.demo.report import REPORT, SCORE_COLUMNS, score_rows
     from olt_sft_recipes.demo.settings import DemoSettings
-    from olt_toolkit.console import print_json, print_line, print_table
+    from olt_toolkit.runtime.console import print_json, print_line, print_table
 
     summary = main_job.run_demo(out, DemoSettings(seed=seed), video, workers)
     if as_json:

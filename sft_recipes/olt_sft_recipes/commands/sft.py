@@ -28,8 +28,8 @@ def train(
     """Train, and print the losses."""
     from olt_sft_recipes.stage_config import builtin_stage_config, read_stage_config
     from olt_sft_recipes.training import train_on_mixture
-    from olt_toolkit.console import make_progress, print_json, print_line, print_table
-    from olt_toolkit.workers import use_one_thread
+    from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
+    from olt_toolkit.runtime.workers import use_one_thread
 
     use_one_thread()
     chosen = _choose_mixture(mixture, recipe, stores, seed)
@@ -63,8 +63,8 @@ def evaluate(
     from olt_closed_loop.simulation.policies import make_policy
     from olt_generator.errors import InputError
     from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
-    from olt_toolkit.clip_store import ClipStore
-    from olt_toolkit.console import print_json, print_table
+    from olt_toolkit.clips.store import ClipStore
+    from olt_toolkit.runtime.console import print_json, print_table
 
     chosen = make_policy(policy)
     opened = [ClipStore(store) for store in stores]

@@ -10,8 +10,8 @@ from olt_sft_recipes.demo.training_clips import (
     order_training_clips,
     summarize_training_clips,
 )
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.workers import map_parallel
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.runtime.workers import map_parallel
 
 
 def build_clips(job: Job) -> dict[str, Any]:

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from olt_closed_loop.scoring.score_table import summarize_scores
-from olt_closed_loop.simulation.evaluation import pass_gate, run_closed_loop, save_results
+from olt_closed_loop.evaluation.evaluation import pass_gate, run_closed_loop, save_results
+from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.mixtures import RECIPES
 

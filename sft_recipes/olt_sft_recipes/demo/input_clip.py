@@ -6,19 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from olt_closed_loop.scenes.stage import read_scene
+from olt_closed_loop.scenes.scene_file import read_scene
 from olt_closed_loop.sensors.recorder import record_drive
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_sft_recipes.demo.settings import DemoSettings
-from olt_toolkit.clip_builder import BuiltClip, build_clip
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.clip_summary import summarize_build
-from olt_toolkit.clip_views import BuildOptions
-from olt_toolkit.pictures import contact_sheet, write_picture
-from olt_toolkit.recording import OpenOptions, Recording, open_recording
+from olt_toolkit.clips.builder import BuiltClip, build_clip
+from olt_toolkit.clips.pictures import contact_sheet, write_picture
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.summary import summarize_build
+from olt_toolkit.clips.views import BuildOptions
+from olt_toolkit.recordings.recording import OpenOptions, Recording, open_recording
 from olt_toolkit.report.drawings import draw_trajectory
-from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
 
 CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png", "trajectory.svg"
 
@@ -45,7 +45,7 @@ def build_input_clip(order: InputOrder) -> dict[str, Any]:
     recording, options = _take_input(order)
     built = build_clip(recording, options)
     store = ClipStore(order.store)
-    info = store.stage(built.clip)
+    info = store.prepare(built.clip)
     store.commit([built.clip.clip_id])
     _check_read_back(store, built)
     _draw(order.pictures, recording, built)

@@ -10,7 +10,7 @@ from olt_generator.files import make_folder
 from olt_generator.progress import Progress
 from olt_sft_recipes.demo.settings import DemoSettings
 from olt_sft_recipes.demo.stage_log import StageLog, checksum
-from olt_toolkit.recording import Recording
+from olt_toolkit.recordings.recording import Recording
 
 
 class StageBar(Protocol):

@@ -5,10 +5,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_closed_loop.rollouts.rollout import Rollout, load_rollouts
 from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_closed_loop.scenes.stage import read_scene
+from olt_closed_loop.scenes.scene_file import read_scene
 from olt_closed_loop.scoring.moving_boxes import agent_box
-from olt_closed_loop.simulation.rollout import Rollout, load_rollouts
 from olt_generator.poses import yaw_of
 from olt_sft_recipes.demo.input_clip import CONTACT_SHEET, TRAJECTORY, TRUE_SHEET
 from olt_sft_recipes.demo.job import Job

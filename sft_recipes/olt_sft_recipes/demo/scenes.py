@@ -3,7 +3,7 @@
 from typing import Any
 
 from olt_closed_loop.scenes.procedural import generate_scene
-from olt_closed_loop.scenes.stage import write_scene
+from olt_closed_loop.scenes.scene_file import write_scene
 from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.settings import (
     EVALUATION_SEEDS,

@@ -8,7 +8,7 @@ from olt_generator.files import write_whole
 from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.mixtures import RECIPES
 from olt_toolkit import __version__
-from olt_toolkit.environment import describe_machine
+from olt_toolkit.runtime.environment import describe_machine
 
 
 def summarize_job(job: Job, seconds: dict[str, float]) -> dict[str, Any]:

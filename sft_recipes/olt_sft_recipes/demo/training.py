@@ -11,8 +11,8 @@ from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
 from olt_sft_recipes.stage_config import builtin_stage_config
 from olt_sft_recipes.toy_policy import load_toy
 from olt_sft_recipes.training import train_on_mixture
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.workers import map_parallel
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.runtime.workers import map_parallel
 
 VALIDATION_SAMPLES_PER_CLIP = 6
 

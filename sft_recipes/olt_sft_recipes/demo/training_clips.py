@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from olt_closed_loop.scenes.stage import read_scene
+from olt_closed_loop.scenes.scene_file import read_scene
 from olt_closed_loop.sensors.recorder import record_drive
 from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.settings import DemoSettings
-from olt_toolkit.clip import Split
-from olt_toolkit.clip_builder import build_clip
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.clip_views import BuildOptions
-from olt_toolkit.rig import FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.clips.builder import build_clip
+from olt_toolkit.clips.clip import Split
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.views import BuildOptions
+from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class ClipOrder:
 
     Attributes:
         scene: the stage to drive.
-        store: the clip store that it is staged in.
+        store: the clip store that it is prepared in.
         real_views: whether all views are rendered (GT); otherwise the side views are synthesized (Syn).
         split: split of the clip.
         settings: sizes and seed.
@@ -67,7 +67,7 @@ def summarize_training_clips(orders: list[ClipOrder], made: list[dict[str, Any]]
 
 
 def build_clip_to_order(order: ClipOrder) -> dict[str, Any]:
-    """Record one scene's drive, build its clip and stage it; returns its id and errors."""
+    """Record one scene's drive, build its clip and prepare it; returns its id and errors."""
     scene = read_scene(order.scene)
     settings = order.settings
     height, width = settings.training_size if order.real_views else settings.training_front_size
@@ -85,7 +85,7 @@ def build_clip_to_order(order: ClipOrder) -> dict[str, Any]:
         seed=settings.seed,
     )
     built = build_clip(recording, options)
-    ClipStore(order.store).stage(built.clip)
+    ClipStore(order.store).prepare(built.clip)
     shares = [float(observed.mean()) for observed in built.observed.values()]
     return {
         "clip_id": built.clip.clip_id,

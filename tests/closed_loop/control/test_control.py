@@ -6,8 +6,8 @@ from olt_closed_loop.control.tracking import TrackingController
 from olt_closed_loop.vehicle.integrators import make_stepper
 from olt_closed_loop.vehicle.models import STATE, VehicleParameters
 from olt_generator.poses import planar_pose
-from olt_toolkit.policy import Plan
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.policy.contract import PlannedTrajectory
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 PARAMETERS = VehicleParameters.from_dimensions(DEFAULT_VEHICLE)
 
@@ -112,7 +112,7 @@ def test_far_coordinates_and_whole_turns_change_nothing():
 
 def test_a_plan_is_placed_where_it_was_made():
     poses = planar_pose(np.arange(1.0, 65.0), np.zeros(64), np.zeros(64))
-    placed = place_plan(Plan(poses[:, :3, 3], poses[:, :3, :3]), 100.0, 50.0, np.pi / 2, 2_000_000)
+    placed = place_plan(PlannedTrajectory(poses[:, :3, 3], poses[:, :3, :3]), 100.0, 50.0, np.pi / 2, 2_000_000)
     np.testing.assert_allclose(placed.poses[0], [100.0, 50.0, np.pi / 2])
     np.testing.assert_allclose(placed.poses[-1], [100.0, 114.0, np.pi / 2])
     assert placed.timestamps_us[-1] == 2_000_000 + 6_400_000
@@ -122,9 +122,9 @@ def test_a_plan_is_placed_where_it_was_made():
 @pytest.mark.parametrize(
     "plan",
     [
-        Plan(np.full((64, 3), np.nan), np.tile(np.eye(3), (64, 1, 1))),
-        Plan(np.zeros((64, 3)), np.full((64, 3, 3), np.inf)),
-        Plan(np.zeros((50, 3)), np.tile(np.eye(3), (50, 1, 1))),
+        PlannedTrajectory(np.full((64, 3), np.nan), np.tile(np.eye(3), (64, 1, 1))),
+        PlannedTrajectory(np.zeros((64, 3)), np.full((64, 3, 3), np.inf)),
+        PlannedTrajectory(np.zeros((50, 3)), np.tile(np.eye(3), (50, 1, 1))),
     ],
 )
 def test_unusable_plans_are_refused(plan):

@@ -15,7 +15,7 @@ from olt_closed_loop.vehicle.integrators import make_stepper
 from olt_closed_loop.vehicle.models import VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle.presets import alpasim_vehicle
 from olt_generator.errors import InputError
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 KINEMATIC = VehicleParameters.from_dimensions(DEFAULT_VEHICLE)
 VEHICLES = {"kinematic": KINEMATIC, "linear": alpasim_vehicle(), "saturating": alpasim_vehicle(0.9)}

@@ -12,7 +12,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pyarrow import feather, parquet
 
+from olt_closed_loop.evaluation.gate import check_gate
 from olt_closed_loop.scenes.scene import Lane
+from olt_closed_loop.scenes.scene_file import read_scene, write_scene
 from olt_closed_loop.scenes.sources import find_recordings, read_recording
 from olt_closed_loop.scenes.sources.argoverse2 import AXLE_HEIGHT
 from olt_closed_loop.scenes.sources.roads import (
@@ -24,8 +26,6 @@ from olt_closed_loop.scenes.sources.roads import (
     outlines,
     route_along,
 )
-from olt_closed_loop.scenes.stage import read_scene, write_scene
-from olt_closed_loop.scoring.gate import check_gate
 from olt_generator.errors import InputError
 from olt_generator.poses import yaw_of
 

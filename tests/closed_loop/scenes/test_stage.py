@@ -10,7 +10,7 @@ from pxr import Sdf
 from olt_closed_loop.scenes.looks import generate_looks
 from olt_closed_loop.scenes.procedural import generate_scene
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scenes.stage import read_looks, read_scene, write_scene
+from olt_closed_loop.scenes.scene_file import read_looks, read_scene, write_scene
 from olt_generator.errors import InputError
 
 

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from olt_closed_loop.evaluation.gate import check_gate
 from olt_closed_loop.scenes.procedural import CATEGORIES, generate_scene
-from olt_closed_loop.scoring.gate import check_gate
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.errors import InputError
 

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from olt_closed_loop.evaluation.gate import check_gate
+from olt_closed_loop.evaluation.score_table import mean_interval, summarize_scores, wilson_interval
+from olt_closed_loop.rollouts.progress import PathTracker
 from olt_closed_loop.scoring.definitions import RolloutScore, score_rollout
-from olt_closed_loop.scoring.gate import check_gate
-from olt_closed_loop.scoring.progress import PathTracker
-from olt_closed_loop.scoring.score_table import mean_interval, summarize_scores, wilson_interval
 from olt_closed_loop.simulation.closed_loop import replay, stand
 from olt_generator.errors import InputError
 from olt_generator.poses import planar_pose

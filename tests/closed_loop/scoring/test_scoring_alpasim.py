@@ -6,10 +6,10 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from olt_closed_loop.rollouts.rollout_files import parse_rollout
 from olt_closed_loop.scoring.alpasim.plans import measure_plan_collisions
 from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_contact
-from olt_closed_loop.scoring.rollout_files import parse_rollout
 
 
 @pytest.fixture(scope="session")

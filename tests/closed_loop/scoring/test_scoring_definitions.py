@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from olt_closed_loop.evaluation.score_table import summarize_scores
+from olt_closed_loop.rollouts.rollout_files import parse_rollout
 from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
 from olt_closed_loop.scoring.definitions import score_record, score_rollout
-from olt_closed_loop.scoring.rollout_files import parse_rollout
-from olt_closed_loop.scoring.score_table import summarize_scores
 from olt_closed_loop.simulation.closed_loop import replay
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from olt_closed_loop.commands import app
-from olt_closed_loop.scoring.rollout_files import parse_rollout, read_rollout_file
+from olt_closed_loop.rollouts.rollout_files import parse_rollout, read_rollout_file
 from olt_generator.errors import InputError
 
 

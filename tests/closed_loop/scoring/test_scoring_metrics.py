@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from olt_closed_loop.evaluation.score_table import summarize_scores
+from olt_closed_loop.rollouts.rollout_files import parse_rollout
 from olt_closed_loop.scoring.definitions import RolloutScore, score_record
-from olt_closed_loop.scoring.rollout_files import parse_rollout
-from olt_closed_loop.scoring.score_table import summarize_scores
 from olt_generator.errors import InputError
 
 

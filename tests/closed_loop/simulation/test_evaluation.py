@@ -7,10 +7,7 @@ from typer.testing import CliRunner
 
 from olt_closed_loop.commands import app
 from olt_closed_loop.control.tracking import ControlSettings
-from olt_closed_loop.scenes.stage import write_scene
-from olt_closed_loop.scoring.score_table import summarize_scores
-from olt_closed_loop.simulation import policies
-from olt_closed_loop.simulation.evaluation import (
+from olt_closed_loop.evaluation.evaluation import (
     count_left_out,
     count_vehicle_steps,
     load_scene,
@@ -18,7 +15,10 @@ from olt_closed_loop.simulation.evaluation import (
     run_closed_loop,
     save_results,
 )
-from olt_closed_loop.simulation.rollout import load_rollouts
+from olt_closed_loop.evaluation.score_table import summarize_scores
+from olt_closed_loop.rollouts.rollout import load_rollouts
+from olt_closed_loop.scenes.scene_file import write_scene
+from olt_closed_loop.simulation import policies
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.errors import InputError
 

@@ -16,7 +16,7 @@ from olt_closed_loop.simulation.policies import (
 )
 from olt_generator.errors import InputError
 from olt_generator.poses import yaw_of
-from olt_toolkit.policy import Observation
+from olt_toolkit.policy.contract import Observation
 
 
 def make_observation(speed=10.0, route=None, time_us=1_700_000):

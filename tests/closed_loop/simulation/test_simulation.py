@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from olt_closed_loop.rollouts.rollout import Rollout, load_rollouts, save_rollouts
 from olt_closed_loop.scoring.definitions import score_rollout
 from olt_closed_loop.simulation.closed_loop import DriveRequest, replay, simulate, simulate_batch, stand
 from olt_closed_loop.simulation.policies import (
@@ -12,14 +13,13 @@ from olt_closed_loop.simulation.policies import (
     RouteFollowingPolicy,
     StandingPolicy,
 )
-from olt_closed_loop.simulation.rollout import Rollout, load_rollouts, save_rollouts
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_closed_loop.vehicle.models import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.policy import Plan
-from olt_toolkit.rig import DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE
+from olt_toolkit.policy.contract import PlannedTrajectory
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE
 
 
 class Recorder:
@@ -108,7 +108,7 @@ def test_a_policy_with_cameras_needs_a_renderer(straight_scene):
 
 class Refused(Recorder):
     def answer(self, plan, call):
-        return Plan(np.full_like(plan.xyz, np.nan), plan.rotation) if 5 <= call < 9 else plan
+        return PlannedTrajectory(np.full_like(plan.xyz, np.nan), plan.rotation) if 5 <= call < 9 else plan
 
 
 def test_unusable_plans_are_counted_and_the_last_one_is_held(straight_scene):
@@ -121,7 +121,7 @@ def test_unusable_plans_are_counted_and_the_last_one_is_held(straight_scene):
 
 class NeverUsable(Recorder):
     def answer(self, plan, call):
-        return Plan(np.full_like(plan.xyz, np.inf), plan.rotation)
+        return PlannedTrajectory(np.full_like(plan.xyz, np.inf), plan.rotation)
 
 
 class Raising(Recorder):
@@ -147,7 +147,7 @@ def test_a_policy_without_an_answer_has_no_score(straight_scene, policy, reason)
 class Noisy(Recorder):
     def answer(self, plan, call):
         noise = np.random.default_rng(self.observations[-1].seed).normal(scale=0.2, size=plan.xyz.shape)
-        return Plan(plan.xyz + noise, plan.rotation)
+        return PlannedTrajectory(plan.xyz + noise, plan.rotation)
 
 
 def test_the_seed_decides_everything(straight_scene):
@@ -197,7 +197,7 @@ class Braking(Recorder):
 
     def answer(self, plan, _call):
         late = self.observations[-1].time_us >= 3_000_000
-        return Plan(np.zeros_like(plan.xyz), plan.rotation) if late else plan
+        return PlannedTrajectory(np.zeros_like(plan.xyz), plan.rotation) if late else plan
 
 
 @pytest.mark.parametrize("delay_us", [0, 100_000, 500_000, 1_400_000])

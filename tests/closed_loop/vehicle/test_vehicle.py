@@ -15,7 +15,7 @@ from olt_closed_loop.vehicle.models import (
     with_rolling_tyres,
 )
 from olt_closed_loop.vehicle.presets import alpasim_vehicle, vehicle_with_tyres
-from olt_toolkit.rig import DEFAULT_VEHICLE
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 PARAMETERS = VehicleParameters.from_dimensions(DEFAULT_VEHICLE)
 

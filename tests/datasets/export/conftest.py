@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.clip import CameraStream, Clip, EgoMotion, Origin, ViewProvenance, make_clip_id
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
 
 WIDTH, HEIGHT = 64, 36
 REVISION = "0" * 40
@@ -38,7 +38,7 @@ def _make_clip(name: str, seconds: float = 9.0, split: str = "train", kind: str 
         name=name,
         scene_id=name,
         source="world",
-        origin=Origin(name, 0, 1_000_000, "DE", "CC BY 4.0"),
+        origin=ClipOrigin(name, 0, 1_000_000, "DE", "CC BY 4.0"),
         kind=kind,
         category="nominal" if kind == "GT" else "work_zone",
         factors=(),
@@ -54,7 +54,7 @@ def _write_store(root: Path, *chunks: list[Clip]) -> Path:
     store = ClipStore(root)
     for clips in chunks:
         for clip in clips:
-            store.stage(clip)
+            store.prepare(clip)
         store.commit([clip.clip_id for clip in clips])
     return root
 

@@ -10,10 +10,10 @@ from olt_datasets.export.lerobot import export_lerobot
 from olt_datasets.export.lerobot_clip import frame_times
 from olt_datasets.export.options import WorkOptions
 from olt_generator.errors import InputError
-from olt_toolkit.clip import make_clip_id
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.rig import POLICY_CAMERAS
-from olt_toolkit.sample import SampleKey
+from olt_toolkit.clips.clip import make_clip_id
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.policy.sample import SampleKey
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 SIZE = (36, 64)
 A, B, C, D, E = (make_clip_id(name) for name in "abcde")

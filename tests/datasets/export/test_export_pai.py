@@ -18,10 +18,10 @@ from olt_datasets.mixtures.recipe import Recipe
 from olt_datasets.mixtures.torch_dataset import TorchMixtureDataset
 from olt_datasets.tables.clip_table import read_clip_tables
 from olt_generator.errors import InputError
-from olt_toolkit.clip import make_clip_id
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.rig import CROSS_LEFT, POLICY_CAMERAS
-from olt_toolkit.sample import SampleKey
+from olt_toolkit.clips.clip import make_clip_id
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.policy.sample import SampleKey
+from olt_toolkit.rigs.rig import CROSS_LEFT, POLICY_CAMERAS
 
 IMAGE_SIZE = (320, 576)
 A, B, C, D, E = (make_clip_id(name) for name in "abcde")

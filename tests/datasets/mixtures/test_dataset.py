@@ -13,7 +13,7 @@ from olt_datasets.mixtures.recipe import builtin_recipe
 from olt_datasets.mixtures.torch_dataset import MixtureBatchSampler, TorchMixtureDataset
 from olt_datasets.tables.clip_table import read_clip_tables
 from olt_generator.errors import InputError
-from olt_toolkit.sample import PolicySample, SampleKey
+from olt_toolkit.policy.sample import PolicySample, SampleKey
 
 IMAGE_SIZE = (8, 12)
 

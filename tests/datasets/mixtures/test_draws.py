@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from olt_datasets.mixtures.draws import PRIORITY, draw_samples, sample_count
 from olt_datasets.mixtures.recipe import Component, Filter
 from olt_generator.seeds import make_generator
-from olt_toolkit.clip import make_clip_id
+from olt_toolkit.clips.clip import make_clip_id
 
 SETTINGS = settings(max_examples=30, deadline=None)
 SCHEMA = {

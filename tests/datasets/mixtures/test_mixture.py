@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from olt_datasets.mixtures.mixture import check_recipe, compose_mixture
 from olt_datasets.mixtures.recipe import builtin_recipe, parse_recipe
 from olt_generator.errors import InputError
-from olt_toolkit.clip import Origin
+from olt_toolkit.clips.clip import ClipOrigin
 
 NOMINAL = {"name": "nominal", "where": {"kind": "GT", "category": ["nominal"]}}
 WORK_ZONES = {"name": "work_zones", "where": {"kind": "Syn", "category": ["work_zone"]}}
@@ -147,7 +147,7 @@ def test_filters_choose_clips(make_clip, make_table):
 def test_countries_choose_clips_that_tell_theirs(make_clip, make_table):
     countries = ["US", "DE", None, "JP"]
     clips = [
-        make_clip(number, origin=Origin("drive", 0, 20_000_000, country=country))
+        make_clip(number, origin=ClipOrigin("drive", 0, 20_000_000, country=country))
         for number, country in enumerate(countries)
     ]
     recipe = make_recipe({"name": "all", "where": {"country": ["US", "JP"]}, "share": 1.0})
@@ -161,7 +161,7 @@ def test_countries_choose_clips_that_tell_theirs(make_clip, make_table):
     ("prefer", "expected"), [("GT", {1, 4, 5, 6}), ("Syn", {2, 3, 4, 5, 6}), (None, {1, 2, 3, 4, 5, 6})]
 )
 def test_preference_decides_only_where_both_kinds_show_the_same_window(make_clip, make_table, prefer, expected):
-    later = Origin("drive", 20_100_000, 40_000_000)
+    later = ClipOrigin("drive", 20_100_000, 40_000_000)
     table = make_table(
         make_clip(1, scene_id="both"),
         make_clip(2, scene_id="both", kind="Syn"),

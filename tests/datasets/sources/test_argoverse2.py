@@ -5,11 +5,11 @@ import pyarrow as pa
 import pytest
 from pyarrow import feather, parquet
 
-from olt_datasets.drives import open_dataset
 from olt_datasets.sources.argoverse2 import DATASET
 from olt_generator.errors import InputError
 from olt_generator.poses import yaw_of
-from olt_toolkit.recording import OpenOptions
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions
 
 
 def write_scenario(folder, name="0a1e", steps=110, track="AV", **changed):

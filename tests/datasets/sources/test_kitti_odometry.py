@@ -4,10 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from olt_datasets.drives import open_dataset
 from olt_datasets.sources.kitti_odometry import SOURCE
 from olt_generator.errors import InputError
-from olt_toolkit.recording import OpenOptions, open_recording
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions, open_recording
 
 FRAMES, WIDTH, HEIGHT = 6, 120, 40
 DRIFT = 0.05

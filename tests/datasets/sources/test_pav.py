@@ -9,17 +9,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from olt_datasets.drives import open_dataset
 from olt_datasets.sources.pav import DATASET
 from olt_generator.errors import InputError
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.clip import CameraStream, Clip, EgoMotion, Origin, ViewProvenance, make_clip_id
-from olt_toolkit.clip_builder import BuildOptions, build_clip
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.rig import CROSS_LEFT, DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, pav_rig
-from olt_toolkit.rigs import load_rig
+from olt_toolkit.clips.builder import BuildOptions, build_clip
+from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.rig import CROSS_LEFT, DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.rigs.rig_files import load_rig
 
 SIZE = (64, 36)
 FRAMES = 240
@@ -52,7 +52,7 @@ def make_clip(clip_id):
         name=clip_id,
         scene_id=clip_id,
         source="test",
-        origin=Origin(clip_id, 0, int(times[-1])),
+        origin=ClipOrigin(clip_id, 0, int(times[-1])),
         kind="GT",
         category="nominal",
         factors=(),
@@ -68,7 +68,7 @@ def make_clip(clip_id):
 def store(tmp_path_factory):
     store = ClipStore(tmp_path_factory.mktemp("store"))
     for key in (KEY, OTHER):
-        store.stage(make_clip(key))
+        store.prepare(make_clip(key))
     store.commit([KEY, OTHER])
     return store
 

@@ -6,14 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from olt_datasets.drives import open_dataset
 from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_datasets.sources.video import SOURCE as VIDEO
 from olt_generator.cameras import FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import invert, transform
 from olt_generator.video import write_video
-from olt_toolkit.recording import OpenOptions
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions
 
 WIDTH, HEIGHT, FRAMES = 120, 40, 6
 # A camera 0.6 m to the right of the velodyne and 0.1 m below it, looking forward; the IMU 0.8 m behind the velodyne.

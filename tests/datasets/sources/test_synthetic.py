@@ -5,10 +5,10 @@ import pytest
 
 from olt_closed_loop.scenes.procedural import generate_scene
 from olt_closed_loop.sensors.recorder import record_drive
-from olt_datasets.drives import open_dataset
 from olt_generator.errors import InputError
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.rig import CROSS_LEFT, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.rig import CROSS_LEFT, FRONT_WIDE, POLICY_CAMERAS
 
 SPECIFICATION = """
 categories: [work_zone, nominal]

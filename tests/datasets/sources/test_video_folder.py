@@ -5,11 +5,11 @@ import csv
 import numpy as np
 import pytest
 
-from olt_datasets.drives import open_dataset
 from olt_datasets.sources import video_folder
 from olt_generator.errors import InputError
 from olt_generator.video import write_video
-from olt_toolkit.recording import OpenOptions
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions
 
 WHOLE = (0, 60_000_000)
 

@@ -11,14 +11,14 @@ from olt_datasets.tables.cutting import Cutting, cut_drive
 from olt_datasets.tables.indexing import DatasetPlace, index_dataset
 from olt_datasets.tables.splits import SplitRule, Splitting, split_table
 from olt_generator.errors import InputError
-from olt_toolkit.clip_folder import build_clips
-from olt_toolkit.clip_store import ClipStore
-from olt_toolkit.clip_table import read_clip_table
-from olt_toolkit.clip_views import BuildOptions
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.rig import CROSS_LEFT, FRONT_WIDE, POLICY_CAMERAS
-from olt_toolkit.sample import SampleKey
-from olt_toolkit.source_choice import SourceChoice
+from olt_toolkit.clips.build_job import build_clips
+from olt_toolkit.clips.estimators import SourceChoice
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.table import read_clip_table
+from olt_toolkit.clips.views import BuildOptions
+from olt_toolkit.policy.sample import SampleKey
+from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.rig import CROSS_LEFT, FRONT_WIDE, POLICY_CAMERAS
 
 from ..toy_drives import LICENCE, ToyDataset, make_drive
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_datasets.drives import UNLABELLED
 from olt_datasets.tables.choices import SampleChoice
 from olt_datasets.tables.cutting import Cutting, cut_drive, find_samples, find_windows
 from olt_generator.errors import InputError
-from olt_toolkit.rig import POLICY_CAMERAS
+from olt_toolkit.recordings.drives import UNLABELLED
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 from ..toy_drives import make_drive
 

@@ -9,7 +9,7 @@ from olt_datasets.commands.data import app
 from olt_datasets.tables.clip_table import read_clip_tables
 from olt_datasets.tables.labels import label_table, read_labels
 from olt_generator.errors import InputError
-from olt_toolkit.clip_table import write_clip_table
+from olt_toolkit.clips.table import write_clip_table
 
 
 @pytest.fixture

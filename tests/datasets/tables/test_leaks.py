@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from olt_datasets.tables.fingerprints import LARGEST_DISTANCE, find_close_hashes, find_near_duplicates
 from olt_datasets.tables.leaks import find_leaks, find_table_leaks, summarize_leaks
 from olt_generator.seeds import make_generator
-from olt_toolkit.clip import Origin
+from olt_toolkit.clips.clip import ClipOrigin
 
 
 def rules(leaks):
@@ -16,7 +16,7 @@ def rules(leaks):
 
 
 def seconds(start, end):
-    return Origin("drive", int(1e6 * start), int(1e6 * end))
+    return ClipOrigin("drive", int(1e6 * start), int(1e6 * end))
 
 
 def draw_hashes(name):

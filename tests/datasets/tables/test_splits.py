@@ -11,7 +11,7 @@ from olt_datasets.tables.clip_table import read_clip_tables
 from olt_datasets.tables.leaks import find_table_leaks
 from olt_datasets.tables.splits import SplitRule, Splitting, assign_splits, split_table
 from olt_generator.errors import InputError
-from olt_toolkit.clip import Origin
+from olt_toolkit.clips.clip import ClipOrigin
 
 MARGIN = 1_000_000
 
@@ -98,7 +98,7 @@ def test_rules_that_cannot_be_applied_are_refused(options, message):
 
 def test_a_split_table_is_written_whole_and_has_no_leak(write_store, make_clip, tmp_path):
     clips = [
-        make_clip(number, scene_id=f"s{number % 4}", origin=Origin("d", number * MARGIN, number * MARGIN + 900_000))
+        make_clip(number, scene_id=f"s{number % 4}", origin=ClipOrigin("d", number * MARGIN, number * MARGIN + 900_000))
         for number in range(20)
     ]
     table = (write_store(*clips) / "clips.parquet").rename(tmp_path / "indexed.parquet")

@@ -12,7 +12,7 @@ from olt_generator.distance.background import FAR_DISTANCE, background_distance
 from olt_generator.distance.depth import SweepSettings, estimate_distance
 from olt_generator.poses import Array, camera_pose_in_rig, invert, planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.benchmarks.street import render_street
 
 WIDTH, HEIGHT = 832, 480

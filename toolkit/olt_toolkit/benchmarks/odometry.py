@@ -11,7 +11,7 @@ from olt_generator.motion.odometry import OdometrySettings, estimate_odometry
 from olt_generator.motion.pose_metrics import compare_trajectories
 from olt_generator.poses import Array, camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.benchmarks.street import render_street
 
 FRAMES, SECONDS_APART = 21, 0.1

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from olt_generator.cameras import PinholeCamera
 from olt_generator.poses import Array, camera_pose_in_rig, make_pose, planar_pose
 from olt_generator.views.plucker import MOMENT_SCALE, anchor_poses, plucker_rays
-from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting
 
 CAMERA = PinholeCamera.from_field_of_view(832, 480, float(np.radians(100.0)))
 T_RIG_FRONT = camera_pose_in_rig([1.7, 0.0, 1.45], 0.0, 0.01, -0.01)

@@ -12,8 +12,8 @@ from olt_generator.cameras import Camera, PinholeCamera, remap_table
 from olt_generator.lenses.remap import Remapper
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
-from olt_toolkit.benchmark import Benchmark, Setting
-from olt_toolkit.rig import FRONT_WIDE, pav_rig
+from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.rigs.rig import FRONT_WIDE, pav_rig
 
 WIDTH, HEIGHT = 576, 320
 REFERENCE_SAMPLES = 8

@@ -14,7 +14,7 @@ from olt_generator.motion.kalman import LinearSystem, filter_forward, smooth_sta
 from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.twists import exponential
-from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting
 
 Floats = NDArray[np.floating]
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from olt_generator.cameras import Camera, PinholeCamera
 from olt_generator.poses import Array, camera_pose_in_rig, invert
 from olt_generator.views.splat import Warp, land, splat, splat_reference
-from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.benchmarks.street import render_street
 
 WIDTH, HEIGHT = 832, 480

@@ -11,7 +11,7 @@ from olt_generator.poses import Array, camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.synthesis import SynthesisSettings, synthesize_view
-from olt_toolkit.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.benchmarks.street import render_street
 
 FRONT = FthetaCamera.equidistant(576, 320, 286.0, 200.0, 280.0)

@@ -16,8 +16,8 @@ def bench(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Report per setting the error, median time and spread, peak memory, and draw the Pareto front."""
-    from olt_toolkit.benchmark_runner import benchmark_names
-    from olt_toolkit.console import print_json, print_line
+    from olt_toolkit.bench.runner import benchmark_names
+    from olt_toolkit.runtime.console import print_json, print_line
 
     if name == "list":
         if as_json:
@@ -37,9 +37,9 @@ def _run_one(name: str, out: Path, repeats: int) -> dict[str, Any]:
     import json
 
     from olt_generator.files import write_whole
-    from olt_toolkit.benchmark_plot import plot_benchmark
-    from olt_toolkit.benchmark_runner import load_benchmark, run_benchmark
-    from olt_toolkit.console import make_progress
+    from olt_toolkit.bench.plot import plot_benchmark
+    from olt_toolkit.bench.runner import load_benchmark, run_benchmark
+    from olt_toolkit.runtime.console import make_progress
 
     grid = load_benchmark(name).grid  # an unknown name fails before the bar is drawn
     with make_progress() as progress:
@@ -60,7 +60,7 @@ def _run_one(name: str, out: Path, repeats: int) -> dict[str, Any]:
 
 
 def _print_report(report: dict[str, Any], out: Path) -> None:
-    from olt_toolkit.console import print_line, print_table
+    from olt_toolkit.runtime.console import print_line, print_table
 
     rows = [
         (

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from olt_toolkit.clips.estimators import DepthChoice, PoseChoice, SourceChoice
 from olt_toolkit.commands.clip_options import (
     AllFramesOption,
     CameraHeightOption,
@@ -23,15 +24,14 @@ from olt_toolkit.commands.clip_options import (
 )
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.commands.trajectory import trajectory
-from olt_toolkit.source_choice import DepthChoice, PoseChoice, SourceChoice
-from olt_toolkit.workers import Engine
+from olt_toolkit.runtime.workers import Engine
 
 if TYPE_CHECKING:
-    from olt_toolkit.clip_builder import BuiltClip
-    from olt_toolkit.clip_folder import BuildJob
-    from olt_toolkit.clip_store import ClipStore
-    from olt_toolkit.clip_views import BuildOptions
-    from olt_toolkit.recording import Recording
+    from olt_toolkit.clips.build_job import BuildJob
+    from olt_toolkit.clips.builder import BuiltClip
+    from olt_toolkit.clips.store import ClipStore
+    from olt_toolkit.clips.views import BuildOptions
+    from olt_toolkit.recordings.recording import Recording
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Build, inspect and score clips.")
 app.command(help="Recover the motion of a recording, and hold it against the reference.")(trajectory)
@@ -64,10 +64,10 @@ def build(
     """Recording to trajectory, distance and views; then clips in the store and pictures beside them."""
     from olt_generator.errors import InputError
     from olt_generator.files import make_folder
-    from olt_toolkit.clip import UNLABELLED
-    from olt_toolkit.clip_folder import BuildJob, find_recordings
-    from olt_toolkit.clip_views import BuildOptions
-    from olt_toolkit.recording import is_recording
+    from olt_toolkit.clips.build_job import BuildJob, find_recordings
+    from olt_toolkit.clips.clip import UNLABELLED
+    from olt_toolkit.clips.views import BuildOptions
+    from olt_toolkit.recordings.recording import is_recording
 
     if name is not None and Path(name).name != name:
         raise InputError(f"--name {name!r}: pictures are named after the clip; give a name without slashes")
@@ -111,11 +111,11 @@ def views(
     as_json: JsonOption = False,
 ) -> None:
     """Only the wanted views and those they are made from; the rest is named as left out."""
-    from olt_toolkit.clip_views import BuildOptions
-    from olt_toolkit.commands.clip_tables import print_plan
-    from olt_toolkit.console import print_json
-    from olt_toolkit.recording import open_recording
-    from olt_toolkit.view_files import leave_out_motion, parse_cameras, write_view_files
+    from olt_toolkit.clips.view_files import leave_out_motion, parse_cameras, write_view_files
+    from olt_toolkit.clips.views import BuildOptions
+    from olt_toolkit.commands.clip_output import print_plan
+    from olt_toolkit.recordings.recording import open_recording
+    from olt_toolkit.runtime.console import print_json
 
     wanted = parse_cameras(cameras)
     sources = SourceChoice(poses, mapanything_weights, depth, depth_weights, device)
@@ -145,10 +145,10 @@ def inspect(
 ) -> None:
     """Show the clip table, or one clip with its motion and calibration as they are stored."""
     from olt_generator.errors import InputError
-    from olt_toolkit.clip_store import ClipStore
-    from olt_toolkit.clip_summary import summarize_info, summarize_stored
-    from olt_toolkit.commands.clip_tables import print_clip, print_clips
-    from olt_toolkit.console import print_json
+    from olt_toolkit.clips.store import ClipStore
+    from olt_toolkit.clips.summary import summarize_info, summarize_stored
+    from olt_toolkit.commands.clip_output import print_clip, print_clips
+    from olt_toolkit.runtime.console import print_json
 
     opened = ClipStore(store)
     if clip is None and pictures is not None:
@@ -180,10 +180,10 @@ def score(
 ) -> None:
     """The matcher is named in the result, because numbers of two matchers do not compare."""
     from olt_generator.errors import InputError
-    from olt_toolkit.clip_score import open_lpips, open_matcher, score_against, score_consistency
-    from olt_toolkit.clip_store import ClipStore
-    from olt_toolkit.commands.clip_tables import print_scores
-    from olt_toolkit.console import make_progress, print_json
+    from olt_toolkit.clips.score import open_lpips, open_matcher, score_against, score_consistency
+    from olt_toolkit.clips.store import ClipStore
+    from olt_toolkit.commands.clip_output import print_scores
+    from olt_toolkit.runtime.console import make_progress, print_json
 
     if reference is None and (reference_store is not None or lpips_weights is not None):
         raise InputError("--reference is missing: the true views are needed to compare with")
@@ -205,12 +205,12 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
     import time
 
     from olt_generator.errors import InputError
-    from olt_toolkit.clip_builder import clip_id_of
-    from olt_toolkit.clip_folder import stage_clip
-    from olt_toolkit.clip_store import ClipStore
-    from olt_toolkit.commands.clip_tables import print_build
-    from olt_toolkit.console import make_progress, print_json
-    from olt_toolkit.recording import open_recording
+    from olt_toolkit.clips.build_job import prepare_clip
+    from olt_toolkit.clips.builder import clip_id_of
+    from olt_toolkit.clips.store import ClipStore
+    from olt_toolkit.commands.clip_output import print_build
+    from olt_toolkit.recordings.recording import open_recording
+    from olt_toolkit.runtime.console import make_progress, print_json
 
     recording, store = open_recording(job.path, job.opening), ClipStore(job.store)
     if clip_id_of(recording, job.options) in store:
@@ -218,11 +218,11 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
         raise InputError(f"{store.root}: already holds the clip {name!r}; give another --name, --seed or --out")
     with make_progress() as progress:
         task = progress.add_task("clip", total=100)
-        summary = stage_clip(
+        summary = prepare_clip(
             job,
             recording,
             lambda share: progress.update(task, completed=round(100 * share)),
-            lambda stage: progress.update(task, description=f"clip: {stage}"),
+            lambda step: progress.update(task, description=f"clip: {step}"),
         )
         progress.update(task, completed=100, description="clip: store")
         start = time.perf_counter()
@@ -235,10 +235,10 @@ def _build_all(job: "BuildJob", recordings: list[Path], workers: int | None, eng
     from dataclasses import asdict, replace
 
     from olt_generator.errors import InputError
-    from olt_toolkit.clip_folder import build_clips
-    from olt_toolkit.commands.clip_tables import print_outcomes
-    from olt_toolkit.console import make_progress, print_json
-    from olt_toolkit.workers import default_workers
+    from olt_toolkit.clips.build_job import build_clips
+    from olt_toolkit.commands.clip_output import print_outcomes
+    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.runtime.workers import default_workers
 
     jobs = [replace(job, path=path) for path in recordings]
     with make_progress() as progress:
@@ -261,8 +261,8 @@ def _build_all(job: "BuildJob", recordings: list[Path], workers: int | None, eng
 
 
 def _build_with_progress(recording: "Recording", options: "BuildOptions") -> "BuiltClip":
-    from olt_toolkit.clip_builder import build_clip
-    from olt_toolkit.console import make_progress
+    from olt_toolkit.clips.builder import build_clip
+    from olt_toolkit.runtime.console import make_progress
 
     with make_progress() as progress:
         task = progress.add_task("views", total=100)
@@ -270,22 +270,22 @@ def _build_with_progress(recording: "Recording", options: "BuildOptions") -> "Bu
             recording,
             options,
             on_progress=lambda share: progress.update(task, completed=round(100 * share)),
-            on_stage=lambda stage: progress.update(task, description=f"views: {stage}"),
+            on_step=lambda step: progress.update(task, description=f"views: {step}"),
         )
         progress.update(task, completed=100)  # stages that were left out count as done
     return built
 
 
 def _stored_recording(root: Path, clip: str) -> "Recording":
-    from olt_toolkit.clip_store import ClipStore
-    from olt_toolkit.view_files import reopen_clip
+    from olt_toolkit.clips.store import ClipStore
+    from olt_toolkit.clips.view_files import reopen_clip
 
     store = ClipStore(root)
     return reopen_clip(store, store.find(clip))
 
 
 def _draw_stored(store: "ClipStore", clip_id: str, folder: Path) -> dict[str, str]:
-    from olt_toolkit.pictures import write_clip_pictures
+    from olt_toolkit.clips.pictures import write_clip_pictures
 
     info = store.info(clip_id)
     times_us = {name: store.read_timestamps(clip_id, name) for name in info.views}

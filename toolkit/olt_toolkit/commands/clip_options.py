@@ -5,10 +5,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from olt_toolkit.source_choice import DepthChoice, PoseChoice
+from olt_toolkit.clips.estimators import DepthChoice, PoseChoice
 
 if TYPE_CHECKING:
-    from olt_toolkit.recording import OpenOptions
+    from olt_toolkit.recordings.recording import OpenOptions
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 FovOption = Annotated[float | None, typer.Option(help="Horizontal field of view in degrees, if not calibrated.")]
@@ -29,7 +29,7 @@ def make_open_options(duration: float, fov: float | None, camera_height: float |
     """How a recording is opened; the field of view is in degrees."""
     from math import radians
 
-    from olt_toolkit.recording import OpenOptions
+    from olt_toolkit.recordings.recording import OpenOptions
 
     field_of_view = None if fov is None else radians(fov)
     return OpenOptions(duration=duration, horizontal_fov=field_of_view, camera_height=camera_height)

@@ -10,8 +10,8 @@ app = typer.Typer(add_completion=False)
 @app.command(help="Check versions, threads and optional parts.")
 def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False) -> None:
     """Print versions, threads, and which optional parts are present and what each would enable."""
-    from olt_toolkit.console import print_json, print_table
-    from olt_toolkit.environment import describe_machine, describe_optional_parts
+    from olt_toolkit.runtime.console import print_json, print_table
+    from olt_toolkit.runtime.environment import describe_machine, describe_optional_parts
 
     machine, parts = describe_machine(), describe_optional_parts()
     missing = [package for package, version in machine["packages"].items() if version is None]

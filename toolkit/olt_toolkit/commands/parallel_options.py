@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from olt_toolkit.workers import Engine
+from olt_toolkit.runtime.workers import Engine
 
 WorkersOption = Annotated[int | None, typer.Option(min=1, help="Items at the same time; one for each processor.")]
 EngineOption = Annotated[

@@ -34,9 +34,9 @@ def trajectory(
     """Recover and smooth the motion, clip by clip, and hold it against the reference where one is known."""
     from math import radians
 
-    from olt_toolkit.console import make_progress, print_json
-    from olt_toolkit.recording import open_recording
-    from olt_toolkit.trajectory_errors import Jitter, measure_clips, plot_clips, summarize_clips
+    from olt_toolkit.clips.trajectory_errors import Jitter, measure_clips, plot_clips, summarize_clips
+    from olt_toolkit.recordings.recording import open_recording
+    from olt_toolkit.runtime.console import make_progress, print_json
 
     opened = open_recording(recording, make_open_options(duration, fov, camera_height))
     with make_progress() as progress:
@@ -65,7 +65,7 @@ def trajectory(
 
 
 def _print_result(result: dict[str, Any]) -> None:
-    from olt_toolkit.console import print_line, print_table
+    from olt_toolkit.runtime.console import print_line, print_table
 
     columns = [
         "first frame",

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from olt_toolkit.console import format_cell
+from olt_toolkit.runtime.console import format_cell
 
 
 @dataclass(frozen=True)

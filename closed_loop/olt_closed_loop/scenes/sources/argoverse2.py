@@ -17,8 +17,8 @@ from olt_closed_loop.scenes.sources.roads import edges, lane_between, route_alon
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, make_pose, planar_pose, pose_from_quaternion, yaw_of
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.policy import STEP_US
-from olt_toolkit.rig import VehicleDimensions
+from olt_toolkit.policy.contract import STEP_US
+from olt_toolkit.rigs.rig import VehicleDimensions
 
 FORD_FUSION = VehicleDimensions(
     length=4.872, width=1.852, height=1.473, rear_axle_to_bbox_center=1.34, wheelbase=2.850, track_width=1.58

@@ -29,7 +29,7 @@ from olt_closed_loop.scenes.sources.roads import (
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.rig import VehicleDimensions
+from olt_toolkit.rigs.rig import VehicleDimensions
 
 RENAULT_ZOE = VehicleDimensions(
     length=4.084, width=1.730, height=1.562, rear_axle_to_bbox_center=1.385, wheelbase=2.588, track_width=1.51

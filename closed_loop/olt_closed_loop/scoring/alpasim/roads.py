@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from shapely.geometry.base import BaseGeometry
 
+from olt_closed_loop.rollouts.drive_record import DriveRecord, LaneLines
 from olt_closed_loop.scoring.alpasim.series import MetricSeries, UnmeasuredError
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings
 from olt_closed_loop.scoring.alpasim.tracks import Geometries
-from olt_closed_loop.scoring.drive_record import DriveRecord, LaneLines
 from olt_generator.poses import Array
 
 NEAR_LANE = 6.0

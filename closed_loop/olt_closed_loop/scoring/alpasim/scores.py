@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from olt_closed_loop.rollouts.drive_record import DriveRecord
 from olt_closed_loop.scoring.alpasim.plans import (
     ADE_HORIZONS,
     ade_name,
@@ -18,7 +19,6 @@ from olt_closed_loop.scoring.alpasim.recording import measure_along_recording
 from olt_closed_loop.scoring.alpasim.roads import measure_road
 from olt_closed_loop.scoring.alpasim.series import MetricSeries, UnmeasuredError
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_contact
-from olt_closed_loop.scoring.drive_record import DriveRecord
 
 MAX_PATH_DISTANCE = 4.0
 FULL_PROGRESS = 0.8

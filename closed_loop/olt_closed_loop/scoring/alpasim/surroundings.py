@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 import shapely
 
+from olt_closed_loop.rollouts.drive_record import DriveRecord
 from olt_closed_loop.scoring.alpasim.series import MetricSeries
 from olt_closed_loop.scoring.alpasim.tracks import (
     Geometries,
@@ -21,7 +22,6 @@ from olt_closed_loop.scoring.alpasim.tracks import (
     ego_track,
     ego_tracks,
 )
-from olt_closed_loop.scoring.drive_record import DriveRecord
 from olt_closed_loop.scoring.moving_boxes import separations
 from olt_generator.poses import Array
 

@@ -10,9 +10,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from olt_closed_loop.rollouts.drive_record import EgoBox
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.alpasim.series import UnmeasuredError
-from olt_closed_loop.scoring.drive_record import EgoBox
 from olt_generator.poses import Array
 
 SHRINK = 0.02

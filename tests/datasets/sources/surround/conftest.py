@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.cameras import pixel_rays
 from olt_generator.poses import planar_pose
-from olt_toolkit.rig import MountedCamera
-from olt_toolkit.rigs import load_rig
+from olt_toolkit.rigs.rig import MountedCamera
+from olt_toolkit.rigs.rig_files import load_rig
 
 
 class World:

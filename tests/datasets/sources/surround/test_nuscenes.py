@@ -8,15 +8,15 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from olt_datasets.drives import open_dataset
 from olt_datasets.sources.json_rows import read_rows
 from olt_datasets.sources.nuscenes import DATASET
 from olt_generator.errors import InputError
 from olt_generator.poses import yaw_of
-from olt_toolkit.clip import EgoMotion
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera
-from olt_toolkit.rigs import load_rig
+from olt_toolkit.clips.clip import EgoMotion
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera
+from olt_toolkit.rigs.rig_files import load_rig
 
 KEY = "scene-0007"
 OPTIONS = OpenOptions(width=96)

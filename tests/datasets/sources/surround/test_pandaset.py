@@ -6,17 +6,17 @@ import shutil
 import numpy as np
 import pytest
 
-from olt_datasets.drives import open_dataset
 from olt_datasets.sources.pandaset import DATASET
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import invert, yaw_of
-from olt_toolkit.clip import EgoMotion
-from olt_toolkit.clip_builder import BuildOptions, build_clip
-from olt_toolkit.policy_window import Coverage, sample_times
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera
-from olt_toolkit.rigs import load_rig
+from olt_toolkit.clips.builder import BuildOptions, build_clip
+from olt_toolkit.clips.clip import EgoMotion
+from olt_toolkit.policy.window import Coverage, sample_times
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera
+from olt_toolkit.rigs.rig_files import load_rig
 
 CAMERA = "001/camera/front_camera"
 OPTIONS = OpenOptions(width=96)

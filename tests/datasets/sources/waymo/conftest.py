@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from olt_datasets.drives import open_dataset
+from olt_toolkit.recordings.drives import open_dataset
 
 WIDTH, HEIGHT = 48, 64
 FOCAL = 40.0

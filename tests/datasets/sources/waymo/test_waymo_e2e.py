@@ -5,12 +5,12 @@ import struct
 import numpy as np
 import pytest
 
-from olt_datasets.drives import open_dataset
 from olt_datasets.sources import waymo_index
 from olt_generator.errors import InputError
 from olt_generator.poses import invert, yaw_of
-from olt_toolkit.recording import OpenOptions
-from olt_toolkit.rig import CROSS_LEFT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.rig import CROSS_LEFT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS
 
 WHOLE = (-10_000_000, 60_000_000)
 FRONT_ONLY = OpenOptions(views=())

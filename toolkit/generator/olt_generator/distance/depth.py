@@ -22,7 +22,7 @@ from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
 
-__all__ = ["FAR_DISTANCE", "DistanceEstimate", "Origin", "SweepSettings", "estimate_distance", "road_distance"]
+__all__ = ["FAR_DISTANCE", "DistanceEstimate", "DistanceOrigin", "SweepSettings", "estimate_distance", "road_distance"]
 
 # Share of pixels whose distance is right within a tenth, by the weight of what speaks for it (`Surfaces.knowledge`):
 # measured on drives of the synthetic world, for surfaces in front of the background and for the background.
@@ -31,7 +31,7 @@ SURFACE_CONFIDENCE = (0.0, 0.12, 0.22, 0.42, 0.55, 0.78, 0.85)
 BACKGROUND_CONFIDENCE = (0.0, 0.4, 0.6, 0.85, 0.97, 0.99, 0.99)
 
 
-class Origin(IntEnum):
+class DistanceOrigin(IntEnum):
     """Which rule gave the distance of a pixel."""
 
     FAR = 0
@@ -49,7 +49,7 @@ class DistanceEstimate:
     Attributes:
         distance: (m, H, W) float32 metres along each pixel's ray, NaN on the own vehicle. Never inf: sky is not told
             from other far things.
-        origin: (m, H, W) uint8, an `Origin` per pixel.
+        origin: (m, H, W) uint8, an `DistanceOrigin` per pixel.
         confidence: (m, H, W) float32, 0 to 1: about the share of such pixels whose distance is right within a tenth.
             0 where only the assumption of a background speaks for the distance, and on the own vehicle.
         moving: (m, H, W) bool, pixels of moving objects, as far as they are noticed.
@@ -159,7 +159,7 @@ def _insert(
         np.interp(surfaces.knowledge, KNOWLEDGE, SURFACE_CONFIDENCE),
         np.interp(surfaces.knowledge, KNOWLEDGE, BACKGROUND_CONFIDENCE),
     ).astype(np.float32)
-    small_origin = np.where(surfaces.measured, Origin.PARALLAX, Origin.INTERPOLATED).astype(np.uint8)
+    small_origin = np.where(surfaces.measured, DistanceOrigin.PARALLAX, DistanceOrigin.INTERPOLATED).astype(np.uint8)
     in_front, distance, origin, estimate.confidence[place], moving = (
         cv2.resize(values, road.shape[::-1], interpolation=cv2.INTER_NEAREST)
         for values in (
@@ -172,13 +172,15 @@ def _insert(
     )
     is_surface = in_front > 0
     estimate.distance[place] = np.where(is_surface, distance, np.minimum(road, np.float32(FAR_DISTANCE)))
-    estimate.origin[place] = np.where(is_surface, origin, np.where(road < FAR_DISTANCE, Origin.PLANE, Origin.FAR))
+    estimate.origin[place] = np.where(
+        is_surface, origin, np.where(road < FAR_DISTANCE, DistanceOrigin.PLANE, DistanceOrigin.FAR)
+    )
     estimate.moving[place] = moving > 0
 
 
 def _leave_out(estimate: DistanceEstimate, vehicle: NDArray[np.bool_]) -> None:
     estimate.distance[:, vehicle] = np.nan
-    estimate.origin[:, vehicle] = Origin.VEHICLE
+    estimate.origin[:, vehicle] = DistanceOrigin.VEHICLE
     estimate.confidence[:, vehicle] = 0.0
     estimate.moving[:, vehicle] = False
 

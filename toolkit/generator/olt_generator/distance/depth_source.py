@@ -10,7 +10,13 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera, pixel_rays
 from olt_generator.distance.background import FAR_DISTANCE
-from olt_generator.distance.depth import DistanceEstimate, Origin, SweepSettings, choose_shown, estimate_distance
+from olt_generator.distance.depth import (
+    DistanceEstimate,
+    DistanceOrigin,
+    SweepSettings,
+    choose_shown,
+    estimate_distance,
+)
 from olt_generator.distance.metric_alignment import align, apply_alignment
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
@@ -92,11 +98,11 @@ def make_metric(
     inverse_depth = 1.0 / (known.distance * cosine)[anchors].astype(np.float64)
     alignment = align(values[anchors].astype(np.float64), inverse_depth)
     distance = np.minimum(apply_alignment(values, alignment, FAR_DISTANCE) / cosine, np.float32(FAR_DISTANCE))
-    vehicle = known.origin == Origin.VEHICLE
+    vehicle = known.origin == DistanceOrigin.VEHICLE
     on_progress(1.0)
     return DistanceEstimate(
         distance=np.where(vehicle, np.float32(np.nan), distance).astype(np.float32),
-        origin=np.where(vehicle, Origin.VEHICLE, Origin.LEARNED).astype(np.uint8),
+        origin=np.where(vehicle, DistanceOrigin.VEHICLE, DistanceOrigin.LEARNED).astype(np.uint8),
         confidence=np.where(vehicle, 0.0, alignment.agreement).astype(np.float32),
         moving=known.moving,
         alignment=alignment,

@@ -1,0 +1,1 @@
+"""Policies over suites of scenes: the gate, closed-loop runs, score tables."""

@@ -1,0 +1,110 @@
+"""What a definition of the score looks at: one drive, what was around it, and what had been recorded there."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_closed_loop.rollouts.rollout import Rollout
+from olt_closed_loop.scenes.scene import Agent, Scene
+from olt_closed_loop.vehicle.models import STATE
+from olt_generator.poses import Array, yaw_of
+
+PLAN_STEP_US = 100_000
+
+
+@dataclass(frozen=True)
+class EgoBox:
+    """The ego's box in metres; its centre is `rear_axle_to_center` ahead of the rig and half its height above it."""
+
+    length: float
+    width: float
+    height: float
+    rear_axle_to_center: float
+
+
+@dataclass(frozen=True)
+class LaneLines:
+    """One lane: centre line and, where known, its borders, each (n, 3) in driving direction, metres."""
+
+    center: Array
+    left: Array | None = None
+    right: Array | None = None
+
+
+@dataclass(frozen=True)
+class TimedPlan:
+    """What the policy planned at one time.
+
+    Attributes:
+        now_us: when the plan was made.
+        query_us: the first time that it was asked for.
+        timestamps_us: (n,) int64 times of its poses, increasing.
+        poses: (n, 3) x, y, yaw of the rig in the world.
+        samples: further plans (n, 3) that the policy drew at the same times.
+    """
+
+    now_us: int
+    query_us: int
+    timestamps_us: NDArray[np.int64]
+    poses: Array
+    samples: tuple[Array, ...] = ()
+
+
+@dataclass(frozen=True)
+class DriveRecord:
+    """One drive with everything that scoring needs; times are integer microseconds, lengths metres, angles radians.
+
+    Attributes:
+        name: what the drive is called.
+        handover_us: when the policy took over; what comes before is warm-up.
+        timestamps_us: (n,) int64, strictly increasing.
+        poses: (n, 4) x, y, z, yaw of the rig in the world.
+        box: size of the ego.
+        agents: the others.
+        recorded_us, recorded_poses: (m,) times and (m, 4) rig poses of the recorded ego.
+        lanes, road_edges: the map; road edges are polylines (n, 3) of either direction.
+        drivable: closed outlines (n, 3) of the drivable area, where the map has them.
+        plans: what the policy planned, in order of time.
+    """
+
+    name: str
+    handover_us: int
+    timestamps_us: NDArray[np.int64]
+    poses: Array
+    box: EgoBox
+    agents: tuple[Agent, ...]
+    recorded_us: NDArray[np.int64]
+    recorded_poses: Array
+    lanes: tuple[LaneLines, ...] = ()
+    road_edges: tuple[Array, ...] = ()
+    drivable: tuple[Array, ...] = ()
+    plans: tuple[TimedPlan, ...] = ()
+
+
+def record_drive_in_scene(scene: Scene, rollout: Rollout) -> DriveRecord:
+    """The record of a rollout of a scene. A policy's plan is the one sample that it drew."""
+    vehicle = scene.vehicle
+    x, y, yaw = rollout.states[:, [STATE.x, STATE.y, STATE.yaw]].T
+    T_world_rig = scene.ego.T_world_rig
+    return DriveRecord(
+        name=scene.name,
+        handover_us=rollout.handover_us,
+        timestamps_us=rollout.timestamps_us,
+        poses=np.stack([x, y, rollout.heights, yaw], axis=-1),
+        box=EgoBox(vehicle.length, vehicle.width, vehicle.height, vehicle.rear_axle_to_bbox_center),
+        agents=rollout.driven_scene(scene).agents,
+        recorded_us=scene.ego.timestamps_us,
+        recorded_poses=np.column_stack([T_world_rig[:, :3, 3], yaw_of(T_world_rig)]),
+        lanes=tuple(LaneLines(lane.center, lane.left, lane.right) for lane in scene.lanes),
+        road_edges=scene.road_edges,
+        drivable=scene.drivable,
+        plans=tuple(
+            _plan(int(now_us), poses) for now_us, poses in zip(rollout.plan_times_us, rollout.plans, strict=True)
+        ),
+    )
+
+
+def _plan(now_us: int, poses: Array) -> TimedPlan:
+    times = now_us + PLAN_STEP_US * np.arange(len(poses), dtype=np.int64)
+    return TimedPlan(now_us, now_us + PLAN_STEP_US, times, poses, (poses,))

@@ -1,0 +1,171 @@
+"""Reads single rollouts from JSON, in the format in which AlpaSim's scores of them were taken.
+
+One object:
+
+- `timestamps_us` [T]; `render_start_us` and `force_gt_duration_us`, whose sum is the hand-over;
+- `ego` {length, width, height, rear_axle_to_center, poses [T][x, y, yaw]}: poses of the rig;
+- `agents` {id: {length, width, height, timestamps_us [n], poses [n][x, y, yaw] or [x, y, yaw, z]}}: box centres;
+  without z they stand on the ground z = 0, as the ego does. Only samples at one of the ego's times count;
+- `gt` {timestamps_us [n], poses [n][x, y, yaw]}: the recorded ego, poses of the rig;
+- `map` {lanes [{id, center, left?, right?}], road_edges [polyline], resample_m?} or null; polylines are points [x, y]
+  or [x, y, z] and get further points until none is more than `resample_m` from the next (2 m when absent, 0: none);
+- `plans` [{now_us, query_us?, timestamps_us [n], poses [n][x, y, yaw], samples? [[n][x, y, yaw]]}].
+"""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_closed_loop.rollouts.drive_record import PLAN_STEP_US, DriveRecord, EgoBox, LaneLines, TimedPlan
+from olt_closed_loop.scenes.scene import Agent
+from olt_generator.errors import InputError
+from olt_generator.poses import Array
+
+RESAMPLE_M = 2.0
+
+
+def read_rollout_file(path: Path) -> DriveRecord:
+    """Read one rollout.
+
+    Raises:
+        InputError: the file is missing, is not JSON, or a field is missing or of another form.
+    """
+    try:
+        values = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a JSON file ({error}); give one rollout") from error
+    try:
+        return parse_rollout(values, path.stem)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    except KeyError as error:
+        raise InputError(f"{path}: field {error} is missing; add it") from error
+    except (AttributeError, OverflowError, TypeError, ValueError) as error:
+        raise InputError(
+            f"{path}: a field is of another form ({error}); see olt_closed_loop.rollouts.rollout_files"
+        ) from error
+
+
+def parse_rollout(values: dict[str, Any], name: str) -> DriveRecord:
+    """The rollout that `values` describe.
+
+    Raises:
+        InputError: times do not increase, numbers are not finite, counts do not fit, or a size is not positive.
+        KeyError: a field is missing.
+    """
+    times = _times(values["timestamps_us"], "timestamps_us")
+    ego, recorded, road = values["ego"], values["gt"], values.get("map") or {}
+    recorded_us = _times(recorded["timestamps_us"], "gt timestamps_us")
+    resample_m = float(road.get("resample_m", RESAMPLE_M))
+    if not resample_m >= 0.0:
+        raise InputError(f"map resample_m is {resample_m}; give 0 or more")
+    return DriveRecord(
+        name=name,
+        handover_us=int(values["render_start_us"]) + int(values["force_gt_duration_us"]),
+        timestamps_us=times,
+        poses=_on_ground(_rows(ego["poses"], (3,), len(times), "ego poses")),
+        box=EgoBox(*_sizes(ego, "ego"), _finite(ego["rear_axle_to_center"], "ego rear_axle_to_center")),
+        agents=tuple(
+            agent
+            for name, agent in ((key, _agent(key, value, times)) for key, value in values["agents"].items())
+            if agent
+        ),
+        recorded_us=recorded_us,
+        recorded_poses=_on_ground(_rows(recorded["poses"], (3,), len(recorded_us), "gt poses")),
+        lanes=tuple(_lane(lane, resample_m) for lane in road.get("lanes", ())),
+        road_edges=tuple(_line(edge, resample_m, "road edge") for edge in road.get("road_edges", ())),
+        plans=tuple(_plan(index, plan) for index, plan in enumerate(values["plans"]) if plan["poses"]),
+    )
+
+
+def _agent(name: str, values: dict[str, Any], scored_us: NDArray[np.int64]) -> Agent | None:
+    """An agent at the ego's times; None when it has no sample at any of them."""
+    where = f"agent {name}"
+    length, width, height = _sizes(values, where)
+    if not values["timestamps_us"]:
+        return None
+    times = _times(values["timestamps_us"], f"{where} timestamps_us")
+    rows = _rows(values["poses"], (3, 4), len(times), f"{where} poses")
+    heights = rows[:, 3] if rows.shape[1] == 4 else np.full(len(rows), 0.5 * height)
+    poses = np.column_stack([rows[:, :2], heights, rows[:, 2]])
+    counts = np.isin(times, scored_us)
+    return Agent(name, "unknown", length, width, height, times[counts], poses[counts]) if counts.any() else None
+
+
+def _lane(values: dict[str, Any], resample_m: float) -> LaneLines:
+    where = f"lane {values['id']}"
+    borders = (values.get("left"), values.get("right"))
+    left, right = (_line(line, resample_m, f"{where} border") if line else None for line in borders)
+    return LaneLines(_line(values["center"], resample_m, f"{where} center"), left, right)
+
+
+def _plan(index: int, values: dict[str, Any]) -> TimedPlan:
+    where = f"plan {index}"
+    times = _times(values["timestamps_us"], f"{where} timestamps_us")
+    now_us = int(values["now_us"])
+    return TimedPlan(
+        now_us=now_us,
+        query_us=int(values.get("query_us", now_us + PLAN_STEP_US)),
+        timestamps_us=times,
+        poses=_rows(values["poses"], (3,), len(times), f"{where} poses"),
+        samples=tuple(_rows(s, (3,), len(times), f"{where} samples") for s in values.get("samples") or ()),
+    )
+
+
+def _line(points: list[list[float]], resample_m: float, where: str) -> Array:
+    """A polyline (n, 3) with points added at equal distances in each segment that is `resample_m` long or longer."""
+    rows = _rows(points, (2, 3), len(points), where)
+    if len(rows) < 2:
+        raise InputError(f"{where} has {len(rows)} points; give two or more")
+    line = np.column_stack([rows, np.zeros(len(rows))]) if rows.shape[1] == 2 else rows
+    if resample_m == 0.0:
+        return line
+    parts = 1 + np.floor(np.linalg.norm(np.diff(line, axis=0), axis=1) / resample_m).astype(int)
+    ends = np.concatenate([[0], np.cumsum(parts)])
+    return np.stack([np.interp(np.arange(ends[-1] + 1), ends, column) for column in line.T], axis=-1)
+
+
+def _times(values: list[int], where: str) -> NDArray[np.int64]:
+    """Strictly increasing times (n,), n >= 1."""
+    times = np.array(values)
+    if times.ndim != 1 or len(times) == 0 or not np.issubdtype(times.dtype, np.integer):
+        raise InputError(f"{where}: give one or more integer microseconds")
+    late = np.flatnonzero(np.diff(times) <= 0)
+    if len(late):
+        raise InputError(
+            f"{where}: time {late[0] + 1} ({times[late[0] + 1]}) is not after the one before it; sort them"
+        )
+    return times.astype(np.int64)
+
+
+def _rows(values: list[list[float]], columns: tuple[int, ...], count: int, where: str) -> Array:
+    """Finite numbers (count, c) where c is one of `columns`."""
+    rows = np.array(values, dtype=np.float64)
+    if rows.ndim != 2 or rows.shape[1] not in columns:
+        raise InputError(f"{where}: give rows of {' or '.join(map(str, columns))} numbers")
+    if len(rows) != count:
+        raise InputError(f"{where}: {len(rows)} rows for {count} times; give one each")
+    if not np.isfinite(rows).all():
+        raise InputError(f"{where}: row {int(np.argmin(np.isfinite(rows).all(axis=1)))} is not finite")
+    return rows
+
+
+def _sizes(values: dict[str, Any], where: str) -> tuple[float, float, float]:
+    length, width, height = (_finite(values[key], f"{where} {key}") for key in ("length", "width", "height"))
+    if min(length, width, height) <= 0.0:
+        raise InputError(f"{where}: box {length} x {width} x {height} m; sizes must be positive")
+    return length, width, height
+
+
+def _finite(value: float, where: str) -> float:
+    if not np.isfinite(float(value)):
+        raise InputError(f"{where} is {value}; give a finite number")
+    return float(value)
+
+
+def _on_ground(rows: Array) -> Array:
+    """Rig poses (n, 4) x, y, z, yaw of rows (n, 3) x, y, yaw."""
+    return np.column_stack([rows[:, :2], np.zeros(len(rows)), rows[:, 2]])

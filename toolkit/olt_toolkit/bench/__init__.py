@@ -1,0 +1,1 @@
+"""The frame of the benchmarks: error against run time."""

@@ -1,0 +1,257 @@
+"""A clip: four camera streams and the ego motion of one drive, with where every pixel came from.
+
+Clip time is integer microseconds; 0 is the start of the recording. The anchor frame is the rig at clip time 0 with its
+roll and pitch taken out: origin there, yaw 0 there, z up. It is the frame of PhysicalAI-AV ego motion (facts sheet
+pai_dataset, section 6).
+"""
+
+import uuid
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.spatial.transform import Rotation, Slerp
+
+from olt_generator.cameras import Camera
+from olt_generator.errors import InputError
+from olt_generator.poses import Array, invert, make_pose, planar_pose, yaw_of
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.rigs.rig import VehicleDimensions
+
+ClipKind = Literal["GT", "Syn", "front_only"]
+"""GT: every view is a true image. Syn: some views are synthesized. front_only: the front views and nothing else."""
+
+ViewKind = Literal["observed", "cropped", "mosaic", "rendered", "warped"]
+"""How the images of a view came to be; a mosaic is put together from several cameras, and black where none saw."""
+
+Split = Literal["train", "val", "test"]
+
+UNLABELLED = "unlabelled"
+"""Category of what nobody sorted: never taken for nominal."""
+
+# Below this speed (m/s) a curvature is a ratio of two noises; a standing vehicle is given curvature 0.
+STANDSTILL_SPEED = 0.3
+
+_CLIP_NAMESPACE = uuid.UUID("6f1c2c5e-3d0e-5b52-9a55-4f3c0f8f6f0a")
+
+
+@dataclass(frozen=True)
+class CameraStream:
+    """The images of one camera over a clip.
+
+    Attributes:
+        frames: (n, H, W, 3) uint8 RGB.
+        timestamps_us: (n,) int64 clip times, strictly increasing.
+        frame_rate: nominal frames per second, written into the video file; times come from `timestamps_us` alone.
+        camera: lens model at the size of `frames`; the store holds it as f-theta polynomials.
+        T_rig_camera: (4, 4) mounting.
+    """
+
+    frames: NDArray[np.uint8]
+    timestamps_us: NDArray[np.int64]
+    frame_rate: float
+    camera: Camera
+    T_rig_camera: Array
+
+
+@dataclass(frozen=True)
+class EgoMotion:
+    """The motion of the rig in the clip's anchor frame.
+
+    Attributes:
+        trajectory: rig poses over clip time; `T_world_rig` is the pose in the anchor frame.
+        velocity: (n, 3) m/s in the anchor frame.
+        acceleration: (n, 3) m/s^2 in the anchor frame.
+        curvature: (n,) yaw rate over speed in 1/m, positive to the left.
+    """
+
+    trajectory: Trajectory
+    velocity: Array
+    acceleration: Array
+    curvature: Array
+
+    @classmethod
+    def anchored(cls, trajectory: Trajectory, velocity: Array, acceleration: Array, curvature: Array) -> "EgoMotion":
+        """Take a motion from any frame whose z is up to the anchor frame of its clip.
+
+        Raises:
+            InputError: the trajectory does not cover clip time 0.
+        """
+        start = trajectory.interpolate(np.zeros(1, np.int64))[0]
+        T_anchor_world = invert(planar_pose(start[0, 3], start[1, 3], yaw_of(start), start[2, 3]))
+        R_anchor_world = T_anchor_world[:3, :3]
+        return cls(
+            Trajectory(trajectory.timestamps_us, T_anchor_world @ trajectory.T_world_rig),
+            velocity @ R_anchor_world.T,
+            acceleration @ R_anchor_world.T,
+            curvature,
+        )
+
+    @classmethod
+    def from_trajectory(cls, trajectory: Trajectory) -> "EgoMotion":
+        """The motion along measured poses, with derivatives of the cubic spline through them."""
+        spline = CubicSpline(trajectory.times, trajectory.positions)
+        velocity, acceleration = spline(trajectory.times, 1), spline(trajectory.times, 2)
+        yaw_rate = CubicSpline(trajectory.times, np.unwrap(yaw_of(trajectory.T_world_rig)))(trajectory.times, 1)
+        speed = np.linalg.norm(velocity, axis=1)
+        curvature = np.where(speed > STANDSTILL_SPEED, yaw_rate / np.maximum(speed, STANDSTILL_SPEED), 0.0)
+        return cls.anchored(trajectory, velocity, acceleration, curvature)
+
+    @property
+    def span_us(self) -> tuple[int, int]:
+        """First and last clip time."""
+        return int(self.trajectory.timestamps_us[0]), int(self.trajectory.timestamps_us[-1])
+
+    def interpolate(self, timestamps_us: NDArray[np.int64]) -> Array:
+        """Rig poses (m, 4, 4) in the anchor frame: spherical in rotation, cubic spline in position.
+
+        This is the interpolation of the public PhysicalAI-AV reader, so that both give the same training poses.
+
+        Raises:
+            InputError: a time lies outside the motion.
+        """
+        first, last = self.span_us
+        if timestamps_us.min() < first or timestamps_us.max() > last:
+            raise InputError(
+                f"ego motion covers {first} to {last} us; {int(timestamps_us.min())} to {int(timestamps_us.max())} us "
+                "was asked for"
+            )
+        known, query = self.trajectory.timestamps_us - first, timestamps_us - first
+        rotation = Slerp(known, Rotation.from_matrix(self.trajectory.T_world_rig[:, :3, :3]))(query)
+        return make_pose(rotation.as_matrix(), CubicSpline(known, self.trajectory.positions)(query))
+
+
+@dataclass(frozen=True)
+class ViewProvenance:
+    """Where the pixels of one view came from.
+
+    Attributes:
+        kind: how the images came to be.
+        engine, version: what made them.
+        seed: seed of whatever was random; None where nothing was.
+        observed_share: share of pixels taken from what the vehicle's cameras saw, 0 to 1.
+        invented_share: share of pixels that no camera saw, 0 to 1.
+        other_times_share: share of pixels taken from what the front camera saw at other times than that of the image,
+            0 to 1; a part of `observed_share`.
+    """
+
+    kind: ViewKind
+    engine: str
+    version: str
+    seed: int | None
+    observed_share: float
+    invented_share: float
+    other_times_share: float = 0.0
+
+
+@dataclass(frozen=True)
+class ClipOrigin:
+    """What a clip was cut from, and when; two clips of one scene show the same where these times overlap.
+
+    Attributes:
+        recording: key of the drive in its data set; the recording's name where it is a single file.
+        start_us, end_us: times of the first and the last front image, counted from the start of the scene.
+        country: ISO 3166 code of two letters; None where it is not told.
+        licence: name of the licence; None where it is not told.
+    """
+
+    recording: str
+    start_us: int
+    end_us: int
+    country: str | None = None
+    licence: str | None = None
+
+
+@dataclass(frozen=True)
+class Clip:
+    """One clip, ready to be stored.
+
+    Attributes:
+        clip_id: UUID text (`make_clip_id`).
+        name: what people call the clip.
+        scene_id: the scene it shows; clips of one scene belong in one split.
+        source: the reader of the recording.
+        origin: what it was cut from, and when.
+        kind: whether all views are true images.
+        category: long-tail category, "nominal", or `UNLABELLED`.
+        factors: scene factors that hold.
+        split: training split.
+        streams: camera streams by camera name.
+        ego_motion: motion of the rig.
+        vehicle: size of the vehicle.
+        provenance: where each stream came from, by camera name.
+        sample_t0_us: the only times t0 at which it may be sampled, such as those before a crash; None for all times
+            that it covers.
+    """
+
+    clip_id: str
+    name: str
+    scene_id: str
+    source: str
+    origin: ClipOrigin
+    kind: ClipKind
+    category: str
+    factors: tuple[str, ...]
+    split: Split
+    streams: dict[str, CameraStream]
+    ego_motion: EgoMotion
+    vehicle: VehicleDimensions
+    provenance: dict[str, ViewProvenance]
+    sample_t0_us: tuple[int, ...] | None = None
+
+
+@dataclass(frozen=True)
+class ClipInfo:
+    """One row of the clip table: everything that choosing clips needs, without opening one.
+
+    Attributes:
+        split: training split; None for a clip that is only indexed and that no rule has put into a split yet.
+        duration_us: clip time of the last ego pose.
+        sample_t0_us: times t0, on a grid of 0.1 s, at which the clip gives a policy sample.
+        no_sample_reason: why there is no such time; None where there is one.
+        created_with: version of the toolkit that wrote the clip.
+        checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
+            the description and the window of its drive where it is only indexed.
+        fingerprint: perceptual hashes of a few front images (`olt_toolkit.clips.image_hash`); None where none was decoded.
+        views: provenance by camera name.
+
+    The other attributes are those of `Clip`.
+    """
+
+    clip_id: str
+    name: str
+    scene_id: str
+    source: str
+    origin: ClipOrigin
+    kind: ClipKind
+    category: str
+    factors: tuple[str, ...]
+    split: Split | None
+    duration_us: int
+    sample_t0_us: tuple[int, ...]
+    no_sample_reason: str | None
+    created_with: str
+    checksum: str
+    fingerprint: tuple[int, ...] | None
+    views: dict[str, ViewProvenance]
+
+
+def make_clip_id(*keys: int | str) -> str:
+    """The UUID (version 5) of a clip; the same keys give the same one everywhere."""
+    return str(uuid.uuid5(_CLIP_NAMESPACE, "\x1f".join(f"{type(key).__name__}:{key}" for key in keys)))
+
+
+def check_clip_id(clip_id: object, where: str) -> str:
+    """The clip id as lower-case UUID text.
+
+    Raises:
+        InputError: it is anything else.
+    """
+    try:
+        if isinstance(clip_id, str) and str(uuid.UUID(clip_id)) == clip_id:
+            return clip_id
+    except ValueError:
+        pass
+    raise InputError(f"{where}: clip id {clip_id!r} is not a UUID in lower case (8-4-4-4-12 hexadecimal digits)")

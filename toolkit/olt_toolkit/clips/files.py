@@ -1,0 +1,198 @@
+"""How one clip's files are written to a folder, and how such folders become chunks of the PhysicalAI-AV tree."""
+
+import hashlib
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from olt_generator.errors import InputError
+from olt_generator.files import write_whole
+from olt_generator.video import write_video
+from olt_toolkit import __version__
+from olt_toolkit.clips.clip import Clip, ClipInfo, check_clip_id
+from olt_toolkit.clips.image_hash import fingerprint_images
+from olt_toolkit.clips.pai_layout import (
+    CALIBRATIONS,
+    CAMERA_INTRINSICS,
+    CLIP_INDEX,
+    DATA_COLLECTION,
+    EGOMOTION,
+    FEATURE_PRESENCE,
+    FEATURE_TABLE,
+    FEATURES,
+    FRAME_TIMESTAMPS,
+    SENSOR_EXTRINSICS,
+    VEHICLE_DIMENSIONS,
+    VIDEO,
+    Feature,
+    feature_rows,
+)
+from olt_toolkit.clips.pai_tables import (
+    egomotion_table,
+    extrinsics_table,
+    intrinsics_table,
+    timestamps_table,
+    to_bytes,
+    vehicle_table,
+)
+from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
+from olt_toolkit.policy.window import Coverage, frames_per_step, sample_times
+from olt_toolkit.rigs.rig import FRONT_WIDE
+
+# Members of a zip carry one fixed date, so that the same clips give the same bytes.
+_ZIP_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
+    """Write everything a chunk takes from one clip: zip members, calibration rows and the row of the clip table.
+
+    Returns:
+        The row of the clip table.
+
+    Raises:
+        InputError: the clip contradicts itself or cannot be held by the layout.
+    """
+    check_clip(clip)
+    calibration = {
+        CAMERA_INTRINSICS: intrinsics_table(clip.clip_id, clip.streams),
+        SENSOR_EXTRINSICS: extrinsics_table(clip.clip_id, clip.streams),
+        VEHICLE_DIMENSIONS: vehicle_table(clip.clip_id, clip.vehicle),
+    }
+    for name, table in calibration.items():
+        table.to_parquet(folder / f"{name}.parquet")
+    egomotion_table(clip.ego_motion).to_parquet(folder / FEATURES[EGOMOTION].member(EGOMOTION, clip.clip_id))
+    for camera, stream in clip.streams.items():
+        feature = FEATURES[camera]
+        timestamps_table(stream.timestamps_us).to_parquet(folder / feature.member(FRAME_TIMESTAMPS, clip.clip_id))
+        path = folder / feature.member(VIDEO, clip.clip_id)
+        write_video(path, stream.frames, stream.frame_rate, frames_per_step(stream.frame_rate))
+    info = describe_clip(clip, _checksum_files(folder))
+    write_clip_table(folder / CLIP_TABLE, [info])
+    return info
+
+
+def check_clip(clip: Clip) -> None:
+    """Check that a clip's parts agree.
+
+    Raises:
+        InputError: naming the clip and the part.
+    """
+    where = f"clip {clip.name}"
+    check_clip_id(clip.clip_id, where)
+    if clip.streams.keys() != clip.provenance.keys():
+        raise InputError(f"{where}: provenance must be given for each camera stream and for nothing else")
+    for camera, stream in clip.streams.items():
+        if camera not in FEATURES:
+            raise InputError(f"{where}: no PhysicalAI-AV camera is called {camera!r}")
+        if len(stream.frames) != len(stream.timestamps_us):
+            raise InputError(
+                f"{where}: {camera} has {len(stream.frames)} frames and {len(stream.timestamps_us)} timestamps"
+            )
+        if len(stream.frames) < 2 or (stream.timestamps_us[1:] <= stream.timestamps_us[:-1]).any():
+            raise InputError(f"{where}: {camera} needs at least two frames with strictly increasing timestamps")
+        size = (stream.camera.width, stream.camera.height)
+        if stream.frames.shape[1:] != (size[1], size[0], 3):
+            raise InputError(f"{where}: {camera} has frames of shape {stream.frames.shape[1:]} for a lens of {size}")
+
+
+def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
+    """The clip's row in the clip table, given the checksum of its files."""
+    spans = {name: (int(s.timestamps_us[0]), int(s.timestamps_us[-1])) for name, s in clip.streams.items()}
+    times, reason = sample_times(Coverage(clip.ego_motion.span_us, spans))
+    if times and clip.sample_t0_us is not None:
+        times = tuple(time for time in times if time in clip.sample_t0_us)
+        reason = None if times else "it covers none of the times at which it may be sampled"
+    return ClipInfo(
+        clip_id=clip.clip_id,
+        name=clip.name,
+        scene_id=clip.scene_id,
+        source=clip.source,
+        origin=clip.origin,
+        kind=clip.kind,
+        category=clip.category,
+        factors=clip.factors,
+        split=clip.split,
+        duration_us=clip.ego_motion.span_us[1],
+        sample_t0_us=times,
+        no_sample_reason=reason,
+        created_with=__version__,
+        checksum=checksum,
+        fingerprint=fingerprint_images(clip.streams[FRONT_WIDE].frames) if FRONT_WIDE in clip.streams else None,
+        views=clip.provenance,
+    )
+
+
+def _checksum_files(folder: Path) -> str:
+    digest = hashlib.blake2b(digest_size=16)
+    for path in sorted(folder.iterdir()):
+        data = path.read_bytes()
+        digest.update(f"{path.name}\x1f{len(data)}\x1f".encode())
+        digest.update(data)
+    return digest.hexdigest()
+
+
+def pack_chunk(root: Path, chunk: int, folders: Sequence[Path]) -> list[ClipInfo]:
+    """Pack clips, each in a folder of `write_clip_files`, into one chunk of the tree under `root`."""
+    clips = [read_clip_table(folder / CLIP_TABLE)[0] for folder in folders]
+    for feature in FEATURES.values():
+        if feature.members:
+            _pack_zip(feature, feature.chunk_file(root, chunk), clips, folders)
+    for name in CALIBRATIONS:
+        table = pd.concat([pd.read_parquet(folder / f"{name}.parquet") for folder in folders])
+        with write_whole(FEATURES[name].chunk_file(root, chunk)) as temporary:
+            table.to_parquet(temporary)
+    return clips
+
+
+def _pack_zip(feature: Feature, path: Path, clips: Sequence[ClipInfo], folders: Sequence[Path]) -> None:
+    members = [
+        folder / feature.member(alias, info.clip_id)
+        for info, folder in zip(clips, folders, strict=True)
+        if has_feature(info, feature.name)
+        for alias in feature.members
+    ]
+    if not members:
+        return
+    with write_whole(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
+        for member in members:
+            add_member(archive, member.name, member.read_bytes())
+
+
+def add_member(archive: zipfile.ZipFile, name: str, data: bytes) -> None:
+    """Add a member to a chunk's zip; the same data give the same bytes whenever it is done."""
+    entry = zipfile.ZipInfo(name, _ZIP_DATE)
+    entry.external_attr = 0o644 << 16
+    archive.writestr(entry, data)
+
+
+def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int]) -> None:
+    """Rewrite the tables through which the public readers find clips."""
+    index = pd.Index([info.clip_id for info in clips], name="clip_id")
+    clip_index = pd.DataFrame(
+        {"chunk": pd.Series(chunks, index, "int64"), "split": [info.split for info in clips], "clip_is_valid": True},
+        index=index,
+    )
+    presence = pd.DataFrame(
+        {name: [has_feature(info, name) for info in clips] for name in FEATURES}, index=index, dtype=bool
+    )
+    # Columns of the real table; when a clip was recorded, and by which platform, is not known.
+    collection = pd.DataFrame(
+        {
+            "country": pd.Series([info.origin.country for info in clips], index, "string"),
+            "month": pd.Series(None, index, "Int64"),
+            "hour_of_day": pd.Series(None, index, "Int64"),
+            "platform_class": pd.Series(None, index, "string"),
+        }
+    )
+    with write_whole(root / FEATURE_TABLE) as temporary:
+        pd.DataFrame(feature_rows()).to_csv(temporary, index=False)
+    for name, table in {CLIP_INDEX: clip_index, FEATURE_PRESENCE: presence, DATA_COLLECTION: collection}.items():
+        with write_whole(root / name) as temporary:
+            temporary.write_bytes(to_bytes(table))
+
+
+def has_feature(info: ClipInfo, feature: str) -> bool:
+    """Whether a clip has this feature: every clip has all but some cameras."""
+    return FEATURES[feature].directory != "camera" or feature in info.views

@@ -1,0 +1,219 @@
+"""The tables of a PhysicalAI-AV clip: how they are made of a clip's parts, and read back strictly.
+
+Columns and units: facts sheet pai_dataset, sections 5 to 7. Tables that are looked up by clip carry it as a pandas
+index, because the public readers find clips through that index.
+"""
+
+import io
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from olt_generator.cameras import FthetaCamera
+from olt_generator.errors import InputError
+from olt_generator.poses import Array, pose_from_quaternion
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.clips.clip import CameraStream, EgoMotion
+from olt_toolkit.rigs.ftheta_fit import fit_ftheta
+from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
+
+QUATERNION = ["qx", "qy", "qz", "qw"]
+POSITION = ["x", "y", "z"]
+VELOCITY = ["vx", "vy", "vz"]
+ACCELERATION = ["ax", "ay", "az"]
+FORWARD = [f"fw_poly_{power}" for power in range(5)]
+BACKWARD = [f"bw_poly_{power}" for power in range(5)]
+LENS = ["width", "height", "cx", "cy", *FORWARD, *BACKWARD]
+DIMENSIONS = ["length", "width", "height", "rear_axle_to_bbox_center", "wheelbase", "track_width"]
+
+
+def egomotion_table(motion: EgoMotion) -> pd.DataFrame:
+    """The table `{clip}.egomotion.parquet`."""
+    T_anchor_rig = motion.trajectory.T_world_rig
+    columns = {"timestamp": motion.trajectory.timestamps_us}
+    columns |= _columns(QUATERNION, Rotation.from_matrix(T_anchor_rig[:, :3, :3]).as_quat())
+    columns |= _columns(POSITION, T_anchor_rig[:, :3, 3])
+    columns |= _columns(VELOCITY, motion.velocity) | _columns(ACCELERATION, motion.acceleration)
+    return pd.DataFrame(columns | {"curvature": motion.curvature})
+
+
+def read_egomotion(data: bytes, where: str) -> EgoMotion:
+    """Read `{clip}.egomotion.parquet`.
+
+    Raises:
+        InputError: a column is missing, or times or poses cannot be used.
+    """
+    table = read_table(data, ["timestamp", *QUATERNION, *POSITION, *VELOCITY, *ACCELERATION, "curvature"], where)
+    timestamps_us = _timestamps(table, where)
+    quaternion, position = _array(table, QUATERNION, where), _array(table, POSITION, where)
+    if np.any(np.linalg.norm(quaternion, axis=1) < 0.5):
+        raise InputError(f"{where}: columns qx, qy, qz, qw hold quaternions that are not unit length")
+    return EgoMotion(
+        Trajectory(timestamps_us, pose_from_quaternion(quaternion, position)),
+        _array(table, VELOCITY, where),
+        _array(table, ACCELERATION, where),
+        _array(table, ["curvature"], where)[:, 0],
+    )
+
+
+def timestamps_table(timestamps_us: NDArray[np.int64]) -> pd.DataFrame:
+    """The table `{clip}.<camera>.timestamps.parquet`: one row per video frame."""
+    return pd.DataFrame({"timestamp": timestamps_us})
+
+
+def read_timestamps(data: bytes, where: str) -> NDArray[np.int64]:
+    """Read the (n,) clip times of a camera's frames.
+
+    Raises:
+        InputError: the column is missing, not integer, shorter than two rows or not increasing.
+    """
+    return _timestamps(read_table(data, ["timestamp"], where), where)
+
+
+def intrinsics_table(clip_id: str, streams: Mapping[str, CameraStream]) -> pd.DataFrame:
+    """Rows of `camera_intrinsics` for one clip; pinhole lenses are fitted by f-theta polynomials.
+
+    Raises:
+        InputError: a lens cannot be held by the table.
+    """
+    rows = {}
+    for name, stream in streams.items():
+        try:
+            camera = fit_ftheta(stream.camera).camera
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
+        values = (camera.width, camera.height, camera.cx, camera.cy, *camera.fw_poly, *camera.bw_poly)
+        rows[clip_id, name] = dict(zip(LENS, values, strict=True))
+    return _indexed(rows, ["clip_id", "camera_name"])
+
+
+def extrinsics_table(clip_id: str, streams: Mapping[str, CameraStream]) -> pd.DataFrame:
+    """Rows of `sensor_extrinsics` for one clip: camera to rig."""
+    rows = {}
+    for name, stream in streams.items():
+        quaternion = Rotation.from_matrix(stream.T_rig_camera[:3, :3]).as_quat()
+        values = (*quaternion.tolist(), *stream.T_rig_camera[:3, 3].tolist())
+        rows[clip_id, name] = dict(zip([*QUATERNION, *POSITION], values, strict=True))
+    return _indexed(rows, ["clip_id", "sensor_name"])
+
+
+def vehicle_table(clip_id: str, vehicle: VehicleDimensions) -> pd.DataFrame:
+    """Row of `vehicle_dimensions` for one clip."""
+    row = {name: float(getattr(vehicle, name)) for name in DIMENSIONS}
+    return pd.DataFrame([row], index=pd.Index([clip_id], name="clip_id"))
+
+
+def read_mounted_camera(intrinsics: Path, extrinsics: Path, clip_id: str, camera: str) -> MountedCamera:
+    """Read the lens and the mounting of one camera of one clip.
+
+    Raises:
+        InputError: a file, column, index or row is missing.
+    """
+    mounting = [*QUATERNION, *POSITION]
+    key = (clip_id, camera)
+    lens = _row(read_indexed(intrinsics, LENS, ["clip_id", "camera_name"]), key, LENS, intrinsics)
+    pose = _row(read_indexed(extrinsics, mounting, ["clip_id", "sensor_name"]), key, mounting, extrinsics)
+    forward, backward = (tuple(lens[name] for name in names) for names in (FORWARD, BACKWARD))
+    model = FthetaCamera(int(lens["width"]), int(lens["height"]), lens["cx"], lens["cy"], forward, backward)
+    return MountedCamera(
+        fit_ftheta(model).camera,
+        pose_from_quaternion([pose[name] for name in QUATERNION], [pose[name] for name in POSITION]),
+    )
+
+
+def read_vehicle(path: Path, clip_id: str) -> VehicleDimensions:
+    """Read the size of a clip's vehicle.
+
+    Raises:
+        InputError: the file, a column, the index or the row is missing.
+    """
+    return VehicleDimensions(**_row(read_indexed(path, DIMENSIONS, ["clip_id"]), clip_id, DIMENSIONS, path))
+
+
+def read_indexed(path: Path, columns: list[str], index: list[str]) -> pd.DataFrame:
+    """Read a table with the given columns and pandas index.
+
+    Raises:
+        InputError: the file cannot be read, or lacks a column or the index.
+    """
+    table = read_table(path, columns, str(path))
+    names = (table.schema.pandas_metadata or {}).get("index_columns", [])
+    if names != index:
+        raise InputError(
+            f"{path}: its index is {names or 'missing'}; it must be {', '.join(index)}, written as a pandas index"
+        )
+    frame = table.to_pandas()
+    if not frame.index.is_unique:
+        repeated = frame.index[frame.index.duplicated()][0]
+        raise InputError(f"{path}: {', '.join(index)} {repeated} is there more than once")
+    return frame
+
+
+def read_table(source: Path | bytes, columns: list[str], where: str) -> pa.Table:
+    """Read a Parquet table that has at least the given columns.
+
+    Raises:
+        InputError: the file cannot be read or lacks a column.
+    """
+    try:
+        file = pq.ParquetFile(io.BytesIO(source) if isinstance(source, bytes) else source)
+        missing = [name for name in columns if name not in file.schema_arrow.names]
+        if missing:
+            raise InputError(f"{where}: column {', '.join(missing)} is missing")
+        return file.read()
+    except FileNotFoundError as error:
+        raise InputError(f"{where}: no such file; the clip store is incomplete") from error
+    except (pa.ArrowException, OSError) as error:
+        raise InputError(f"{where}: not a readable Parquet file; write it again") from error
+
+
+def to_bytes(frame: pd.DataFrame) -> bytes:
+    """A table as Parquet, its index with it."""
+    buffer = io.BytesIO()
+    frame.to_parquet(buffer)
+    return buffer.getvalue()
+
+
+def _columns(names: list[str], values: Array) -> dict[str, Array]:
+    return {name: values[:, column] for column, name in enumerate(names)}
+
+
+def _indexed(rows: dict[tuple[str, str], dict[str, float]], names: list[str]) -> pd.DataFrame:
+    return pd.DataFrame(list(rows.values()), index=pd.MultiIndex.from_tuples(list(rows), names=names))
+
+
+def _row(frame: pd.DataFrame, key: str | tuple[str, str], columns: list[str], path: Path) -> dict[str, float]:
+    if key not in frame.index:
+        raise InputError(f"{path}: no row for {key if isinstance(key, str) else ', '.join(key)}")
+    values = frame[columns].to_numpy(dtype=np.float64)[frame.index.get_loc(key)]
+    if not np.isfinite(values).all():
+        raise InputError(f"{path}: row {key} holds values that are not finite")
+    return dict(zip(columns, values.tolist(), strict=True))
+
+
+def _timestamps(table: pa.Table, where: str) -> NDArray[np.int64]:
+    column = table.column("timestamp")
+    if not pa.types.is_signed_integer(column.type) or column.null_count:
+        raise InputError(f"{where}: column timestamp is {column.type}; it must be int64 microseconds, none missing")
+    timestamps_us = column.to_numpy().astype(np.int64)
+    if len(timestamps_us) < 2 or np.any(np.diff(timestamps_us) <= 0):
+        raise InputError(f"{where}: column timestamp must hold at least two strictly increasing times")
+    return timestamps_us
+
+
+def _array(table: pa.Table, names: list[str], where: str) -> Array:
+    """Columns as (n, len(names)) float64."""
+    for name in names:
+        column = table.column(name)
+        if not pa.types.is_floating(column.type) or column.null_count:
+            raise InputError(f"{where}: column {name} is {column.type}; it must be a float column, none missing")
+    values = np.stack([table.column(name).to_numpy().astype(np.float64) for name in names], axis=-1)
+    if not np.isfinite(values).all():
+        raise InputError(f"{where}: columns {', '.join(names)} hold values that are not finite")
+    return values

@@ -1,0 +1,171 @@
+"""Pictures of clips for people."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.files import write_whole
+from olt_toolkit.rigs.rig import (
+    CROSS_LEFT,
+    CROSS_RIGHT,
+    FRONT_TELE,
+    FRONT_WIDE,
+    REAR_LEFT,
+    REAR_RIGHT,
+    REAR_TELE,
+    short_name,
+)
+
+Image = NDArray[np.uint8]
+
+# Invented pixels are shown with this colour (RGB) mixed in.
+INVENTED_TINT = (255, 0, 160)
+_TINT_SHARE = 0.45
+_GAP = 4
+_CAPTION_HEIGHT = 22
+_TEXT_COLOUR = (240, 240, 240)
+
+# Where the views stand in a preview: as the driver would look around.
+_PLACES = (
+    (CROSS_LEFT, FRONT_WIDE, CROSS_RIGHT),
+    (FRONT_TELE,),
+    (REAR_LEFT, REAR_TELE, REAR_RIGHT),
+)
+_PREVIEW_RATE = 5.0
+_PREVIEW_TILE = 288
+_PREVIEW_QUALITY = 60
+
+
+def write_clip_pictures(
+    folder: Path,
+    name: str,
+    images: Mapping[str, Image],
+    observed: Mapping[str, NDArray[np.bool_]],
+    timestamps_us: NDArray[np.int64],
+) -> dict[str, str]:
+    """Write a contact sheet and then an animated preview; see `contact_sheet` for what is drawn.
+
+    Returns:
+        The paths of both, "contact_sheet" and "animation".
+    """
+    sheet, animation = folder / f"{name}.png", animation_path(folder, name)
+    write_picture(sheet, contact_sheet(images, observed, timestamps_us))
+    write_animation(animation, *preview(images, timestamps_us))
+    return {"contact_sheet": str(sheet), "animation": str(animation)}
+
+
+def animation_path(folder: Path, name: str) -> Path:
+    """Where the animated preview of a clip of that name lies."""
+    return folder / f"{name}.webp"
+
+
+def contact_sheet(
+    images: Mapping[str, Image],
+    observed: Mapping[str, NDArray[np.bool_]],
+    timestamps_us: NDArray[np.int64],
+    columns: int = 5,
+    tile_width: int = 288,
+) -> Image:
+    """All views of a clip at a few times, invented pixels tinted.
+
+    Args:
+        images: (n, H, W, 3) uint8 by view name, one size each.
+        observed: (n, H, W) pixels that are not invented, for the views that have such.
+        timestamps_us: (n,) clip times of the images.
+        columns: number of times, spread evenly from the first to the last.
+        tile_width: width of one picture in pixels.
+
+    Returns:
+        One picture (H, W, 3): a row for each view, a column for each time.
+    """
+    indices = np.linspace(0, len(timestamps_us) - 1, min(columns, len(timestamps_us))).round().astype(int)
+    times = [f"{timestamps_us[index] / 1e6:.1f} s" for index in indices]
+    rows = [_caption(times, tile_width)]
+    for name, frames in images.items():
+        mask = observed.get(name)
+        title = name if mask is None else f"{name}: {100 * (1 - mask.mean()):.0f} % invented (tinted)"
+        tiles = [tint_invented(frames[index], None if mask is None else mask[index]) for index in indices]
+        rows += [_caption([title], len(indices) * tile_width), _side_by_side(tiles, tile_width)]
+    return np.concatenate(rows)
+
+
+def preview(
+    images: Mapping[str, Image], timestamps_us: NDArray[np.int64], tile_width: int = _PREVIEW_TILE
+) -> tuple[Image, float]:
+    """All views of a clip side by side over time.
+
+    Args:
+        images: (n, H, W, 3) uint8 by view name; views stand where their cameras look.
+        timestamps_us: (n,) clip times of the images.
+        tile_width: width of one view in pixels.
+
+    Returns:
+        Frames (m, h, w, 3), about five a second, and how many a second show the clip as fast as it was.
+    """
+    seconds = float(timestamps_us[-1] - timestamps_us[0]) * 1e-6
+    count = min(len(timestamps_us), max(1, round(seconds * _PREVIEW_RATE)))
+    indices = np.linspace(0, len(timestamps_us) - 1, count).round().astype(int)
+    frames = [_surround({name: frames[index] for name, frames in images.items()}, tile_width) for index in indices]
+    return np.stack(frames), (count - 1) / seconds if count > 1 else 1.0
+
+
+def tint_invented(image: Image, observed: NDArray[np.bool_] | None) -> Image:
+    """The image (H, W, 3) with the pixels that are not observed (H, W) tinted."""
+    if observed is None:
+        return image
+    tinted = (1.0 - _TINT_SHARE) * image + _TINT_SHARE * np.array(INVENTED_TINT)
+    return np.where(observed[..., None], image, tinted).astype(np.uint8)
+
+
+def write_picture(path: Path, picture: Image) -> None:
+    """Write an RGB picture (H, W, 3) in the format of the path's suffix; the file appears whole."""
+    with write_whole(path) as temporary:
+        cv2.imwrite(str(temporary), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+
+
+def write_animation(path: Path, frames: Image, frame_rate: float) -> None:
+    """Write RGB frames (n, H, W, 3) as an animation that repeats, WebP or GIF by the path's suffix."""
+    from PIL import Image as Pillow
+
+    first, *rest = (Pillow.fromarray(frame) for frame in frames)
+    with write_whole(path) as temporary:
+        duration = round(1000.0 / frame_rate)
+        first.save(temporary, save_all=True, append_images=rest, duration=duration, loop=0, quality=_PREVIEW_QUALITY)
+
+
+def _surround(images: Mapping[str, Image], tile_width: int) -> Image:
+    """One picture of the views of one moment, rows centred."""
+    rows = []
+    for places in _PLACES:
+        names = [name for name in places if name in images]
+        if names:
+            tiles = _side_by_side([images[name] for name in names], tile_width)
+            rows.append(np.concatenate([_caption([short_name(name) for name in names], tile_width), tiles]))
+    width = max(row.shape[1] for row in rows)
+    return np.concatenate([_centred(row, width) for row in rows])
+
+
+def _centred(row: Image, width: int) -> Image:
+    left = (width - row.shape[1]) // 2
+    return np.pad(row, ((0, 0), (left, width - row.shape[1] - left), (0, 0)))
+
+
+def _caption(texts: Sequence[str], width: int) -> Image:
+    """A strip of texts, each at the left of its part of `width` pixels."""
+    strip = np.zeros((_CAPTION_HEIGHT, len(texts) * width, 3), np.uint8)
+    for index, text in enumerate(texts):
+        place = (index * width + 4, _CAPTION_HEIGHT - 7)
+        cv2.putText(strip, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, _TEXT_COLOUR, 1, cv2.LINE_AA)
+    return strip
+
+
+def _side_by_side(tiles: Sequence[Image], width: int) -> Image:
+    """Pictures of one size scaled to `width` pixels, a dark line on the right of each."""
+    height = max(1, round(tiles[0].shape[0] * width / tiles[0].shape[1]))
+    row = [cv2.resize(tile, (width, height), interpolation=cv2.INTER_AREA) for tile in tiles]
+    for tile in row:
+        tile[:, -_GAP:] = 0
+    return np.concatenate(row, axis=1, dtype=np.uint8)

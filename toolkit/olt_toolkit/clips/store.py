@@ -1,0 +1,407 @@
+"""A folder of clips in PhysicalAI-AV layout, with one more table that says what each clip is.
+
+Clips are prepared one by one, by as many processes as one likes, and committed together into the next chunk. A commit
+writes chunks first and the clip table last: interrupted at any point it leaves the old store readable, and the next
+commit overwrites what it left. The public readers have no filter by split (facts sheet pai_dataset, section 1), so
+clips of held-out scenes belong in a store of their own.
+"""
+
+import fcntl
+import shutil
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from olt_generator.errors import InputError
+from olt_generator.files import make_folder, write_whole_folder
+from olt_generator.poses import Array, invert
+from olt_toolkit.clips.chunk_archive import ByteRange, ChunkArchive
+from olt_toolkit.clips.clip import Clip, ClipInfo, EgoMotion, check_clip_id
+from olt_toolkit.clips.files import pack_chunk, write_clip_files, write_metadata
+from olt_toolkit.clips.pai_layout import (
+    CALIBRATIONS,
+    CAMERA_INTRINSICS,
+    CLIP_INDEX,
+    EGOMOTION,
+    FEATURES,
+    FRAME_TIMESTAMPS,
+    SENSOR_EXTRINSICS,
+    VEHICLE_DIMENSIONS,
+    VIDEO,
+)
+from olt_toolkit.clips.pai_tables import (
+    read_egomotion,
+    read_indexed,
+    read_mounted_camera,
+    read_table,
+    read_timestamps,
+    read_vehicle,
+)
+from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
+from olt_toolkit.clips.video import check_video, decode_frames, decode_images
+from olt_toolkit.policy.sample import PolicySample, SampleKey
+from olt_toolkit.policy.window import (
+    FUTURE_OFFSETS_US,
+    HISTORY_OFFSETS_US,
+    IMAGE_OFFSETS_US,
+    Coverage,
+    check_sample_window,
+    newest_frames,
+)
+from olt_toolkit.rigs.rig import CAMERA_INDEX, POLICY_CAMERAS, MountedCamera, VehicleDimensions
+
+CLIPS_PER_CHUNK = 100
+
+
+class ClipStore:
+    """Clips under one folder.
+
+    Reading sees the clips that were there when this object was first asked, and those that it commits itself.
+    """
+
+    def __init__(self, root: Path) -> None:
+        self.root = root
+        self._archives: dict[Path, ChunkArchive] = {}
+
+    # Writing
+
+    def prepare(self, clip: Clip) -> ClipInfo:
+        """Encode a clip beside the store, ready to be committed. Different clips may be prepared at the same time.
+
+        Returns:
+            The clip's row in the clip table.
+
+        Raises:
+            InputError: the clip contradicts itself, or the layout cannot hold it.
+        """
+        with write_whole_folder(self._prepared(clip.clip_id)) as folder:
+            return write_clip_files(folder, clip)
+
+    def is_prepared(self, clip_id: str) -> bool:
+        """Whether the clip waits to be committed."""
+        return self._prepared(clip_id).is_dir()
+
+    def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
+        """Add prepared clips to the store; those that it holds already stay as they are.
+
+        Returns:
+            The ids that were added, in the order given.
+
+        Raises:
+            InputError: a clip is neither prepared nor in the store, or another process is committing.
+        """
+        wanted = tuple(dict.fromkeys(clip_ids))
+        with self._only_writer():
+            self._forget()
+            clips = list(self._clips.values()) if (self.root / CLIP_TABLE).exists() else []
+            chunks = [self._chunk(info.clip_id) for info in clips]
+            known = {info.clip_id for info in clips}
+            new = tuple(clip_id for clip_id in wanted if clip_id not in known)
+            for clip_id in new:
+                if not self.is_prepared(clip_id):
+                    raise InputError(
+                        f"{self.root}: clip {clip_id} is neither prepared nor in the store; prepare it first"
+                    )
+            for start in range(0, len(new), CLIPS_PER_CHUNK):
+                folders = [self._prepared(clip_id) for clip_id in new[start : start + CLIPS_PER_CHUNK]]
+                chunk = max(chunks, default=-1) + 1
+                clips += pack_chunk(self.root, chunk, folders)
+                chunks += [chunk] * len(folders)
+            if new:
+                write_metadata(self.root, clips, chunks)
+                write_clip_table(self.root / CLIP_TABLE, clips)
+            for clip_id in wanted:
+                shutil.rmtree(self._prepared(clip_id), ignore_errors=True)
+            self._forget()
+        return new
+
+    # Reading
+
+    def clips(self) -> list[ClipInfo]:
+        """All clips, in the order in which they were added.
+
+        Raises:
+            InputError: the folder is not a clip store, or its tables are damaged.
+        """
+        return list(self._clips.values())
+
+    def __contains__(self, clip_id: str) -> bool:
+        return (self.root / CLIP_TABLE).exists() and clip_id in self._clips
+
+    def info(self, clip_id: str) -> ClipInfo:
+        """The clip's row in the clip table.
+
+        Raises:
+            InputError: the store has no such clip.
+        """
+        if clip_id not in self._clips:
+            raise InputError(f"{self.root}: no clip {clip_id}; `olt clip inspect` lists the {len(self._clips)} there")
+        return self._clips[clip_id]
+
+    def find(self, text: str) -> str:
+        """The id of the clip that is called so, by id or by name.
+
+        Raises:
+            InputError: no clip is called so, or several are.
+        """
+        found = [clip_id for clip_id, info in self._clips.items() if text in (clip_id, info.name)]
+        if len(found) == 1:
+            return found[0]
+        problem = f"no clip {text!r}" if not found else f"{len(found)} clips are called {text!r}: {', '.join(found)}"
+        raise InputError(f"{self.root}: {problem}; `olt clip inspect` lists the clips and their ids")
+
+    def chunks(self) -> dict[int, list[str]]:
+        """The ids of all clips by the number of the chunk that holds them.
+
+        Raises:
+            InputError: the clip index is missing or damaged.
+        """
+        by_chunk: dict[int, list[str]] = {}
+        for clip_id, chunk in self._chunks.items():
+            by_chunk.setdefault(chunk, []).append(clip_id)
+        return by_chunk
+
+    def check(self, clip_id: str, t0s_us: Sequence[int]) -> None:
+        """Check that a clip's tables can be read, that its videos have their frames, and that it gives these samples.
+
+        Raises:
+            InputError: naming the file and what is wrong with it.
+        """
+        info = self.info(clip_id)
+        timestamps = {camera: self.read_timestamps(clip_id, camera) for camera in info.views}
+        self._check_windows(clip_id, t0s_us, self.read_ego_motion(clip_id), timestamps)
+        for camera in info.views:
+            video, where = self._video(clip_id, camera)
+            check_video(video, len(timestamps[camera]), where)
+        for feature in CALIBRATIONS:
+            self.read_rows(clip_id, feature)
+
+    def read_member(self, clip_id: str, feature: str, alias: str) -> bytes:
+        """One file of a clip out of its chunk's zip, as it is.
+
+        Raises:
+            InputError: it is missing or damaged.
+        """
+        return self._member(clip_id, feature, alias)[0]
+
+    def read_rows(self, clip_id: str, feature: str) -> pd.DataFrame:
+        """The rows of a clip in one of the calibration tables, with their index.
+
+        Raises:
+            InputError: the table is missing or damaged, or has no row for the clip.
+        """
+        path = self._chunk_file(clip_id, feature)
+        table = read_table(path, [], str(path)).to_pandas()
+        rows = table[table.index.get_level_values(0) == clip_id]
+        if rows.empty:
+            raise InputError(f"{path}: no row for {clip_id}")
+        return rows
+
+    def read_ego_motion(self, clip_id: str) -> EgoMotion:
+        """The motion of the rig in the clip's anchor frame."""
+        return read_egomotion(*self._member(clip_id, EGOMOTION, EGOMOTION))
+
+    def read_camera(self, clip_id: str, camera: str) -> MountedCamera:
+        """Lens and mounting of one camera."""
+        intrinsics = self._chunk_file(clip_id, CAMERA_INTRINSICS)
+        return read_mounted_camera(intrinsics, self._chunk_file(clip_id, SENSOR_EXTRINSICS), clip_id, camera)
+
+    def read_vehicle(self, clip_id: str) -> VehicleDimensions:
+        """Size of the vehicle."""
+        return read_vehicle(self._chunk_file(clip_id, VEHICLE_DIMENSIONS), clip_id)
+
+    def read_timestamps(self, clip_id: str, camera: str) -> NDArray[np.int64]:
+        """Clip times (n,) of one camera's frames."""
+        return read_timestamps(*self._member(clip_id, camera, FRAME_TIMESTAMPS))
+
+    def read_frames(
+        self, clip_id: str, camera: str, times_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """The newest frame of one camera at or before each time.
+
+        Args:
+            clip_id: which clip.
+            camera: name of the camera.
+            times_us: (m,) ascending clip times.
+
+        Returns:
+            Frames (m, H, W, 3) RGB and the times (m,) of these frames.
+
+        Raises:
+            InputError: a time lies outside the first and last frame, or the files are damaged.
+        """
+        timestamps_us = self.read_timestamps(clip_id, camera)
+        if times_us[0] < timestamps_us[0] or times_us[-1] > timestamps_us[-1]:
+            raise InputError(
+                f"{self.root}: clip {clip_id}: {camera} covers {timestamps_us[0]} to {timestamps_us[-1]} us; "
+                f"{times_us[0]} to {times_us[-1]} us was asked for"
+            )
+        indices = newest_frames(timestamps_us, times_us)
+        video, where = self._video(clip_id, camera)
+        return decode_frames(video, indices, where), timestamps_us[indices]
+
+    def load_sample(self, key: SampleKey, image_size: tuple[int, int] | None = None) -> PolicySample:
+        """Load what the public loader gives for a clip and t0, by the same rules.
+
+        Args:
+            key: clip and t0; `key.store` tells which store to open and is not looked at here.
+            image_size: height and width to which images are scaled; None keeps those of the clip.
+
+        Raises:
+            InputError: the clip does not cover the sample, or its files are damaged.
+        """
+        return self.load_samples([key], image_size)[0]
+
+    def load_samples(self, keys: Sequence[SampleKey], image_size: tuple[int, int] | None = None) -> list[PolicySample]:
+        """Load samples in the order of `keys`; every clip is opened and decoded once, whatever their order.
+
+        Raises:
+            InputError: see `load_sample`.
+        """
+        times: dict[str, list[int]] = {}
+        for key in keys:
+            times.setdefault(key.clip_id, []).append(key.t0_us)
+        loaded = {
+            (sample.clip_id, sample.t0_us): sample
+            for clip_id, t0s_us in times.items()
+            for sample in self._load_clip_samples(clip_id, sorted(set(t0s_us)), image_size)
+        }
+        return [loaded[key.clip_id, key.t0_us] for key in keys]
+
+    def _load_clip_samples(
+        self, clip_id: str, t0s_us: Sequence[int], image_size: tuple[int, int] | None
+    ) -> list[PolicySample]:
+        where = f"{self.root}: clip {clip_id}"
+        present = [name for name in POLICY_CAMERAS if name in self.info(clip_id).views]
+        timestamps = {name: self.read_timestamps(clip_id, name) for name in present}
+        motion = self.read_ego_motion(clip_id)
+        self._check_windows(clip_id, t0s_us, motion, timestamps)
+
+        asked = np.array(t0s_us)[:, None] + IMAGE_OFFSETS_US
+        query, places = np.unique(asked, return_inverse=True)
+        indices = {name: newest_frames(timestamps[name], query) for name in POLICY_CAMERAS}
+        views = [self._decode(clip_id, name, indices[name], image_size) for name in POLICY_CAMERAS]
+        if len({images.shape for images in views}) > 1:
+            raise InputError(f"{where}: its cameras have different image sizes; give an image size to scale them to")
+        shown = np.stack([timestamps[name][indices[name]] for name in POLICY_CAMERAS])
+        return [
+            _assemble_sample(clip_id, t0_us, _pick(views, place), shown[:, place], motion)
+            for t0_us, place in zip(t0s_us, places.reshape(asked.shape), strict=True)
+        ]
+
+    def _check_windows(
+        self, clip_id: str, t0s_us: Sequence[int], motion: EgoMotion, timestamps: Mapping[str, NDArray[np.int64]]
+    ) -> None:
+        spans = {camera: (int(times[0]), int(times[-1])) for camera, times in timestamps.items()}
+        coverage = Coverage(motion.span_us, spans)
+        for t0_us in t0s_us:
+            check_sample_window(t0_us, coverage, f"{self.root}: clip {clip_id}")
+
+    def _decode(
+        self, clip_id: str, camera: str, indices: NDArray[np.int64], size: tuple[int, int] | None
+    ) -> NDArray[np.uint8]:
+        video, where = self._video(clip_id, camera)
+        return decode_images(video, indices, where, size)
+
+    # Where things are
+
+    @cached_property
+    def _clips(self) -> dict[str, ClipInfo]:
+        path = self.root / CLIP_TABLE
+        if not path.exists():
+            raise InputError(
+                f"{self.root}: not a clip store, there is no {CLIP_TABLE}; build one with `olt clip build`"
+            )
+        return {info.clip_id: info for info in read_clip_table(path)}
+
+    @cached_property
+    def _chunks(self) -> dict[str, int]:
+        path = self.root / CLIP_INDEX
+        table = read_indexed(path, ["chunk"], ["clip_id"])
+        if table["chunk"].dtype != np.int64:
+            raise InputError(f"{path}: column chunk is {table['chunk'].dtype}; it must be int64")
+        clip_ids = [check_clip_id(clip_id, str(path)) for clip_id in table.index]
+        return dict(zip(clip_ids, table["chunk"].tolist(), strict=True))
+
+    def _forget(self) -> None:
+        self._archives.clear()
+        for name in ("_clips", "_chunks"):
+            self.__dict__.pop(name, None)
+
+    def _chunk(self, clip_id: str) -> int:
+        if clip_id not in self._chunks:
+            raise InputError(f"{self.root / CLIP_INDEX}: no row for clip {self.info(clip_id).clip_id}")
+        return self._chunks[clip_id]
+
+    def _chunk_file(self, clip_id: str, feature: str) -> Path:
+        return FEATURES[feature].chunk_file(self.root, self._chunk(clip_id))
+
+    def _member(self, clip_id: str, feature: str, alias: str) -> tuple[bytes, str]:
+        """One member of a chunk's zip, and what to call it in errors."""
+        archive, name = self._archive(clip_id, feature), FEATURES[feature].member(alias, clip_id)
+        return archive.read(name), f"{archive.path}: {name}"
+
+    def _video(self, clip_id: str, camera: str) -> tuple[ByteRange | bytes, str]:
+        """A camera's video, in place where it is not compressed in its zip, and what to call it in errors."""
+        archive, name = self._archive(clip_id, camera), FEATURES[camera].member(VIDEO, clip_id)
+        return archive.locate(name) or archive.read(name), f"{archive.path}: {name}"
+
+    def _archive(self, clip_id: str, feature: str) -> ChunkArchive:
+        path = self._chunk_file(clip_id, feature)
+        if path not in self._archives:
+            self._archives[path] = ChunkArchive(path)
+        return self._archives[path]
+
+    def _prepared(self, clip_id: str) -> Path:
+        return self.root / ".staging" / check_clip_id(clip_id, str(self.root))
+
+    @contextmanager
+    def _only_writer(self) -> Iterator[None]:
+        """Hold the store's lock; the system releases it however this process ends."""
+        make_folder(self.root)
+        with (self.root / ".lock").open("w") as lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError as error:
+                raise InputError(f"{self.root}: another process is adding clips; wait until it is done") from error
+            yield
+
+
+def _assemble_sample(
+    clip_id: str, t0_us: int, images: NDArray[np.uint8], shown_us: NDArray[np.int64], motion: EgoMotion
+) -> PolicySample:
+    """A sample of images (4, 4, 3, H, W) that were taken at the times (4, 4)."""
+    history, future = _poses_at(motion, t0_us)
+    return PolicySample(
+        image_frames=images,
+        camera_indices=np.array([CAMERA_INDEX[name] for name in POLICY_CAMERAS], dtype=np.int64),
+        ego_history_xyz=history[None, :, :3, 3].astype(np.float32),
+        ego_history_rot=history[None, :, :3, :3].astype(np.float32),
+        ego_future_xyz=future[None, :, :3, 3].astype(np.float32),
+        ego_future_rot=future[None, :, :3, :3].astype(np.float32),
+        relative_timestamps=((shown_us - shown_us.min()) * 1e-6).astype(np.float32),
+        absolute_timestamps=shown_us,
+        t0_us=t0_us,
+        clip_id=clip_id,
+    )
+
+
+def _pick(views: Sequence[NDArray[np.uint8]], places: NDArray[np.int64]) -> NDArray[np.uint8]:
+    """Images (cameras, len(places), 3, H, W) at the same places of each view."""
+    picked = np.empty((len(views), len(places), *views[0].shape[1:]), np.uint8)
+    for target, images in zip(picked, views, strict=True):
+        np.take(images, places, axis=0, out=target)
+    return picked
+
+
+def _poses_at(motion: EgoMotion, t0_us: int) -> tuple[Array, Array]:
+    """Past poses (16, 4, 4) and future poses (64, 4, 4) in the rig frame at t0."""
+    offsets = np.concatenate([HISTORY_OFFSETS_US, FUTURE_OFFSETS_US])
+    poses = motion.interpolate(t0_us + offsets)
+    relative = invert(poses[len(HISTORY_OFFSETS_US) - 1]) @ poses
+    return relative[: len(HISTORY_OFFSETS_US)], relative[len(HISTORY_OFFSETS_US) :]

@@ -1,0 +1,123 @@
+"""The table of clips, `clips.parquet`: what the PhysicalAI-AV layout has no place for.
+
+One row a clip, in the order in which clips were added. This is the only place that knows its columns. The same table
+under another name lists clips that are indexed and not built.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any, get_args
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from olt_generator.errors import InputError
+from olt_generator.files import write_whole
+from olt_toolkit.clips.clip import ClipInfo, ClipKind, ClipOrigin, Split, ViewKind, ViewProvenance, check_clip_id
+from olt_toolkit.clips.pai_tables import read_table
+
+CLIP_TABLE = "clips.parquet"
+TABLE_VERSION = 3
+VERSION_KEY = b"table_version"
+
+_VIEW = pa.struct(
+    [
+        ("camera", pa.string()),
+        ("kind", pa.string()),
+        ("engine", pa.string()),
+        ("version", pa.string()),
+        ("seed", pa.int64()),
+        ("observed_share", pa.float64()),
+        ("invented_share", pa.float64()),
+        ("other_times_share", pa.float64()),
+    ]
+)
+SCHEMA = pa.schema(
+    [
+        ("clip_id", pa.string()),
+        ("name", pa.string()),
+        ("scene_id", pa.string()),
+        ("source", pa.string()),
+        ("recording", pa.string()),
+        ("start_us", pa.int64()),
+        ("end_us", pa.int64()),
+        ("country", pa.string()),
+        ("licence", pa.string()),
+        ("kind", pa.string()),
+        ("category", pa.string()),
+        ("factors", pa.list_(pa.string())),
+        ("split", pa.string()),
+        ("duration_us", pa.int64()),
+        ("sample_t0_us", pa.list_(pa.int64())),
+        ("no_sample_reason", pa.string()),
+        ("created_with", pa.string()),
+        ("checksum", pa.string()),
+        ("fingerprint", pa.list_(pa.uint64())),
+        ("views", pa.list_(_VIEW)),
+    ],
+    metadata={VERSION_KEY: str(TABLE_VERSION).encode()},
+)
+OPTIONAL_COLUMNS = frozenset({"split", "no_sample_reason", "country", "licence", "fingerprint"})
+
+
+def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
+    """Write the table; it appears whole."""
+    rows = [_row(info) for info in clips]
+    with write_whole(path) as temporary:
+        pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), temporary)
+
+
+def read_clip_table(path: Path) -> list[ClipInfo]:
+    """Read the table.
+
+    Raises:
+        InputError: the file is missing, of another version, or holds what no clip can have.
+    """
+    table = read_table(path, SCHEMA.names, str(path))
+    check_table_version((table.schema.metadata or {}).get(VERSION_KEY), path)
+    for name in SCHEMA.names:
+        if table.schema.field(name).type != SCHEMA.field(name).type:
+            raise InputError(f"{path}: column {name} is {table.schema.field(name).type}, not {SCHEMA.field(name).type}")
+        if table.column(name).null_count and name not in OPTIONAL_COLUMNS:
+            raise InputError(f"{path}: column {name} has missing values")
+    return [_info(row, f"{path}: row {index}") for index, row in enumerate(table.to_pylist())]
+
+
+def check_table_version(version: bytes | str | None, path: Path) -> None:
+    """Check the version that the metadata of a table tell.
+
+    Raises:
+        InputError: there is none, or it is not the one that this release reads.
+    """
+    text = version.decode(errors="replace") if isinstance(version, bytes) else version
+    if text is None or not text.isdecimal():
+        raise InputError(f"{path}: table_version is {text!r}; this is no clip table")
+    if int(text) != TABLE_VERSION:
+        advice = "install a newer release" if int(text) > TABLE_VERSION else "build the clips again"
+        raise InputError(f"{path}: table_version is {text}, this release reads {TABLE_VERSION}; {advice}")
+
+
+def _row(info: ClipInfo) -> dict[str, Any]:
+    row = {field.name: getattr(info, field.name) for field in fields(info) if field.name != "origin"}
+    views = [{"camera": camera, **asdict(view)} for camera, view in info.views.items()]
+    return row | asdict(info.origin) | {"views": views}
+
+
+def _info(row: dict[str, Any], where: str) -> ClipInfo:
+    check_clip_id(row["clip_id"], where)
+    _check_word(row["kind"], get_args(ClipKind), f"{where}: kind")
+    if row["split"] is not None:
+        _check_word(row["split"], get_args(Split), f"{where}: split")
+    for view in row["views"]:
+        _check_word(view["kind"], get_args(ViewKind), f"{where}: view {view['camera']}: kind")
+    row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
+    row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
+    row["fingerprint"] = None if row["fingerprint"] is None else tuple(row["fingerprint"])
+    origin = ClipOrigin(**{field.name: row.pop(field.name) for field in fields(ClipOrigin)})
+    return ClipInfo(**row, origin=origin)
+
+
+def _check_word(word: str, allowed: tuple[str, ...], where: str) -> None:
+    if word not in allowed:
+        raise InputError(f"{where} is {word!r}; it must be one of {', '.join(allowed)}")

@@ -1,0 +1,118 @@
+"""Single views of a recording or of a stored clip, written as video files for people and other tools."""
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from olt_generator.errors import InputError
+from olt_generator.files import make_folder, write_whole
+from olt_generator.motion.pose_sources import KnownPoses
+from olt_generator.trajectory import Trajectory
+from olt_generator.video import write_video
+from olt_generator.views.view_plan import ViewPlan, plan_views
+from olt_toolkit.clips.builder import BuiltClip
+from olt_toolkit.clips.pictures import write_clip_pictures
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.views import BuildOptions
+from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, short_name
+
+PLAN_FILE = "plan.json"
+PICTURES_NAME = "views"
+
+
+def parse_cameras(text: str) -> tuple[str, ...]:
+    """Camera names out of a list with commas; short ones (`cross_left`) stand for whole ones.
+
+    Raises:
+        InputError: a name is not one of the rig's cameras, or there is none.
+    """
+    whole_names = {short_name(name): name for name in CAMERA_INDEX} | {name: name for name in CAMERA_INDEX}
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    unknown = [name for name in names if name not in whole_names]
+    if unknown or not names:
+        choices = ", ".join(short_name(name) for name in CAMERA_INDEX)
+        raise InputError(f"--cameras {text!r}: {', '.join(unknown) or 'no camera'} named; choose from {choices}")
+    return tuple(dict.fromkeys(whole_names[name] for name in names))
+
+
+def reopen_clip(store: ClipStore, clip_id: str) -> Recording:
+    """The front view of a stored clip as a recording whose motion is known, so that more views can be made of it.
+
+    Raises:
+        InputError: the store has no such clip, or the clip no front view.
+    """
+    info = store.info(clip_id)
+    if FRONT_WIDE not in info.views:
+        raise InputError(f"{store.root}: clip {clip_id} has no {FRONT_WIDE} view, from which all others are made")
+    front, times_us = store.read_camera(clip_id, FRONT_WIDE), store.read_timestamps(clip_id, FRONT_WIDE)
+    frames, _ = store.read_frames(clip_id, FRONT_WIDE, times_us)
+    timestamps_us = times_us - times_us[0]
+    return Recording(
+        name=info.name,
+        source=info.source,
+        frames=frames,
+        timestamps_us=timestamps_us,
+        camera=front.camera,
+        T_rig_camera=front.T_rig_camera,
+        vehicle=store.read_vehicle(clip_id),
+        assumptions=("The images and the motion are those stored in the clip.",),
+        reference=Trajectory(timestamps_us, store.read_ego_motion(clip_id).interpolate(times_us)),
+    )
+
+
+def leave_out_motion(recording: Recording, options: BuildOptions) -> BuildOptions:
+    """The options without measuring the motion, where the wanted views are all cut out of the front view."""
+    if _needs_motion(plan_views(options.cameras)):
+        return options
+    standing = Trajectory(recording.timestamps_us[[0, -1]], np.stack([np.eye(4), np.eye(4)]))
+    return replace(options, use_reference_motion=False, poses=KnownPoses(standing))
+
+
+def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
+    """Write one mp4 per view, a contact sheet, an animated preview, and the plan of what was made and left out.
+
+    Each file appears whole; the plan is written last.
+
+    Returns:
+        What the plan holds.
+
+    Raises:
+        InputError: the folder cannot be written to.
+    """
+    make_folder(folder)
+    streams = built.clip.streams
+    for name, stream in streams.items():
+        write_video(folder / f"{name}.mp4", stream.frames, stream.frame_rate)
+    times_us = next(iter(streams.values())).timestamps_us
+    images = {name: stream.frames for name, stream in streams.items()}
+    pictures = write_clip_pictures(folder, PICTURES_NAME, images, built.observed, times_us)
+    plan = _describe_plan(built, folder) | {"pictures": pictures}
+    with write_whole(folder / PLAN_FILE) as temporary:
+        temporary.write_text(json.dumps(plan, indent=2, allow_nan=False) + "\n")
+    return plan
+
+
+def _describe_plan(built: BuiltClip, folder: Path) -> dict[str, Any]:
+    views = {
+        name: asdict(view) | {"method": built.plan.methods[name], "file": str(folder / f"{name}.mp4")}
+        for name, view in built.clip.provenance.items()
+    }
+    left_out = dict(built.left_out)
+    if not _needs_motion(built.plan):
+        left_out["motion of the vehicle"] = "no wanted view needs it"
+    return {
+        "recording": built.clip.name,
+        "views": views,
+        "order": list(built.plan.needed),
+        "left_out": left_out,
+        "assumptions": list(built.assumptions),
+        "seconds": dict(built.seconds),
+    }
+
+
+def _needs_motion(plan: ViewPlan) -> bool:
+    return "synthesized" in plan.methods.values()

@@ -1,0 +1,186 @@
+"""How each view of a clip is made: taken as it is, cropped, or synthesized from the front view."""
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+import olt_generator
+from olt_generator.cameras import Camera, fit_camera
+from olt_generator.distance.depth_source import DepthSource, GeometricDepth
+from olt_generator.errors import InputError
+from olt_generator.motion.pose_sources import PoseSource, VisualOdometry
+from olt_generator.poses import Array
+from olt_generator.progress import Progress, silent
+from olt_generator.views.front_view import FrontView
+from olt_generator.views.lookback import LOOKBACK_LATENTS
+from olt_generator.views.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
+from olt_generator.views.tele import crop_tele, tele_camera
+from olt_toolkit import __version__
+from olt_toolkit.clips.clip import UNLABELLED, ClipOrigin, Split, ViewKind, ViewProvenance
+from olt_toolkit.clips.images import fit_images
+from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.rigs.rig import FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, Rig, pav_rig
+
+Images = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class BuildOptions:
+    """How a clip is built.
+
+    Attributes:
+        width, height: size of all views in pixels, even because video is coded in blocks of two.
+        rig: the rig whose views are wanted; synthesized views are seen from its cameras.
+        cameras: which of its views.
+        frames: which frames are made: "all"; of these the "shown", which at 30 Hz is one in three: those that samples
+            with t0 on the 0.1 s grid show, of this clip or one that goes on; or those alone that are "sampled" from
+            this clip, which leaves out its first 1.4 s and last 6.4 s.
+        use_reference_views: take the recording's true images and trajectory instead of synthesizing: kind GT.
+        use_reference_motion: take the recording's true trajectory although views are synthesized.
+        poses: where the motion comes from otherwise.
+        depth: where the distances come from.
+        image_kind: how the recording's own images came to be, for the provenance.
+        name, scene_id: None for the recording's name.
+        category, factors, split: see `Clip`.
+        origin: what the recording was cut from; None where it is whole, and nothing more is known of it.
+        sample_t0_us: see `Clip`.
+        seed: goes into the clip's id and provenance; nothing in the build is random yet.
+    """
+
+    width: int = 576
+    height: int = 320
+    rig: Rig = field(default_factory=pav_rig)
+    cameras: tuple[str, ...] = POLICY_CAMERAS
+    frames: Literal["all", "shown", "sampled"] = "shown"
+    use_reference_views: bool = False
+    use_reference_motion: bool = False
+    poses: PoseSource = field(default_factory=VisualOdometry)
+    depth: DepthSource = field(default_factory=GeometricDepth)
+    image_kind: ViewKind = "observed"
+    name: str | None = None
+    scene_id: str | None = None
+    category: str = UNLABELLED
+    factors: tuple[str, ...] = ()
+    split: Split = "train"
+    origin: ClipOrigin | None = None
+    sample_t0_us: tuple[int, ...] | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.width % 2 or self.height % 2 or min(self.width, self.height) < 2:
+            raise InputError(f"views of {self.width} x {self.height} pixels: width and height must be even")
+
+
+@dataclass(frozen=True)
+class View:
+    """The images of one camera.
+
+    Attributes:
+        images: (n, height, width, 3) uint8.
+        camera: their lens.
+        T_rig_camera: (4, 4) mounting.
+        provenance: where the pixels came from.
+        origin: (n, height, width) a `PixelOrigin` per pixel; None where all are true.
+        drawn_on: for each image the other front frames that it was made from; None where all are true.
+    """
+
+    images: Images
+    camera: Camera
+    T_rig_camera: Array
+    provenance: ViewProvenance
+    origin: NDArray[np.uint8] | None = None
+    drawn_on: tuple[tuple[int, ...], ...] | None = None
+
+    @property
+    def observed(self) -> NDArray[np.bool_] | None:
+        """Pixels (n, height, width) taken from what the front camera saw; None where all are true."""
+        return None if self.origin is None else self.origin != PixelOrigin.INVENTED
+
+
+@dataclass(frozen=True)
+class ViewMaker:
+    """Makes any view of a recording.
+
+    Attributes:
+        recording: the images to make views for, and true images of other cameras where they are known.
+        options: size, rig and whether to take true images.
+        T_rig_front: (4, 4) mounting of the front camera, as corrected by the motion.
+        front: images of the front camera with their distances; None where nothing is synthesized.
+        indices: (n,) numbers of the recording's images among those of `front`.
+    """
+
+    recording: Recording
+    options: BuildOptions
+    T_rig_front: Array
+    front: FrontView | None
+    indices: NDArray[np.int64]
+
+    def make(self, name: str, on_progress: Progress = silent) -> View:
+        """Make one view.
+
+        Raises:
+            InputError: its true images are wanted and not there, or the front lens cannot give it.
+        """
+        if self.options.use_reference_views and name in self.recording.views:
+            return self._true_view(name)
+        if name == FRONT_WIDE:
+            return self._front()
+        if name == FRONT_TELE:
+            return self._tele()
+        if self.front is None:
+            raise InputError(f"{self.recording.name}: no true images of {name}; let it be synthesized instead")
+        return self._synthesized(name, self.front, on_progress)
+
+    def _front(self) -> View:
+        camera = fit_camera(self.recording.camera, self.options.width, self.options.height)
+        images = fit_images(self.recording.frames, self.options.width, self.options.height)
+        return View(images, camera, self.T_rig_front, self._as_given(self.options.image_kind))
+
+    def _tele(self) -> View:
+        front = self.recording.camera
+        camera = tele_camera(front, self.options.width, self.options.height)
+        images = crop_tele(self.recording.frames, front, camera)
+        return View(images, camera, self.T_rig_front, self._as_given("cropped"))
+
+    def _true_view(self, name: str) -> View:
+        images = self.recording.views[name]
+        size = self.options.width, self.options.height
+        mounted = self.recording.mounted.get(name) or self.options.rig.fitted(images.shape[2], images.shape[1])[name]
+        return View(
+            fit_images(images, *size),
+            fit_camera(mounted.camera, *size),
+            mounted.T_rig_camera,
+            self._true_provenance(name),
+        )
+
+    def _true_provenance(self, name: str) -> ViewProvenance:
+        if name not in self.recording.observed:
+            return self._as_given(self.options.image_kind)
+        mask = np.repeat(np.where(self.recording.observed[name], 255, 0).astype(np.uint8)[None, ..., None], 3, axis=-1)
+        share = float(fit_images(mask, self.options.width, self.options.height).mean()) / 255.0
+        return ViewProvenance("mosaic", self.recording.source, __version__, None, share, 1.0 - share)
+
+    def _synthesized(self, name: str, front: FrontView, on_progress: Progress) -> View:
+        target = self.options.rig.fitted(self.options.width, self.options.height)[name]
+        settings = SynthesisSettings(lookback=LOOKBACK_LATENTS.get(name))
+        indices = self.indices.tolist()
+        view = synthesize_view(front, target.camera, target.T_rig_camera, indices, settings, on_progress)
+        same_frame, other_frame = (
+            float((view.origin == origin).mean()) for origin in (PixelOrigin.SAME_FRAME, PixelOrigin.OTHER_FRAME)
+        )
+        observed = same_frame + other_frame
+        provenance = ViewProvenance(
+            kind="warped",
+            engine="olt_generator.views.synthesis",
+            version=olt_generator.__version__,
+            seed=self.options.seed,
+            observed_share=observed,
+            invented_share=1.0 - observed,
+            other_times_share=other_frame,
+        )
+        return View(view.images, target.camera, target.T_rig_camera, provenance, view.origin, view.drawn_on)
+
+    def _as_given(self, kind: ViewKind) -> ViewProvenance:
+        return ViewProvenance(kind, self.recording.source, __version__, None, 1.0, 0.0)

@@ -1,0 +1,218 @@
+"""What `olt clip` prints for people."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from olt_toolkit.clips.build_job import Outcome
+from olt_toolkit.runtime.console import print_line, print_table
+
+# Label, and where the number is found in the pose errors.
+_POSE_ROWS = (
+    ("ATE (m)", ("metric", "ate_m")),
+    ("rotation to first pose (deg)", ("metric", "rotation_to_first_deg")),
+    ("rotation by step (deg)", ("metric", "step_rotation_deg")),
+    ("translation by step (%)", ("metric", "step_translation_percent")),
+    ("drift at the end (%)", ("metric", "drift_percent")),
+    ("ATE after Sim(3) alignment (m)", ("sim3", "ate_m")),
+    ("scale of the Sim(3) alignment", ("sim3", "scale")),
+)
+
+_SHARES = ("observed", "at other times", "invented")
+
+
+def print_build(summary: dict[str, Any]) -> None:
+    """Print what building one clip gave."""
+    clip, trajectory = summary["clip"], summary["trajectory"]
+    print_line(f"clip {clip['name']} ({clip['kind']}) {clip['clip_id']}")
+    print_line(
+        f"trajectory: {trajectory['length']:.1f} m in {trajectory['duration']:.1f} s, speed "
+        f"{trajectory['lowest_speed']:.1f} to {trajectory['highest_speed']:.1f} m/s"
+    )
+    print_line(f"poses: {summary['sources']['poses']}, depth: {summary['sources']['depth']}")
+    print_table(
+        "Errors against the reference, and jerk", ["quantity", "before smoothing", "after"], _error_rows(summary)
+    )
+    _print_label_noise(summary["label_noise"])
+    print_table("Views", ["view", "kind", *_SHARES, "PSNR dB", "PSNR dB, observed"], _view_rows(summary))
+    print_table("Run time", ["stage", "seconds"], list((summary["seconds"] | summary["store_seconds"]).items()))
+    _print_notes(summary)
+    print_line(_sample_line(clip))
+    print_line(f"pictures: {summary['pictures']['contact_sheet']}, {summary['pictures']['animation']}")
+
+
+def print_outcomes(outcomes: Sequence[Outcome], store: Path) -> None:
+    """Print what became of each recording of a folder, failures last."""
+    rows = [
+        (outcome.path.name, outcome.state, outcome.clip_id, *_outcome_cells(outcome.summary))
+        for outcome in outcomes
+        if outcome.state != "failed"
+    ]
+    columns = ["recording", "state", "clip", "length m", "label noise m/s2", "seconds", "samples"]
+    print_table(f"Clips in {store}", columns, rows)
+    for outcome in outcomes:
+        if outcome.state == "failed":
+            print_line(f"failed: {outcome.path.name}: {outcome.message}")
+
+
+def print_plan(plan: dict[str, Any], folder: Path) -> None:
+    """Print which views were made, how, and which were left out."""
+    rows = [
+        (
+            name,
+            view["method"],
+            *_share_cells(view),
+            Path(view["file"]).name,
+        )
+        for name, view in plan["views"].items()
+    ]
+    print_table(f"Views of {plan['recording']}", ["view", "method", *_SHARES, "file"], rows)
+    print_line(f"made in this order: {', '.join(plan['order'])}")
+    _print_notes(plan)
+    print_line(f"files: {folder}")
+
+
+def print_clips(summary: dict[str, Any]) -> None:
+    """Print the clip table of a store."""
+    rows = [
+        (clip["clip_id"], clip["name"], clip["kind"], clip["category"], clip["split"], _sample_line(clip))
+        for clip in summary["clips"]
+    ]
+    print_table(f"Clips in {summary['store']}", ["clip", "name", "kind", "category", "split", "samples"], rows)
+
+
+def print_clip(summary: dict[str, Any]) -> None:
+    """Print one clip as it is stored."""
+    clip, trajectory = summary["clip"], summary["trajectory"]
+    print_line(f"clip {clip['name']} ({clip['kind']}, {clip['category']}, {clip['split']}) {clip['clip_id']}")
+    print_line(f"trajectory: {trajectory['length']:.1f} m in {trajectory['duration']:.1f} s")
+    print_line(_sample_line(clip))
+    rows = [
+        (
+            name,
+            "x".join(str(side) for side in camera["size"]),
+            camera["frames"],
+            f"{camera['first_us'] / 1e6:.2f} to {camera['last_us'] / 1e6:.2f} s",
+        )
+        for name, camera in summary["cameras"].items()
+    ]
+    print_table("Cameras", ["camera", "size", "frames", "times"], rows)
+    rows = [
+        (
+            name,
+            view["kind"],
+            f"{view['engine']} {view['version']}",
+            "none" if view["seed"] is None else view["seed"],
+            *_share_cells(view),
+        )
+        for name, view in clip["views"].items()
+    ]
+    print_table("Where the pixels came from", ["camera", "kind", "made by", "seed", *_SHARES], rows)
+    if "pictures" in summary:
+        print_line(f"pictures: {summary['pictures']['contact_sheet']}, {summary['pictures']['animation']}")
+
+
+def print_scores(summary: dict[str, Any]) -> None:
+    """Print the scores of one clip."""
+    consistency, reference = summary["geokpm"], summary["reference"]
+    width, height = consistency["size"]
+    rows = [(f"{pair['views'][0]} - {pair['views'][1]}", *_consistency_cells(pair)) for pair in consistency["pairs"]]
+    print_table(
+        f"GeoKPM with {consistency['matcher']}, {width} x {height} pixels, Sampson error below "
+        f"{consistency['max_sampson_error_px']:g} px",
+        ["views", "GeoKPM %", "moments", "without a match", "matches", "valid"],
+        [*rows, ("all", *_consistency_cells(consistency))],
+    )
+    print_line("moments without a match have no share of valid ones and are not in the mean")
+    if reference is None:
+        return
+    rows = [
+        (
+            name,
+            f"{view['size'][0]} x {view['size'][1]}",
+            view["frames"],
+            "identical" if view["psnr"] is None else view["psnr"],
+            view["ssim"],
+            view["lpips"],
+        )
+        for name, view in reference["views"].items()
+    ]
+    print_table(f"Against clip {reference['clip_id']}", ["view", "size", "frames", "PSNR dB", "SSIM", "LPIPS"], rows)
+    print_line(f"LPIPS: {reference['lpips'] or 'not measured; give --lpips-weights'}")
+
+
+def _error_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
+    before, after = summary["pose_errors_before_smoothing"], summary["pose_errors"]
+    rows: list[tuple[object, ...]] = [(label, _find(before, keys), _find(after, keys)) for label, keys in _POSE_ROWS]
+    before, after = summary["smoothness_before_smoothing"], summary["smoothness"]
+    rows.append(("jerk, RMS (m/s3)", _find(before, ("jerk_rms_m_s3",)), _find(after, ("jerk_rms_m_s3",))))
+    rows.append(("scale, 1 sigma relative", summary["scale_sigma"], ""))
+    rows.append(("distance, median relative error", "", summary["distance_median_relative_error"]))
+    return rows
+
+
+def _find(numbers: dict[str, Any] | None, keys: tuple[str, ...]) -> object:
+    """A number in nested dictionaries, None where a level of them is None."""
+    found: Any = numbers
+    for key in keys:
+        found = None if found is None else found[key]
+    return found
+
+
+def _view_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
+    rows = []
+    for name, view in summary["clip"]["views"].items():
+        errors = summary["view_errors"].get(name, {}) if view["kind"] == "warped" else {"psnr": "", "psnr_observed": ""}
+        rows.append((name, view["kind"], *_share_cells(view), errors.get("psnr"), errors.get("psnr_observed")))
+    return rows
+
+
+def _share_cells(view: dict[str, Any]) -> tuple[str, ...]:
+    """Which shares of a view's pixels were observed, at other times than their image's, and invented."""
+    shares = (view["observed_share"], view["other_times_share"], view["invented_share"])
+    return tuple(f"{100 * share:.1f} %" for share in shares)
+
+
+def _outcome_cells(summary: dict[str, Any] | None) -> tuple[object, ...]:
+    """Length, expected label noise, run time and samples of a clip that was built now."""
+    if summary is None:
+        return "", "", "", ""
+    seconds = sum((summary["seconds"] | summary["store_seconds"]).values())
+    noise = _find(summary["label_noise"], ("expected", "acceleration"))
+    return summary["trajectory"]["length"], noise, seconds, len(summary["clip"]["sample_t0_us"])
+
+
+def _consistency_cells(found: dict[str, Any]) -> tuple[object, ...]:
+    return (
+        found["percent"],
+        found["moments"],
+        found["moments_without_match"],
+        found["matches"],
+        found["valid"],
+    )
+
+
+def _print_label_noise(budget: dict[str, Any] | None) -> None:
+    if budget is None:
+        print_line("label noise: not measured; it needs a motion that is not the reference, over at least 7.9 s")
+        return
+    rows = [
+        (f"{label} ({unit})", *(_find(budget, (part, label)) for part in ("raw", "actual", "expected", "taken_out")))
+        for label, unit in (("acceleration", "m/s2"), ("curvature", "1/m"))
+    ]
+    columns = ["label", "before smoothing", "after", "after, by the smoother's account", "taken out by smoothing"]
+    print_table(f"Noise of the policy's labels, RMS over {budget['samples']} samples", columns, rows)
+
+
+def _print_notes(summary: dict[str, Any]) -> None:
+    for part, reason in summary["left_out"].items():
+        print_line(f"left out: {part}: {reason}")
+    for assumption in summary["assumptions"]:
+        print_line(f"assumed: {assumption}")
+
+
+def _sample_line(clip: dict[str, Any]) -> str:
+    times = clip["sample_t0_us"]
+    if not times:
+        return f"no policy sample: {clip['no_sample_reason']}"
+    return f"policy samples: {len(times)}, t0 = {times[0] / 1e6:.1f} to {times[-1] / 1e6:.1f} s"

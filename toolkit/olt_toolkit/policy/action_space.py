@@ -1,0 +1,206 @@
+"""The acceleration-curvature action space of a unicycle, in which the policy plans.
+
+An action is (acceleration, curvature) for one step of 0.1 s, normalised to zero mean and unit spread. Equations and
+constants: facts sheet alpamayo_interface, section 3. Trajectories are in the rig frame at t0 (x forward, y left),
+where the vehicle stands at the origin with heading 0.
+
+Everything here is float64 and takes leading batch dimensions `...`. In float64 the ridge terms keep every normal matrix
+positive definite, so the reference's retries with a larger ridge are not needed.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from olt_generator.poses import Array, planar_pose, yaw_of
+from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
+
+
+@dataclass(frozen=True)
+class SmoothingSettings:
+    """Weights of one regularised least-squares fit: of its difference penalty and of its ridge."""
+
+    smoothness: float
+    ridge: float
+
+
+@dataclass(frozen=True)
+class ActionSpaceSettings:
+    """Constants of the released checkpoint; they differ from the defaults of its classes.
+
+    Attributes:
+        acceleration_mean, acceleration_std: m/s^2.
+        curvature_mean, curvature_std: 1/m.
+        heading, speed, acceleration, curvature: how each quantity is fitted.
+    """
+
+    acceleration_mean: float = 0.02902694707164455
+    acceleration_std: float = 0.6810426736454882
+    curvature_mean: float = 0.0002692167976330542
+    curvature_std: float = 0.026148280660833106
+    heading: SmoothingSettings = SmoothingSettings(1e-6, 1e-8)
+    speed: SmoothingSettings = SmoothingSettings(1e-6, 1e-4)
+    acceleration: SmoothingSettings = SmoothingSettings(1e-4, 1e-4)
+    curvature: SmoothingSettings = SmoothingSettings(1e-4, 1e-4)
+
+    def normalise(self, acceleration: Array, curvature: Array) -> Array:
+        """Actions (..., 2) from acceleration (...) in m/s^2 and curvature (...) in 1/m."""
+        return np.stack(
+            [
+                (acceleration - self.acceleration_mean) / self.acceleration_std,
+                (curvature - self.curvature_mean) / self.curvature_std,
+            ],
+            axis=-1,
+        )
+
+    def physical(self, actions: Array) -> tuple[Array, Array]:
+        """Acceleration (...) in m/s^2 and curvature (...) in 1/m of normalised actions (..., 2)."""
+        return (
+            actions[..., 0] * self.acceleration_std + self.acceleration_mean,
+            actions[..., 1] * self.curvature_std + self.curvature_mean,
+        )
+
+
+DEFAULT_SETTINGS = ActionSpaceSettings()
+
+
+def actions_to_trajectory(
+    actions: Array, initial_speed: Array | float, settings: ActionSpaceSettings = DEFAULT_SETTINGS
+) -> tuple[Array, Array]:
+    """Roll normalised actions out.
+
+    Args:
+        actions: (..., n, 2) normalised.
+        initial_speed: (...) m/s at t0.
+        settings: constants of the action space.
+
+    Returns:
+        xyz (..., n, 3) in metres and rotation (..., n, 3, 3) about z, at the ends of the steps.
+    """
+    dt = STEP_SECONDS
+    acceleration, curvature = settings.physical(np.asarray(actions, dtype=np.float64))
+    speed = _accumulate(initial_speed, acceleration * dt)
+    heading = _accumulate(0.0, curvature * _step_lengths(speed[..., :-1], acceleration))
+    velocity = speed[..., None] * _direction(heading)
+    xy = np.cumsum(0.5 * dt * (velocity[..., :-1, :] + velocity[..., 1:, :]), axis=-2)
+    xyz = np.concatenate([xy, np.zeros_like(xy[..., :1])], axis=-1)
+    return xyz, planar_pose(0.0, 0.0, heading[..., 1:])[..., :3, :3]
+
+
+def trajectory_to_actions(
+    history_xyz: Array,
+    history_rotation: Array,
+    future_xyz: Array,
+    future_rotation: Array,
+    settings: ActionSpaceSettings = DEFAULT_SETTINGS,
+) -> Array:
+    """Fit the actions that drive the given future.
+
+    Args:
+        history_xyz: (..., 16, 3) metres; the last pose is the origin.
+        history_rotation: (..., 16, 3, 3).
+        future_xyz: (..., 64, 3) metres.
+        future_rotation: (..., 64, 3, 3).
+        settings: constants of the action space.
+
+    Returns:
+        Normalised actions (..., 64, 2).
+    """
+    dt = STEP_SECONDS
+    initial_speed = estimate_initial_speed(history_xyz, history_rotation, settings)
+    heading = _prepend(0.0, np.unwrap(yaw_of(future_rotation)) @ _heading_fit(settings.heading).T)
+    path = np.concatenate([history_xyz[..., -1:, :2], future_xyz[..., :2]], axis=-2)
+    speed = _prepend(initial_speed, _fit_speeds(path, heading, settings.speed, initial_speed))
+    acceleration = np.diff(speed) / dt @ _acceleration_fit(settings.acceleration).T
+    curvature = _fit_curvatures(np.diff(heading), _step_lengths(speed[..., :-1], acceleration), settings.curvature)
+    return settings.normalise(acceleration, curvature)
+
+
+def estimate_initial_speed(
+    history_xyz: Array, history_rotation: Array, settings: ActionSpaceSettings = DEFAULT_SETTINGS
+) -> Array:
+    """Speed (...) in m/s at t0, fitted to a history of positions (..., n, 3) and rotations (..., n, 3, 3)."""
+    speeds = _fit_speeds(history_xyz[..., :2], yaw_of(history_rotation), settings.speed)
+    return speeds[..., -1]
+
+
+def _fit_speeds(path: Array, heading: Array, fit: SmoothingSettings, first: Array | None = None) -> Array:
+    """Speeds whose trapezoidal rule along the headings gives the path.
+
+    With u_t the direction at step t, minimises sum |v_t u_t + v_{t+1} u_{t+1} - 2 dp_t / dt|^2
+    + w |D3 v|^2 + ridge |v|^2. Only neighbours meet in the first sum, so its normal matrix is tridiagonal, with
+    u_t . u_{t+1} beside the diagonal.
+
+    Args:
+        path: (..., n, 2) positions.
+        heading: (..., n) radians.
+        fit: weights.
+        first: (...) the first speed where it is known; then only the other n - 1 are fitted and returned.
+    """
+    direction = _direction(heading)
+    n = heading.shape[-1]
+    beside = np.sum(direction[..., :-1, :] * direction[..., 1:, :], axis=-1)
+    normal = np.zeros((*heading.shape, n))
+    index = np.arange(n)
+    normal[..., index, index] = np.where((index == 0) | (index == n - 1), 1.0, 2.0)
+    normal[..., index[:-1], index[1:]] = normal[..., index[1:], index[:-1]] = beside
+    normal += _penalty(n, 3, fit.smoothness / STEP_SECONDS**6)
+
+    wanted = 2.0 / STEP_SECONDS * np.diff(path, axis=-2)
+    right = np.zeros(heading.shape)
+    right[..., :-1] += np.sum(direction[..., :-1, :] * wanted, axis=-1)
+    right[..., 1:] += np.sum(direction[..., 1:, :] * wanted, axis=-1)
+
+    if first is not None:
+        right = right[..., 1:] - normal[..., 1:, 0] * np.asarray(first)[..., None]
+        normal = normal[..., 1:, 1:]
+    normal = normal + fit.ridge * np.eye(normal.shape[-1])
+    return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0], dtype=np.float64)
+
+
+def _fit_curvatures(turn: Array, length: Array, fit: SmoothingSettings) -> Array:
+    """Curvatures (..., n) whose product with the step lengths gives the turns; 0 where nothing moves."""
+    n = turn.shape[-1]
+    normal = _penalty(n, 2, fit.smoothness / STEP_SECONDS**4) + (length**2 + fit.ridge)[..., None] * np.eye(n)
+    return np.asarray(np.linalg.solve(normal, (length * turn)[..., None])[..., 0], dtype=np.float64)
+
+
+@lru_cache(maxsize=8)
+def _heading_fit(fit: SmoothingSettings) -> Array:
+    """Matrix (64, 64) from yaws to smoothed headings after t0; the heading 0 at t0 adds nothing to the right side."""
+    penalty = _penalty(FUTURE_STEPS + 1, 3, fit.smoothness / STEP_SECONDS**6)[1:, 1:]
+    return np.asarray(np.linalg.inv((1.0 + fit.ridge) * np.eye(FUTURE_STEPS) + penalty), dtype=np.float64)
+
+
+@lru_cache(maxsize=8)
+def _acceleration_fit(fit: SmoothingSettings) -> Array:
+    """Matrix (64, 64) from differences of speed to smoothed accelerations."""
+    penalty = _penalty(FUTURE_STEPS, 2, fit.smoothness / STEP_SECONDS**4)
+    return np.asarray(np.linalg.inv((1.0 + fit.ridge) * np.eye(FUTURE_STEPS) + penalty), dtype=np.float64)
+
+
+@lru_cache(maxsize=32)
+def _penalty(n: int, order: int, weight: float) -> Array:
+    """weight * D^T D (n, n), with D the differences of the given order."""
+    difference = np.diff(np.eye(n), n=order, axis=0)
+    return np.asarray(weight * difference.T @ difference, dtype=np.float64)
+
+
+def _step_lengths(speed: Array, acceleration: Array) -> Array:
+    """Path length in metres of each step, from the speed at its start and its constant acceleration."""
+    return speed * STEP_SECONDS + 0.5 * acceleration * STEP_SECONDS**2
+
+
+def _accumulate(first: Array | float, increments: Array) -> Array:
+    """The value (..., n + 1) at the start and after each of the increments (..., n)."""
+    return np.cumsum(_prepend(first, increments), axis=-1)
+
+
+def _prepend(first: Array | float, values: Array) -> Array:
+    first = np.broadcast_to(np.asarray(first, dtype=np.float64), values.shape[:-1])
+    return np.concatenate([first[..., None], values], axis=-1)
+
+
+def _direction(heading: Array) -> Array:
+    return np.stack([np.cos(heading), np.sin(heading)], axis=-1)

@@ -1,0 +1,133 @@
+"""The label noise budget: what errors of the recovered trajectory do to the actions that a policy learns.
+
+The policy's labels are accelerations and curvatures at 10 Hz, fitted to poses (`action_space`). Differencing twice over
+0.1 s magnifies jitter: positions that err independently by 1 m make the accelerations err by 41 m/s2 rms.
+
+What is expected follows from the smoother's covariance: the labels are the forward acceleration, and the turn rate over
+the speed, whose errors it knows; the fit itself smooths a little more. What is actual is the difference between the
+labels of two trajectories.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.motion.iterated_smoother import STANDSTILL_SPEED
+from olt_generator.motion.smoother import SmoothedMotion
+from olt_generator.poses import Array, invert
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.clips.clip import EgoMotion
+from olt_toolkit.policy.action_space import DEFAULT_SETTINGS, trajectory_to_actions
+from olt_toolkit.policy.contract import HISTORY_STEPS, STEP_US
+from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
+
+# So many times t0 at most are looked at, spread evenly over the clip: their labels overlap for 6.4 s anyway.
+MOST_SAMPLES = 16
+
+
+@dataclass(frozen=True)
+class LabelNoise:
+    """Root mean square errors of the labels: acceleration in m/s2, curvature in 1/m."""
+
+    acceleration: float
+    curvature: float
+
+
+@dataclass(frozen=True)
+class LabelNoiseBudget:
+    """Label noise of one clip. What could not be measured is None.
+
+    Attributes:
+        samples: how many times t0 were looked at.
+        expected: of the smoothed trajectory, by the smoother's own account.
+        taken_out: difference that the smoothing makes.
+        actual: of the smoothed trajectory, against the reference.
+        raw: of the trajectory before smoothing, against the reference.
+    """
+
+    samples: int
+    expected: LabelNoise
+    taken_out: LabelNoise
+    actual: LabelNoise | None
+    raw: LabelNoise | None
+
+
+@dataclass(frozen=True)
+class _Labels:
+    """Accelerations (m, 64) in m/s2 and curvatures (m, 64) in 1/m of m samples."""
+
+    acceleration: Array
+    curvature: Array
+
+    def difference(self, other: "_Labels") -> LabelNoise:
+        return LabelNoise(
+            _root_mean_square(self.acceleration - other.acceleration),
+            _root_mean_square(self.curvature - other.curvature),
+        )
+
+
+def measure_label_noise(
+    measured: Trajectory, motion: SmoothedMotion, reference: Trajectory | None = None
+) -> LabelNoiseBudget | None:
+    """What is wrong with the labels of a clip, and what smoothing does about it.
+
+    Args:
+        measured: the trajectory before smoothing.
+        motion: the smoothed one.
+        reference: the true one on the same clock, where it is known.
+
+    Returns:
+        The budget, or None where the trajectories have no 7.9 s in common, which one sample needs.
+    """
+    trajectories = [measured, motion.trajectory] + ([reference] if reference else [])
+    t0_us = _sample_times(trajectories)
+    if len(t0_us) == 0:
+        return None
+    raw, smooth, *true = (_find_labels(trajectory, t0_us) for trajectory in trajectories)
+    return LabelNoiseBudget(
+        samples=len(t0_us),
+        expected=_expect_noise(motion, t0_us),
+        taken_out=raw.difference(smooth),
+        actual=smooth.difference(true[0]) if true else None,
+        raw=raw.difference(true[0]) if true else None,
+    )
+
+
+def _sample_times(trajectories: list[Trajectory]) -> NDArray[np.int64]:
+    """Times t0 (m,) at which all trajectories cover history and future, multiples of 0.1 s from the first such time."""
+    first = max(int(trajectory.timestamps_us[0]) for trajectory in trajectories) - int(HISTORY_OFFSETS_US[0])
+    last = min(int(trajectory.timestamps_us[-1]) for trajectory in trajectories) - int(FUTURE_OFFSETS_US[-1])
+    possible = max(0, (last - first) // STEP_US + 1)
+    steps = np.linspace(0, possible - 1, min(MOST_SAMPLES, possible)).round().astype(np.int64)
+    return first + STEP_US * steps
+
+
+def _find_labels(trajectory: Trajectory, t0_us: NDArray[np.int64]) -> _Labels:
+    """The labels that the policy would be given at times t0 (m,)."""
+    start = int(trajectory.timestamps_us[0])
+    motion = EgoMotion.from_trajectory(Trajectory(trajectory.timestamps_us - start, trajectory.T_world_rig))
+    offsets = np.concatenate([HISTORY_OFFSETS_US, FUTURE_OFFSETS_US])
+    poses = motion.interpolate((t0_us[:, None] + offsets - start).ravel()).reshape(len(t0_us), len(offsets), 4, 4)
+    poses = invert(poses[:, HISTORY_STEPS - 1, None]) @ poses
+    history, future = poses[:, :HISTORY_STEPS], poses[:, HISTORY_STEPS:]
+    actions = trajectory_to_actions(
+        history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3], DEFAULT_SETTINGS
+    )
+    return _Labels(*DEFAULT_SETTINGS.physical(actions))
+
+
+def _expect_noise(motion: SmoothedMotion, t0_us: NDArray[np.int64]) -> LabelNoise:
+    """Linearised: the curvature k = w / v of turn rate w and speed v errs by (dw - k dv) / v; at standstill k is 0."""
+    times = motion.trajectory.timestamps_us
+    labelled = (times >= t0_us[0]) & (times <= t0_us[-1] + FUTURE_OFFSETS_US[-1])
+    covariance, curvature = motion.rate_covariance[labelled], motion.curvature[labelled]
+    forward = motion.trajectory.T_world_rig[labelled, :3, 0]
+    speed = np.sum(motion.velocity[labelled] * forward, axis=1)
+    by_speed = np.where(np.abs(speed) > STANDSTILL_SPEED, 1.0 / np.maximum(np.abs(speed), STANDSTILL_SPEED), 0.0)
+    variance = covariance[:, 5, 5] - 2.0 * curvature * covariance[:, 0, 5] + curvature**2 * covariance[:, 0, 0]
+    return LabelNoise(float(np.sqrt(np.mean(covariance[:, 6, 6]))), float(np.sqrt(np.mean(variance * by_speed**2))))
+
+
+def _root_mean_square(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))

@@ -1,0 +1,117 @@
+"""What a clip is built from: one front-camera recording, and the readers that open one.
+
+Readers are found through the entry-point group `olt.sources`, so packages further up bring their own formats.
+"""
+
+from dataclasses import dataclass, field
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.cameras import Camera
+from olt_generator.errors import InputError
+from olt_generator.poses import Array
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.rigs.rig import POLICY_CAMERAS, MountedCamera, VehicleDimensions
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A front-camera recording, decoded at working resolution.
+
+    Attributes:
+        name: what the recording is called in results.
+        source: the reader that opened it.
+        frames: (n, H, W, 3) uint8 RGB.
+        timestamps_us: (n,) int64, strictly increasing, the first is 0.
+        camera: model of the front camera at the size of `frames`.
+        T_rig_camera: (4, 4) pose of the front camera in the rig; its height above ground fixes the metric scale.
+        vehicle: size of the vehicle.
+        assumptions: one sentence for everything that was assumed instead of measured (lens, mounting, vehicle).
+        reference: the measured rig trajectory over the same times or beyond them, where one is known.
+        distance: (n, H, W) float32 true distance along each pixel's ray in metres (inf: sky), where it is known.
+        views: true images (n, h, w, 3) by camera name, where they are known; one of the front-wide camera is put
+            together from several cameras, and goes before `frames` where true views are wanted.
+        mounted: lens, at the size of the images, and mounting of the cameras of `views`; a camera that is not there is
+            that of the rig whose views are wanted.
+        observed: pixels (h, w) that some camera saw, of those of `views` that are mosaics of several cameras.
+    """
+
+    name: str
+    source: str
+    frames: NDArray[np.uint8]
+    timestamps_us: NDArray[np.int64]
+    camera: Camera
+    T_rig_camera: Array
+    vehicle: VehicleDimensions
+    assumptions: tuple[str, ...] = ()
+    reference: Trajectory | None = None
+    distance: NDArray[np.float32] | None = None
+    views: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
+    mounted: dict[str, MountedCamera] = field(default_factory=dict)
+    observed: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class OpenOptions:
+    """How to open a recording.
+
+    Attributes:
+        width: working width of the frames in pixels; height follows the aspect ratio.
+        duration: at most this many seconds from the start.
+        horizontal_fov: field of view in radians to assume where no calibration exists; None for the reader's default.
+        camera_height: height in metres above ground to assume where no mounting is known; None for the default.
+        views: cameras whose true images are wanted beside the front ones, where the recording has them.
+    """
+
+    width: int = 832
+    duration: float = 20.0
+    horizontal_fov: float | None = None
+    camera_height: float | None = None
+    views: tuple[str, ...] = POLICY_CAMERAS
+
+
+class Source(Protocol):
+    """A reader of one recording format."""
+
+    name: str
+
+    def recognises(self, path: Path) -> bool:
+        """Whether the path looks like this format, judged cheaply."""
+        ...
+
+    def open(self, path: Path, options: OpenOptions) -> Recording:
+        """Decode the recording.
+
+        Raises:
+            InputError: the recording is damaged, too short or of another format.
+        """
+        ...
+
+
+def open_recording(path: Path, options: OpenOptions | None = None) -> Recording:
+    """Open a recording with the first reader that recognises it.
+
+    Raises:
+        InputError: the path does not exist or no reader recognises it.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    sources = _sources()
+    for source in sources:
+        if source.recognises(path):
+            return source.open(path, options or OpenOptions())
+    names = ", ".join(source.name for source in sources)
+    raise InputError(f"{path}: not a recording that any reader knows ({names}); give a video file or a drive folder")
+
+
+def is_recording(path: Path) -> bool:
+    """Whether any reader recognises the path."""
+    return any(source.recognises(path) for source in _sources())
+
+
+def _sources() -> list[Source]:
+    return [entry.load() for entry in sorted(entry_points(group="olt.sources"))]

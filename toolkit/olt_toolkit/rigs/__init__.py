@@ -1,0 +1,1 @@
+"""Camera rigs: which cameras a vehicle carries, where, with which lenses."""

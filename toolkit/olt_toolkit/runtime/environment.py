@@ -1,0 +1,69 @@
+"""The machine and the versions that a result was made with."""
+
+import os
+import platform
+import sys
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from olt_toolkit.runtime.threads import THREAD_VARIABLES
+from olt_toolkit.runtime.workers import default_workers
+
+CORE_PACKAGES = ("torch", "kornia", "casadi", "opencv-contrib-python-headless", "usd-core", "numpy", "scipy", "av")
+
+# What each optional part would enable, by the packages that it needs.
+OPTIONAL_PARTS: dict[str, tuple[tuple[str, ...], str]] = {
+    "generator": (("diffusers", "transformers", "peft", "accelerate"), "the diffusion view engine"),
+    "sft": (("transformers", "accelerate", "peft", "hydra-core"), "launching the two-stage SFT of Alpamayo"),
+    "interop": (("physical-ai-av", "grpcio"), "reading clips with the public devkit and driving AlpaSim"),
+    "distributed": (("ray",), "building clips on more than one machine"),
+}
+
+
+def package_version(package: str) -> str | None:
+    """Installed version of a distribution, None when it is absent."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def describe_machine() -> dict[str, Any]:
+    """Processor, memory, system and versions: what stands beside every measured number."""
+    return {
+        "processor": _processor_name(),
+        "cores": default_workers(),
+        "memory_gib": _memory_gib(),
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "python": platform.python_version(),
+        "openlongtail": package_version("openlongtail"),
+        "packages": {package: package_version(package) for package in CORE_PACKAGES},
+        "threads": {variable: os.environ.get(variable) for variable in THREAD_VARIABLES},
+    }
+
+
+def describe_optional_parts() -> list[dict[str, Any]]:
+    """For every optional part: what it enables, whether it is complete, and what is missing."""
+    parts = []
+    for name, (packages, enables) in OPTIONAL_PARTS.items():
+        missing = [package for package in packages if package_version(package) is None]
+        parts.append({"name": name, "enables": enables, "present": not missing, "missing": missing})
+    return parts
+
+
+def _processor_name() -> str:
+    try:
+        with open("/proc/cpuinfo") as file:  # noqa: PTH123 - a pseudo file, read line by line
+            for line in file:
+                if line.startswith("model name"):
+                    return line.split(":", 1)[1].strip()
+    except OSError:
+        pass
+    return platform.processor() or sys.platform
+
+
+def _memory_gib() -> float | None:
+    try:
+        return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
+    except (ValueError, OSError):
+        return None

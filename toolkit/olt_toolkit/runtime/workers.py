@@ -1,0 +1,93 @@
+"""Work on several processes, or on the machines of a Ray cluster, each worker with one thread per numerical library."""
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from enum import StrEnum
+from multiprocessing import get_context
+from typing import TypeVar
+
+from olt_generator.progress import Progress, silent
+from olt_toolkit.runtime.threads import THREAD_VARIABLES
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Engine(StrEnum):
+    """Where parallel work is done: in processes of this machine, or on a Ray cluster."""
+
+    LOCAL = "local"
+    RAY = "ray"
+
+
+def default_workers() -> int:
+    """The number of processors that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def use_one_thread() -> None:
+    """Keep OpenCV and torch, where loaded later too, on one thread, so that sums come out the same everywhere."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    for variable in THREAD_VARIABLES:
+        os.environ[variable] = "1"
+
+
+def map_parallel(
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    workers: int,
+    on_progress: Progress = silent,
+    engine: Engine = Engine.LOCAL,
+) -> list[Result]:
+    """Apply `function` to all items on up to `workers` processes; results keep the order of the items.
+
+    The first failure stops the rest and is raised. `function` and the items must be picklable.
+
+    Raises:
+        InputError: Ray is asked for and cannot be used.
+    """
+    if engine is Engine.RAY:
+        from olt_toolkit.runtime.ray_engine import map_on_ray
+
+        return map_on_ray(function, items, workers, on_progress)
+    if workers <= 1 or len(items) <= 1:
+        return list(_map_here(function, items, on_progress))
+    results: dict[int, Result] = {}
+    pool = ProcessPoolExecutor(min(workers, len(items)), mp_context=get_context("spawn"), initializer=_start_worker)
+    try:
+        futures = {pool.submit(_work, function, item): index for index, item in enumerate(items)}
+        for future in as_completed(futures):
+            results[futures[future]] = future.result()
+            on_progress(len(results) / len(items))
+    except BaseException:
+        for process in list((pool._processes or {}).values()):  # a started task cannot be cancelled otherwise
+            process.terminate()
+        pool.shutdown(wait=True, cancel_futures=True)
+        raise
+    pool.shutdown()
+    return [results[index] for index in range(len(items))]
+
+
+def _map_here(function: Callable[[Item], Result], items: Sequence[Item], on_progress: Progress) -> Iterator[Result]:
+    for done, item in enumerate(items, start=1):
+        yield function(item)
+        on_progress(done / len(items))
+
+
+def _start_worker() -> None:
+    # Ctrl-C reaches the whole process group: the parent alone decides what it means.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    use_one_thread()
+
+
+def _work(function: Callable[[Item], Result], item: Item) -> Result:
+    try:
+        return function(item)
+    except SystemExit:
+        os._exit(143)  # told to stop: what was half-written is removed by now, and no further item may start
