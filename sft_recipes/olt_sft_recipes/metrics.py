@@ -1,4 +1,4 @@
-"""Open-loop metrics of predicted trajectories (facts sheet alpamayo_interface, section 10)."""
+"""Open-loop metrics of predicted trajectories (docs/formats/alpamayo.md)."""
 
 import numpy as np
 

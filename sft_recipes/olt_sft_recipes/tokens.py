@@ -1,4 +1,4 @@
-"""Trajectories as the words `<i0>` ... `<i3999>` of a language model (facts sheet alpamayo_interface, section 4).
+"""Trajectories as the words `<i0>` ... `<i3999>` of a language model (docs/formats/alpamayo.md).
 
 Words 0 to 2,999 say future actions, words 3,000 to 3,999 say steps of the history. Indices count from the first
 trajectory word; a real vocabulary adds the id of `<i0>`.

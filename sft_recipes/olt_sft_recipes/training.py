@@ -284,8 +284,8 @@ def _make_model(stage: StageConfig, checkpoint_in: Path | None, config: ToyPolic
         model = ToyModel(read_config(checkpoint_in))
     tensors = read_tensors(checkpoint_in)
     vlm = {name.removeprefix(VLM_PREFIX): tensor for name, tensor in tensors.items() if name.startswith(VLM_PREFIX)}
-    # A loader that skips names which do not match trains on an untouched model without a word (facts sheet
-    # alpamayo_recipes_sft, section 5); this one refuses.
+    # A loader that skips names which do not match trains on an untouched model without a word
+    # (docs/formats/sft_recipes.md); this one refuses.
     load_tensors(model.vlm, vlm, checkpoint_in)
     model.vlm.requires_grad_(False)
     return model

@@ -1,4 +1,4 @@
-"""AlpaSim's vehicle, written from its description (facts sheet alpasim, section 4): what controllers are measured on.
+"""AlpaSim's vehicle, written from its description (docs/formats/alpasim.md): what controllers are measured on.
 
 It shares no code with `vehicle.models`, so an error in those equations shows as an error of tracking.
 All functions take and give whole batches of vehicles.

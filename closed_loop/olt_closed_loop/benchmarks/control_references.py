@@ -1,4 +1,4 @@
-"""The 120 drives on which AlpaSim times its controllers (facts sheet alpasim, section 4), 70 of them different.
+"""The 120 drives on which AlpaSim times its controllers (docs/formats/alpasim.md), 70 of them different.
 
 Where the description leaves a choice open, it is made so that the stated counts, 120 and 70, come out: left and right
 turns of radius 50 and 100 m at both speeds for moving off and for stopping, and a generator of ours for the spread of

@@ -1,6 +1,6 @@
 """The closed loop: a policy drives the vehicle model through a recorded scene.
 
-Timing is AlpaSim's (facts sheet alpasim, section 3): steps of 0.1 s; the recording drives for the first 1.7 s and the
+Timing is AlpaSim's (docs/formats/alpasim.md): steps of 0.1 s; the recording drives for the first 1.7 s and the
 policy is not asked; then in every step the policy plans, the controller follows the plan for 0.1 s and the vehicle
 moves. Agents replay the recording or, if asked, brake for the ego. Unlike AlpaSim the first driven step knows the
 recorded speed, steering and acceleration, and every random choice hangs on the seed.

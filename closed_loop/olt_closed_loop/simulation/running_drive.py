@@ -32,7 +32,7 @@ from olt_toolkit.policy.contract import (
 
 ROUTE_POINTS = 20
 ROUTE_LENGTH = 80.0
-"""Number of points and metres of the route that a policy is shown (facts sheet alpasim, section 6)."""
+"""Number of points and metres of the route that a policy is shown (docs/formats/alpasim.md)."""
 _ROUTE_DISTANCES: Array = np.linspace(0.0, ROUTE_LENGTH, ROUTE_POINTS)
 _BEFORE = HISTORY_STEPS - 1
 

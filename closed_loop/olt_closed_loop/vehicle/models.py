@@ -83,9 +83,9 @@ class TyreParameters:
 class VehicleParameters:
     """What the equations need to know of a vehicle; `vehicle.presets` makes those with tyres.
 
-    Lags and acceleration limits are AlpaSim's (facts sheet alpasim, section 4). The steering limit is its 45 degrees
+    Lags and acceleration limits are AlpaSim's (docs/formats/alpasim.md). The steering limit is its 45 degrees
     too: on the default wheelbase that is a curvature of 0.35 1/m, just above the 0.33 1/m that a policy can ask for
-    (facts sheet alpamayo_interface, section 3), so every plan within the policy's bounds can be steered.
+    (docs/formats/alpamayo.md), so every plan within the policy's bounds can be steered.
 
     Attributes:
         wheelbase: metres.

@@ -1,4 +1,4 @@
-"""Steps and samples of a training run on a mixture (facts sheet paper_notes, section SFT arithmetic)."""
+"""Steps and samples of a training run on a mixture (docs/formats/paper.md)."""
 
 import math
 import re

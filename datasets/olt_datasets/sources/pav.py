@@ -1,8 +1,8 @@
 """PAV, NVIDIA's PhysicalAI-Autonomous-Vehicles: the cameras of the target rig itself, with measured ego motion.
 
-Layout: facts sheet pai_dataset; clips lie in chunks, one zip a feature and chunk. A tree may hold any of the chunks:
-its clips are those whose front images are on disk, and each has the cameras whose zips are there. Clips that the index
-marks as not valid are left out. Frames are found through their table of timestamps, which has a row a frame.
+Layout: docs/formats/physicalai_av.md; clips lie in chunks, one zip a feature and chunk. A tree may hold any of the
+chunks: its clips are those whose front images are on disk, and each has the cameras whose zips are there. Clips that
+the index marks as not valid are left out. Frames are found through their table of timestamps, which has a row a frame.
 """
 
 from functools import cached_property, lru_cache

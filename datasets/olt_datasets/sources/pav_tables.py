@@ -1,4 +1,4 @@
-"""The tables of a PhysicalAI-AV tree that tell what each clip is (facts sheet pai_dataset, sections 4 and 8)."""
+"""The tables of a PhysicalAI-AV tree that tell what each clip is (docs/formats/physicalai_av.md)."""
 
 import json
 import re

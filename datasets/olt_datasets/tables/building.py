@@ -1,8 +1,8 @@
 """From the rows of a table of indexed clips to a store of built ones.
 
 Each row's window is opened by the reader of its data set and built as `olt clip build` builds a recording: prepared
-with its pictures as soon as it is done, and all are committed together at the end. So an interrupted run that is taken up
-again leaves the same bytes as one that was not.
+with its pictures as soon as it is done, and all are committed together at the end. So an interrupted run that is taken
+up again leaves the same bytes as one that was not.
 """
 
 from collections.abc import Sequence

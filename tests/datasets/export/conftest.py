@@ -127,7 +127,7 @@ def open_devkit(tmp_path: Path) -> Iterator[Callable[[Path], object]]:
 
 
 def _public_sample(motion: object, cameras: dict[str, object], t0_us: int) -> dict[str, np.ndarray]:
-    """What the public loader makes of the devkit's objects (facts sheet pai_dataset, section 9), in numpy."""
+    """What the public loader makes of the devkit's objects (docs/formats/physicalai_av.md), in numpy."""
     assert t0_us > 1_600_000
     past, future = t0_us + 100_000 * np.arange(-15, 1), t0_us + 100_000 * np.arange(1, 65)
     position = {name: motion(times).pose.translation for name, times in {"history": past, "future": future}.items()}

@@ -121,7 +121,7 @@ def test_the_torch_dataset_yields_the_dict_of_the_public_loader(mixture, mixed):
     torch = pytest.importorskip("torch")
     key = mixture.epoch(0, 4)[0][0]
     item = TorchMixtureDataset(MixtureDataset(mixture, IMAGE_SIZE))[key]
-    # facts sheet pai_dataset, section 9, after the recipes' dataset has removed the first axis of the ego tensors
+    # docs/formats/physicalai_av.md, after the recipes' dataset has removed the first axis of the ego tensors
     expected = {
         "image_frames": ((4, 4, 3, *IMAGE_SIZE), torch.uint8),
         "camera_indices": ((4,), torch.int64),

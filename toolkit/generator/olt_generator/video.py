@@ -97,7 +97,7 @@ def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fract
     """Write an H.264 mp4 that frame-accurate readers decode exactly.
 
     The rate is constant, times start at 0, one frame period is a whole number of ticks, and every 30th frame is a
-    key frame (facts sheet pai_dataset, section 5). The same frames give the same bytes.
+    key frame (docs/formats/physicalai_av.md). The same frames give the same bytes.
 
     Args:
         path: where the file appears once it is whole.

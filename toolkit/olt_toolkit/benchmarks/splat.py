@@ -23,7 +23,7 @@ Splat = Callable[[NDArray[np.uint8], NDArray[np.float32], Camera, Camera, Array]
 def overwrite(
     image: NDArray[np.uint8], distance: NDArray[np.float32], source: Camera, target: Camera, T_target_source: Array
 ) -> Warp:
-    """The method of the released generator (facts sheet generator_reference, section 4), without a depth test.
+    """The method of the released generator (docs/formats/generator.md), without a depth test.
 
     Points are sorted from far to near and written once for each of the nine offsets of the footprint, so that a
     later offset of a far point overwrites an earlier one of a near point.

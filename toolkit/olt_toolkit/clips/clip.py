@@ -1,8 +1,8 @@
 """A clip: four camera streams and the ego motion of one drive, with where every pixel came from.
 
 Clip time is integer microseconds; 0 is the start of the recording. The anchor frame is the rig at clip time 0 with its
-roll and pitch taken out: origin there, yaw 0 there, z up. It is the frame of PhysicalAI-AV ego motion (facts sheet
-pai_dataset, section 6).
+roll and pitch taken out: origin there, yaw 0 there, z up. It is the frame of PhysicalAI-AV ego motion
+(docs/formats/physicalai_av.md).
 """
 
 import uuid
@@ -214,7 +214,7 @@ class ClipInfo:
         created_with: version of the toolkit that wrote the clip.
         checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
             the description and the window of its drive where it is only indexed.
-        fingerprint: perceptual hashes of a few front images (`olt_toolkit.clips.image_hash`); None where none was decoded.
+        fingerprint: perceptual hashes of a few front images (`clips.image_hash`); None where none was decoded.
         views: provenance by camera name.
 
     The other attributes are those of `Clip`.

@@ -1,4 +1,4 @@
-"""Names of files, members and features in a PhysicalAI-AV tree (facts sheet pai_dataset, sections 2 to 4)."""
+"""Names of files, members and features in a PhysicalAI-AV tree (docs/formats/physicalai_av.md)."""
 
 import json
 from dataclasses import dataclass, field

@@ -1,6 +1,6 @@
 """The tables of a PhysicalAI-AV clip: how they are made of a clip's parts, and read back strictly.
 
-Columns and units: facts sheet pai_dataset, sections 5 to 7. Tables that are looked up by clip carry it as a pandas
+Columns and units: docs/formats/physicalai_av.md. Tables that are looked up by clip carry it as a pandas
 index, because the public readers find clips through that index.
 """
 

@@ -2,7 +2,7 @@
 
 Clips are prepared one by one, by as many processes as one likes, and committed together into the next chunk. A commit
 writes chunks first and the clip table last: interrupted at any point it leaves the old store readable, and the next
-commit overwrites what it left. The public readers have no filter by split (facts sheet pai_dataset, section 1), so
+commit overwrites what it left. The public readers have no filter by split (docs/formats/physicalai_av.md), so
 clips of held-out scenes belong in a store of their own.
 """
 

@@ -30,7 +30,7 @@ def decode_frames(video: ByteRange | bytes, indices: NDArray[np.int64], where: s
     """Decode frames (m, H, W, 3), RGB, each once and in one pass.
 
     Frame k of a stream of constant rate starts at k whole periods of container time, which is how the public reader
-    counts (facts sheet pai_dataset, section 5).
+    counts (docs/formats/physicalai_av.md).
 
     Args:
         video: a whole video file, or where it lies.

@@ -1,7 +1,7 @@
 """The acceleration-curvature action space of a unicycle, in which the policy plans.
 
 An action is (acceleration, curvature) for one step of 0.1 s, normalised to zero mean and unit spread. Equations and
-constants: facts sheet alpamayo_interface, section 3. Trajectories are in the rig frame at t0 (x forward, y left),
+constants: docs/formats/alpamayo.md. Trajectories are in the rig frame at t0 (x forward, y left),
 where the vehicle stands at the origin with heading 0.
 
 Everything here is float64 and takes leading batch dimensions `...`. In float64 the ridge terms keep every normal matrix

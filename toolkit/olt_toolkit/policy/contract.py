@@ -1,6 +1,6 @@
 """The policy contract: what eats camera images and ego history, and answers with a trajectory.
 
-Shapes, rates and frames are those of Alpamayo (facts sheet alpamayo_interface, sections 1 and 2). A toy policy, a
+Shapes, rates and frames are those of Alpamayo (docs/formats/alpamayo.md). A toy policy, a
 trained checkpoint and a remote driver are the same thing to whoever calls `Policy.plan`.
 """
 

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 KEYFRAME_US = 5_100_000
-"""The time t0 at which the public loader samples a clip that has no events (facts sheet pai_dataset, section 9)."""
+"""The time t0 at which the public loader samples a clip that has no events (docs/formats/physicalai_av.md)."""
 
 
 @dataclass(frozen=True, order=True)
@@ -20,7 +20,7 @@ class SampleKey:
 
 @dataclass(frozen=True)
 class PolicySample:
-    """One sample (facts sheet pai_dataset, section 9), poses in the rig frame at t0.
+    """One sample (docs/formats/physicalai_av.md), poses in the rig frame at t0.
 
     Attributes:
         image_frames: (4, 4, 3, H, W) uint8 RGB: cameras by index, then frames by time.

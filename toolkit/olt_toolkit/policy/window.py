@@ -1,8 +1,8 @@
 """Which times of a clip give a policy sample.
 
 A sample at t0 takes ego poses from t0 - 1.5 s to t0 + 6.4 s and four images up to t0 of each of the four policy
-cameras. The public loader refuses t0 up to 1.6 s although the oldest pose is 1.5 s old (facts sheet pai_dataset,
-section 9); the same rule holds here, so that both accept the same samples.
+cameras. The public loader refuses t0 up to 1.6 s although the oldest pose is 1.5 s old (docs/formats/physicalai_av.md);
+the same rule holds here, so that both accept the same samples.
 """
 
 from dataclasses import dataclass

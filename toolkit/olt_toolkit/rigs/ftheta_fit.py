@@ -1,7 +1,7 @@
 """Camera models as the f-theta polynomials that calibration tables hold.
 
-PhysicalAI-AV tables hold two polynomials of degree 4 without constant term: angle to radius and radius to angle (facts
-sheet pai_dataset, section 7). An f-theta camera of that degree goes in unchanged. Any other lens is fitted over the
+PhysicalAI-AV tables hold two polynomials of degree 4 without constant term: angle to radius and radius to angle
+(docs/formats/physicalai_av.md). An f-theta camera of that degree goes in unchanged. Any other lens is fitted over the
 radii that its image reaches; what a radius alone cannot say, such as tangential distortion, is part of the error.
 """
 

@@ -10,7 +10,7 @@ from olt_generator.cameras import Camera, fit_camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 
-# Index of each camera in the policy's input (facts sheet alpamayo_interface, section 1).
+# Index of each camera in the policy's input (docs/formats/alpamayo.md).
 CAMERA_INDEX: dict[str, int] = {
     "camera_cross_left_120fov": 0,
     "camera_front_wide_120fov": 1,
@@ -92,7 +92,7 @@ class Rig:
         return Rig(self.name, cameras, self.vehicle, self.assumptions)
 
 
-# AlpaSim's default ego box (facts sheet alpasim, section 1) on the hyperion wheelbase.
+# AlpaSim's default ego box (docs/formats/alpasim.md) on the hyperion wheelbase.
 DEFAULT_VEHICLE = VehicleDimensions(
     length=5.393, width=2.109, height=1.503, rear_axle_to_bbox_center=1.3965, wheelbase=2.85, track_width=1.62
 )

@@ -1,6 +1,6 @@
 """Argoverse 2: sensor logs (3-D boxes and map) and motion-forecasting scenarios (tracks and map); no pictures.
 
-Formats: facts sheet source_datasets, section 6, and the public documentation of av2-api. City coordinates are moved so
+Formats: docs/formats/source_datasets.md, and the public documentation of av2-api. City coordinates are moved so
 that the scene begins at the recorded ego's first position.
 """
 

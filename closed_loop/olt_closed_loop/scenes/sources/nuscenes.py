@@ -34,9 +34,9 @@ from olt_toolkit.rigs.rig import VehicleDimensions
 RENAULT_ZOE = VehicleDimensions(
     length=4.084, width=1.730, height=1.562, rear_axle_to_bbox_center=1.385, wheelbase=2.588, track_width=1.51
 )
-"""The recording car (facts sheet source_datasets, section 2); where its box is over the axle is estimated."""
+"""The recording car (docs/formats/source_datasets.md); where its box is over the axle is estimated."""
 LANE_WIDTH = 3.7
-"""Metres, for lanes of which only the centre line is recorded (AlpaSim's: facts sheet alpasim, section 2.3)."""
+"""Metres, for lanes of which only the centre line is recorded (AlpaSim's: docs/formats/alpasim.md)."""
 
 _LABELS = {
     "animal": "animal",

@@ -13,7 +13,7 @@ ROUTE_BEYOND = 400.0
 """Metres that a route goes on after the recording ends: 20 s at 20 m/s."""
 _ROUTE_SPACING = 0.2
 _LANE_DISTANCE, _LANE_TURN = 4.0, np.radians(22.5)
-"""How near a lane must be, and how well aligned, to be the one that is driven on (facts sheet alpasim, section 6)."""
+"""How near a lane must be, and how well aligned, to be the one that is driven on (docs/formats/alpasim.md)."""
 _JOINING_DISTANCE = 5.0
 """Metres after which a route that leaves the recording is on the lane's centre line."""
 _SUCCESSOR_GAP, _SUCCESSOR_TURN = 0.5, np.radians(60.0)

@@ -40,7 +40,7 @@ def test_every_pixel_shows_its_direction(world, source, name):
 
 
 def test_shares_of_the_real_rigs():
-    """Yaw 23 to 141 of 6 to 126 degrees across, but only the narrow height of the cameras (facts sheet, section 7)."""
+    """Yaw 23 to 141 of 6 to 126 degrees across, but only the narrow height of the cameras."""
     target = small(pav_rig(), CROSS_LEFT)
     assert Mosaic(target, load_rig("nuscenes").cameras).cameras == ("CAM_BACK_LEFT", "CAM_FRONT", "CAM_FRONT_LEFT")
     for name, share in {"nuscenes": 0.61, "pandaset": 0.80}.items():

@@ -19,7 +19,7 @@ from olt_generator.lenses.lens_curves import (
 )
 from olt_generator.poses import Array
 
-# What calibration tables hold (facts sheet pai_dataset, section 7).
+# What calibration tables hold (docs/formats/physicalai_av.md).
 TABLE_DEGREE = 4
 _FIT_NODES = 400
 
@@ -43,7 +43,7 @@ class FthetaCamera(CameraModel):
         primary: which polynomial is the lens. The tables of PhysicalAI-AV do not say: taken as "forward", by which
             they project. The measured rig calibrations give the backward one alone.
 
-    The names are those of the PhysicalAI-AV calibration tables (facts sheet pai_dataset, section 7).
+    The names are those of the PhysicalAI-AV calibration tables (docs/formats/physicalai_av.md).
 
     Raises:
         InputError: a polynomial does not start at 0, or the primary one does not rise as far as `max_angle`.

@@ -1,7 +1,7 @@
 """How video frames and pixels map to the latent frames and cells of the video autoencoder.
 
 Wan 2.1 compresses 4 frames to one, after a first frame that stands alone, and 8 x 8 pixels to one cell; its
-transformer reads 2 x 2 cells as one token (facts sheet generator_reference, sections 1 and 4).
+transformer reads 2 x 2 cells as one token (docs/formats/generator.md).
 """
 
 from typing import Literal

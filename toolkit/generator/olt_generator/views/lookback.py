@@ -1,7 +1,7 @@
 """The temporal lookback warp of the paper: rear views see what the front camera saw a fixed time earlier.
 
 Paper, section Extrapolative Synthesis: K_t inv(T_cam(t, tau)) T_cam(0, tau - Delta_t) inv(K_0) u d_0(u, tau - Delta_t).
-The offsets are those of the released generator (facts sheet generator_reference, section 4).
+The offsets are those of the released generator (docs/formats/generator.md).
 """
 
 from olt_generator.views.latents import frame_of_latent, latent_of_frame

@@ -1,7 +1,7 @@
 """Pluecker rays: where the camera ray of each token runs, as the generator's geometry encoder takes it.
 
 A line through o along the unit vector d is (d, m) with moment m = o x d, the same for every point o of the line.
-Convention: facts sheet generator_reference, sections 2 and 3.
+Convention: docs/formats/generator.md.
 """
 
 import numpy as np

@@ -16,8 +16,8 @@ from olt_generator.cameras import Camera, pixel_rays
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 
-# Distances in metres between which a surface is warped: the limits of the released generator (facts sheet
-# generator_reference, section 4).
+# Distances in metres between which a surface is warped: the limits of the released generator
+# (docs/formats/generator.md).
 NEAREST = 0.5
 FARTHEST = 200.0
 

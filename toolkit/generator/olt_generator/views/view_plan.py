@@ -12,8 +12,8 @@ from olt_generator.errors import InputError
 
 Method = Literal["given", "cropped", "synthesized"]
 
-# View ids of the generator; the policy numbers the same cameras differently (facts sheet generator_reference,
-# section 2). The front-tele view has none: it is a crop of view 0.
+# View ids of the generator; the policy numbers the same cameras differently (docs/formats/generator.md). The front-tele
+# view has none: it is a crop of view 0.
 VIEW_ID: dict[str, int] = {
     "camera_front_wide_120fov": 0,
     "camera_cross_left_120fov": 1,
