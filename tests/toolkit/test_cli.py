@@ -105,8 +105,8 @@ def test_doctor_names_versions_and_parts():
 @pytest.mark.skipif(os.name != "posix", reason="signals are a matter of POSIX")
 def test_ctrl_c_is_one_line_and_status_130(tmp_path):
     code = (
-        "import time; from olt_toolkit import cli;"
-        "cli.run = lambda _: (print('started', flush=True), time.sleep(60)); cli.main([])"
+        "import time; from olt_toolkit.runtime import command_line;"
+        "command_line.run = lambda _: (print('started', flush=True), time.sleep(60)); command_line.main([])"
     )
     process = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout.readline() == "started\n"

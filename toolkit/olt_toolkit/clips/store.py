@@ -104,9 +104,7 @@ class ClipStore:
             new = tuple(clip_id for clip_id in wanted if clip_id not in known)
             for clip_id in new:
                 if not self.is_prepared(clip_id):
-                    raise InputError(
-                        f"{self.root}: clip {clip_id} is neither prepared nor in the store; prepare it first"
-                    )
+                    raise InputError(f"{self.root}: clip {clip_id} is not in the store; prepare it first")
             for start in range(0, len(new), CLIPS_PER_CHUNK):
                 folders = [self._prepared(clip_id) for clip_id in new[start : start + CLIPS_PER_CHUNK]]
                 chunk = max(chunks, default=-1) + 1
