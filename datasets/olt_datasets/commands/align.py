@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from olt_datasets.mixtures.alignment import Alignment, Gap
     from olt_datasets.mixtures.selection import ClipTable
+    from olt_datasets.mixtures.source_alignment import Alignment, Gap
 
 
 def align(
@@ -33,7 +33,7 @@ def align(
 
     `olt mix align --example` shows what the paper found: Waymo E2E has none of NV's human-guided traffic control.
     """
-    from olt_datasets.mixtures.alignment import PAPER_COVERAGE, align_sources, measure_coverage
+    from olt_datasets.mixtures.source_alignment import PAPER_COVERAGE, align_sources, measure_coverage
     from olt_datasets.tables.clip_table import scan_clip_tables
     from olt_generator.errors import InputError
     from olt_toolkit.runtime.console import print_json

@@ -61,14 +61,14 @@ def export(
 
 def _contents(inputs: list[Path], split: SplitName) -> "Contents":
     from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
-    from olt_datasets.mixtures.plan import PLAN_SUFFIXES, read_plan
+    from olt_datasets.mixtures.mixture_file import MIXTURE_SUFFIXES, read_mixture
     from olt_generator.errors import InputError
 
-    if inputs[0].suffix not in PLAN_SUFFIXES:
+    if inputs[0].suffix not in MIXTURE_SUFFIXES:
         return contents_of_stores(inputs, split)
     if len(inputs) > 1:
         raise InputError(f"{inputs[1]}: a mixture is exported alone; compose one mixture of everything")
-    return contents_of_mixture(read_plan(inputs[0]))
+    return contents_of_mixture(read_mixture(inputs[0]))
 
 
 def _show(summary: dict[str, Any]) -> None:

@@ -40,8 +40,8 @@ def compose(
 ) -> None:
     """Choose the samples of a mixture; show what was asked for and what was got, and the steps of training on it."""
     from olt_datasets.mixtures.mixture import compose_mixture
+    from olt_datasets.mixtures.mixture_file import write_mixture
     from olt_datasets.mixtures.picture import draw_mixture
-    from olt_datasets.mixtures.plan import write_plan
     from olt_datasets.mixtures.recipe import find_recipe
     from olt_datasets.tables.clip_table import scan_clip_tables
 
@@ -49,7 +49,7 @@ def compose(
     training = _training(stage)
     mixture = compose_mixture(chosen, scan_clip_tables(stores), seed)
     if out is not None:
-        write_plan(mixture, out)
+        write_mixture(mixture, out)
     if picture is not None:
         draw_mixture(mixture, picture)
     files = {"file": None if out is None else str(out), "picture": None if picture is None else str(picture)}
@@ -64,12 +64,12 @@ def show(
     as_json: JsonOption = False,
 ) -> None:
     """Show a composed mixture, or what a recipe asks for."""
-    from olt_datasets.mixtures.plan import PLAN_SUFFIXES, read_plan
+    from olt_datasets.mixtures.mixture_file import MIXTURE_SUFFIXES, read_mixture
     from olt_datasets.mixtures.recipe import find_recipe
 
-    if mixture.endswith(PLAN_SUFFIXES):
+    if mixture.endswith(MIXTURE_SUFFIXES):
         training = _training(stage)
-        composed = read_plan(Path(mixture))
+        composed = read_mixture(Path(mixture))
         _show_mixture(composed.describe(epoch) | {"training": training(len(composed)), "file": mixture}, as_json)
     else:
         _show_recipe(find_recipe(mixture), as_json)
@@ -105,10 +105,10 @@ def diff(
 ) -> None:
     """Show what differs between two composed mixtures: their recipes, samples and shares."""
     from olt_datasets.mixtures.comparison import compare_mixtures, differing_samples
-    from olt_datasets.mixtures.plan import read_plan
+    from olt_datasets.mixtures.mixture_file import read_mixture
     from olt_generator.files import write_whole
 
-    mixtures = read_plan(first), read_plan(second)
+    mixtures = read_mixture(first), read_mixture(second)
     if out is not None:
         with write_whole(out) as temporary:
             differing_samples(*mixtures).write_parquet(temporary)

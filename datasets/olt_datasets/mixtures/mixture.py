@@ -24,10 +24,10 @@ from olt_datasets.mixtures.recipe import Component, Recipe
 from olt_datasets.mixtures.selection import (
     ClipTable,
     Selection,
+    count_items,
     find_absent_words,
     find_shortages,
     most_items,
-    plan_counts,
     samples_per_epoch,
     select_clips,
 )
@@ -101,7 +101,7 @@ class Mixture:
 
     def counts(self, epoch: int = 0) -> list[int]:
         """Items of each component in an epoch."""
-        return plan_counts(self.recipe, self.items, epoch)
+        return count_items(self.recipe, self.items, epoch)
 
     def epoch(
         self, epoch: int, batch_size: int, rank: int = 0, world_size: int = 1, start_batch: int = 0

@@ -81,7 +81,7 @@ def samples_per_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
     )
 
 
-def plan_counts(recipe: Recipe, samples: int, epoch: int) -> list[int]:
+def count_items(recipe: Recipe, samples: int, epoch: int) -> list[int]:
     """Items that each component gives to one epoch of so many samples."""
     if not recipe.named_epochs:
         return [component.count or 0 for component in recipe.components]
@@ -91,7 +91,7 @@ def plan_counts(recipe: Recipe, samples: int, epoch: int) -> list[int]:
 def most_items(recipe: Recipe, samples: int) -> list[int]:
     """The most items that each component gives to any epoch."""
     last = max(recipe.named_epochs, default=0)
-    by_epoch = [plan_counts(recipe, samples, epoch) for epoch in range(last + 1)]
+    by_epoch = [count_items(recipe, samples, epoch) for epoch in range(last + 1)]
     return [max(counts) for counts in zip(*by_epoch, strict=True)]
 
 

@@ -13,7 +13,7 @@ from olt_datasets.export.options import WorkOptions
 from olt_datasets.export.pai import export_pai
 from olt_datasets.mixtures.dataset import MixtureDataset
 from olt_datasets.mixtures.mixture import compose_mixture
-from olt_datasets.mixtures.plan import write_plan
+from olt_datasets.mixtures.mixture_file import write_mixture
 from olt_datasets.mixtures.recipe import Recipe
 from olt_datasets.mixtures.torch_dataset import TorchMixtureDataset
 from olt_datasets.tables.clip_table import read_clip_tables
@@ -265,7 +265,7 @@ def test_the_same_export_gives_the_same_bytes_with_any_number_of_workers(mixture
 
 def test_command_prints_ranges_for_the_recipes(mixture, stores, tmp_path):
     plan, out = tmp_path / "mixture.json", tmp_path / "pai"
-    write_plan(mixture, plan)
+    write_mixture(mixture, plan)
     result = CliRunner().invoke(app, ["export", str(plan), "--out", str(out), "--workers", "1"])
     assert result.exit_code == 0, result.output
     assert 'data.train_dataset.chunk_ids="0-2" data.train_dataset.use_default_keyframe=false' in result.output

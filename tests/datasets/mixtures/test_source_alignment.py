@@ -9,9 +9,9 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import minimize
 from typer.testing import CliRunner
 
-import olt_datasets.mixtures.alignment as alignment_module
+import olt_datasets.mixtures.source_alignment as alignment_module
 from olt_datasets.commands.mix import app
-from olt_datasets.mixtures.alignment import (
+from olt_datasets.mixtures.source_alignment import (
     PAPER_COVERAGE,
     align_sources,
     measure_coverage,

@@ -17,7 +17,7 @@ from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_toolkit import __version__
 
-PLAN_SUFFIXES = (".json", ".parquet")
+MIXTURE_SUFFIXES = (".json", ".parquet")
 METADATA_KEY = "openlongtail mixture"
 
 
@@ -44,14 +44,16 @@ class _Plan(BaseModel):
         return self
 
 
-def write_plan(mixture: Mixture, path: Path) -> None:
+def write_mixture(mixture: Mixture, path: Path) -> None:
     """Write a mixture as JSON or Parquet, by the suffix of the file; it appears whole.
 
     Raises:
         InputError: the suffix is another one, or the folder cannot be written to.
     """
-    if path.suffix not in PLAN_SUFFIXES:
-        raise InputError(f"{path}: a mixture is JSON or Parquet; give a name that ends in {' or '.join(PLAN_SUFFIXES)}")
+    if path.suffix not in MIXTURE_SUFFIXES:
+        raise InputError(
+            f"{path}: a mixture is JSON or Parquet; give a name that ends in {' or '.join(MIXTURE_SUFFIXES)}"
+        )
     plan = _Plan(
         recipe=mixture.recipe,
         seed=mixture.seed,
@@ -69,8 +71,8 @@ def write_plan(mixture: Mixture, path: Path) -> None:
             temporary.write_text(f'{plan[:-1]},"samples":{samples}}}\n', encoding="utf-8")
 
 
-def read_plan(path: Path) -> Mixture:
-    """Read a mixture that `write_plan` wrote.
+def read_mixture(path: Path) -> Mixture:
+    """Read a mixture that `write_mixture` wrote.
 
     Raises:
         InputError: the file cannot be read or is not a plan of this version; names the field.
