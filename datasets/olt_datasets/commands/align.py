@@ -1,5 +1,6 @@
 """`olt mix align`: which sources a target slice asks for."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -7,7 +8,7 @@ import typer
 
 if TYPE_CHECKING:
     from olt_datasets.mixtures.selection import ClipTable
-    from olt_datasets.mixtures.source_alignment import Alignment, Gap
+    from olt_datasets.mixtures.source_alignment import Gap, SourceAlignment
 
 
 def align(
@@ -53,7 +54,7 @@ def align(
         else:
             found = align_sources(coverage, _read_weights(str(target_weights)), samples=samples, seed=seed)
     if as_json:
-        print_json(found.to_dict())
+        print_json(asdict(found))
     else:
         _show(found)
 
@@ -89,7 +90,8 @@ def _read_weights(text: str) -> dict[str, float]:
     return weights
 
 
-def _show(found: "Alignment") -> None:
+def _show(found: "SourceAlignment") -> None:
+    from olt_datasets.mixtures.source_alignment import word_missing_factor
     from olt_toolkit.runtime.console import print_line, print_table
 
     factors = list(found.target)
@@ -102,8 +104,8 @@ def _show(found: "Alignment") -> None:
     gaps.append(("all clips together", "", *_cells(found.pooled_gap), ""))
     gaps.append(("proposed shares", "", *_cells(found.proposed_gap), ""))
     print_table("Alignment gap", ("source", "clips", "gap", "95 %", "proposed share"), gaps)
-    for finding in found.findings:
-        print_line(finding)
+    for missing in found.missing:
+        print_line(word_missing_factor(missing))
 
 
 def _cells(gap: "Gap") -> tuple[str, str]:
