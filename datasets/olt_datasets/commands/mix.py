@@ -1,6 +1,7 @@
 """`olt mix`: compose training mixtures from clip tables by recipes."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -80,18 +81,27 @@ def check(recipe: RecipeArgument, stores: StoresOption, as_json: JsonOption = Fa
     """List everything that keeps a recipe from being composed: shortages and leaks. Exit status 1 if there is any."""
     from olt_datasets.mixtures.mixture import check_recipe
     from olt_datasets.mixtures.recipe import find_recipe
+    from olt_datasets.mixtures.selection import word_shortage
     from olt_datasets.tables.clip_table import scan_clip_tables
     from olt_toolkit.runtime.console import print_json, print_line
 
     findings = check_recipe(find_recipe(recipe), scan_clip_tables(stores))
     refused = bool(findings["shortages"] or findings["leaks"])
     if as_json:
-        print_json({"recipe": recipe, "accepted": not refused, **findings})
+        records = {
+            "shortages": [asdict(shortage) for shortage in findings["shortages"]],
+            "leaks": [asdict(leak) for leak in findings["leaks"]],
+            "absent": [value._asdict() for value in findings["absent"]],
+        }
+        print_json({"recipe": recipe, "accepted": not refused, **records})
     else:
         print_line(f"{recipe}: {'refused' if refused else 'accepted'}")
-        for topic, lines in findings.items():
-            for line in lines:
-                print_line(f"  {topic}: {line}")
+        for shortage in findings["shortages"]:
+            print_line(f"  shortages: {word_shortage(shortage)}")
+        for leak in findings["leaks"]:
+            print_line(f"  leaks: {leak}")
+        for component, field, value in findings["absent"]:
+            print_line(f"  absent: component {component!r}: where.{field}: no clip has {value!r}")
     if refused:
         raise typer.Exit(1)
 
@@ -118,7 +128,7 @@ def diff(
 def _training(stages: Sequence[str]) -> Any:
     """A function that gives the arithmetic of each stage for a number of samples; texts are checked at once."""
     parsed = [parse_stage(text) for text in stages]
-    return lambda samples: {str(stage): training_arithmetic(samples, stage).to_dict() for stage in parsed}
+    return lambda samples: {str(stage): asdict(training_arithmetic(samples, stage)) for stage in parsed}
 
 
 def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:

@@ -274,7 +274,7 @@ def _find_missing(
         if share and not column.any():
             yield MissingFactor(factor, share)
         elif share:
-            for row in np.flatnonzero(column == 0.0):
+            for row in np.flatnonzero(column == 0.0).tolist():
                 clips = counts[row].sum()
                 # Zero of n are seen with 5 % probability where this part of all clips has the factor.
                 bound = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / clips)

@@ -89,9 +89,13 @@ def test_check_lists_shortages_and_leaks(stores, write_store, make_clip):
     status, out = run("check", "toy_nominal", *stores, "--stores", write_store(twin, name="twin"), "--json")
     findings = json.loads(out)
     assert status == 1 and not findings["accepted"]
-    assert len(findings["leaks"]) == 1 and findings["leaks"][0].startswith("scene scene_1: its GT clips in split train")
+    (leak,) = findings["leaks"]
+    assert leak["scene_id"] == "scene_1" and leak["detail"].startswith("its GT clips in split train")
     status, out = run("check", "toy_nominal_long_tail", *stores[:2])
     assert status == 1 and "refused" in out and "'long_tail'" in out
+    (shortage,) = json.loads(run("check", "toy_nominal_long_tail", *stores[:2], "--json")[1])["shortages"]
+    assert (shortage["component"], shortage["asked"], shortage["clips"]) == ("long_tail", 256, 0)
+    assert shortage["split_holds"] == [{"kind": "GT", "category": "nominal", "source": "world", "clips": 6}]
 
 
 @pytest.mark.parametrize(
@@ -100,7 +104,7 @@ def test_check_lists_shortages_and_leaks(stores, write_store, make_clip):
         (lambda plan: plan.update(version=1), "version: Input should be 2"),
         (lambda plan: plan.pop("seed"), "seed: Field required"),
         (lambda plan: plan.update(more=1), "more: Extra inputs are not permitted"),
-        (lambda plan: plan["available"].pop(), "file: Value error, the recipe and the plan differ"),
+        (lambda plan: plan["available"].pop(), "file: Value error, the recipe and the mixture differ"),
         (lambda plan: plan["recipe"]["components"][0].update(share=0.4), "recipe: Value error, the shares sum to 0.9"),
         (lambda plan: plan["distinct"].insert(0, plan["distinct"].pop() + 1), "samples: some are missing"),
         (lambda plan: plan["samples"]["clip_id"].__setitem__(3, None), "samples: some are missing"),

@@ -15,7 +15,6 @@ from olt_datasets.mixtures.dataset import MixtureDataset
 from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.mixture_file import write_mixture
 from olt_datasets.mixtures.recipe import Recipe
-from olt_datasets.mixtures.torch_dataset import TorchMixtureDataset
 from olt_datasets.tables.clip_table import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import make_clip_id
@@ -120,7 +119,7 @@ def test_the_devkit_reads_every_clip_without_a_warning(
 def test_the_torch_dataset_yields_the_dict_of_the_public_loader(mixture, mixed):
     torch = pytest.importorskip("torch")
     key = mixture.epoch(0, 4)[0][0]
-    item = TorchMixtureDataset(MixtureDataset(mixture, IMAGE_SIZE))[key]
+    item = MixtureDataset(mixture, IMAGE_SIZE)[key]
     # docs/formats/physicalai_av.md, after the recipes' dataset has removed the first axis of the ego tensors
     expected = {
         "image_frames": ((4, 4, 3, *IMAGE_SIZE), torch.uint8),
