@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.export.contents import contents_of_stores
-from olt_datasets.export.options import WorkOptions
 from olt_datasets.export.pai import export_pai
 from olt_generator.files import write_whole_folder
 from olt_generator.poses import planar_pose
@@ -44,7 +43,7 @@ def exported_clip(width: int, height: int) -> Path:
             store = ClipStore(temporary / "store")
             store.prepare(make_clip(width, height))
             store.commit([CLIP_ID])
-            export_pai(contents_of_stores([store.root], "train"), temporary / "pai", WorkOptions())
+            export_pai(contents_of_stores([store.root], "train"), temporary / "pai")
     return folder / "pai"
 
 
