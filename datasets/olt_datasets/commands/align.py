@@ -1,5 +1,6 @@
 """`olt mix align`: which sources a target slice asks for."""
 
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -50,7 +51,8 @@ def align(
         coverage = measure_coverage(_slice(clips, split, where, "--where"), by)
         if target is not None:
             slices = measure_coverage(_slice(clips, target_split, target, "--target"), by)
-            found = align_sources(coverage, _pool(slices), target_is_sample=True, samples=samples, seed=seed)
+            pooled = dict(sum(map(Counter, slices.values()), Counter()))
+            found = align_sources(coverage, pooled, target_is_sample=True, samples=samples, seed=seed)
         else:
             found = align_sources(coverage, _read_weights(str(target_weights)), samples=samples, seed=seed)
     if as_json:
@@ -66,11 +68,6 @@ def _slice(clips: "ClipTable", split: str, text: str, where: str) -> "ClipTable"
     from olt_datasets.mixtures.selection import matches
 
     return clips.lazy().filter((pl.col("split") == split) & matches(parse_filter(text, where)))
-
-
-def _pool(coverage: dict[str, dict[str, float]]) -> dict[str, float]:
-    values = sorted({value for part in coverage.values() for value in part})
-    return {value: sum(part.get(value, 0.0) for part in coverage.values()) for value in values}
 
 
 def _read_weights(text: str) -> dict[str, float]:

@@ -1,6 +1,6 @@
 """`olt mix`: compose training mixtures from clip tables by recipes."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -152,14 +152,8 @@ def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:
         for value, numbers in summary[f"by_{group}"].items()
     ]
     print_table("What is in it", ("by", "value", "got", "share", "distinct"), rows)
-    _show_training(summary["training"])
-
-
-def _show_training(training: Mapping[str, Mapping[str, int]]) -> None:
-    from olt_toolkit.runtime.console import print_table
-
     columns = ("global_batch", "samples_per_epoch", "padded_samples", "steps_per_epoch", "total_steps")
-    rows = [(stage, *(numbers[column] for column in columns)) for stage, numbers in training.items()]
+    rows = [(stage, *(numbers[column] for column in columns)) for stage, numbers in summary["training"].items()]
     heads = ("devices x batch x accumulation x epochs", *(column.replace("_", " ") for column in columns))
     print_table("Steps of training", heads, rows)
 
@@ -189,23 +183,13 @@ def _show_difference(summary: dict[str, Any], as_json: bool) -> None:
 
 
 def _show_recipe(recipe: "Recipe", as_json: bool) -> None:
+    from olt_datasets.mixtures.recipe import Component
     from olt_toolkit.runtime.console import print_json, print_table
 
     if as_json:
         print_json(recipe.model_dump(mode="json"))
         return
-    columns = (
-        "name",
-        "where",
-        "share",
-        "share_by_epoch",
-        "count",
-        "repeats",
-        "t0",
-        "samples_per_clip",
-        "prefer",
-        "caps",
-    )
+    columns = list(Component.model_fields)
     rows = [[_cell(getattr(part, column) or None) for column in columns] for part in recipe.components]
     print_table(f"{recipe.name}, split {recipe.split}: {recipe.description}", columns, rows)
 
