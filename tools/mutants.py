@@ -2,8 +2,8 @@
 
 python tools/mutants.py [MODULE.py ...] [--limit N] [--workers N]
 
-`[tool.mutants]` of pyproject.toml names the modules and the tests that guard each. A mutant lives in a forked process
-only: no file is changed. If a module has more mutants than the limit, the same ones are run every time.
+`[tool.mutants]` of pyproject.toml names the modules and the files of tests that guard each. A mutant lives in a forked
+process only: no file is changed. If a module has more mutants than the limit, the same ones are run every time.
 """
 
 import argparse
@@ -109,6 +109,9 @@ def start(path: Path, tree: ast.AST, tests: list[str]) -> int:
 def run(path: Path, tests: list[str], limit: int, workers: int) -> tuple[int, int, list[str]]:
     """Number of possible mutants, of those run, and the changes that no test noticed."""
     source = path.read_text()
+    tests = [
+        str(found) for name in tests for found in sorted(Path("tests").rglob(name)) or sys.exit(f"tests: no {name}")
+    ]
     counter = Mutator()
     counter.visit(ast.parse(source))
     begun = time.monotonic()
