@@ -63,7 +63,7 @@ class Mutator(ast.NodeTransformer):
 
     def visit(self, node: ast.AST) -> ast.AST:
         """Visit what computes: neither messages nor annotations nor decorators."""
-        if isinstance(node, ast.Raise | ast.JoinedStr | ast.arg):
+        if isinstance(node, ast.Raise | ast.JoinedStr | ast.arg) or getattr(node, "arg", None) == "strict":
             return node
         kept = {
             name: getattr(node, name) for name in ("annotation", "returns", "decorator_list") if hasattr(node, name)
