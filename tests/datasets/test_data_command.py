@@ -24,7 +24,7 @@ def toy(open_toy):
     """Two drives of ten seconds with true views, and the options that open them."""
     drives = {key: make_drive(key, 100, true_views=POLICY_CAMERAS) for key in ("a", "b")}
     place, dataset = open_toy(ToyDataset(drives))
-    return dataset, place.root, ("--cache", place.cache, "--workers", 1)
+    return dataset, place.path, ("--cache", place.cache, "--workers", 1)
 
 
 def test_sources_are_listed_with_their_terms():

@@ -38,8 +38,9 @@ def index(
     from dataclasses import asdict
 
     from olt_datasets.tables.cutting import Cutting
-    from olt_datasets.tables.indexing import DatasetPlace, index_dataset
+    from olt_datasets.tables.indexing import index_dataset
     from olt_generator.errors import InputError
+    from olt_toolkit.recordings.drives import DatasetPlace
     from olt_toolkit.runtime.console import make_progress, print_json, print_line
     from olt_toolkit.runtime.workers import default_workers
 

@@ -15,13 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from olt_datasets.sources.video import CAMERA
-from olt_datasets.sources.video_folder import UNKNOWN_CAMERA, open_video_window
+from olt_datasets.sources.video import CAMERA, UNKNOWN_CAMERA, open_video_window
 from olt_generator.errors import InputError
 from olt_generator.video import read_frame_times
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE
 
@@ -64,7 +63,7 @@ class Nexar:
 
     def __init__(self, root: Path, cache: Path) -> None:
         self._root = root
-        self._cache = cache
+        self._cache = cache / NAME
         self._videos = _read_tables(root)
 
     def keys(self) -> list[str]:
@@ -96,22 +95,6 @@ class Nexar:
         if key not in self._videos:
             raise InputError(f"{self._root}: there is no Nexar video {key!r}")
         return self._videos[key]
-
-
-class NexarReader:
-    """Opens either layout; see `DatasetReader`."""
-
-    name = NAME
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; judged by the names of tables and folders."""
-        challenge = (root / "train.csv").is_file() and (root / "train").is_dir()
-        return challenge or any(_hub_tables(root / folder) for folder in _HUB_FOLDERS)
-
-    def open(self, root: Path, cache: Path) -> Nexar:
-        """See `DatasetReader.open`."""
-        return Nexar(root, cache / NAME)
 
 
 def _tables(root: Path) -> list[tuple[Path, Path, Split]]:
@@ -210,4 +193,9 @@ def _ending(video: _Video) -> tuple[str, ...]:
     return (f"It ends in a collision or a near miss; only what lies before the {what} may be imitated.",)
 
 
-DATASET = NexarReader()
+def _recognise(path: Path) -> bool:
+    challenge = (path / "train.csv").is_file() and (path / "train").is_dir()
+    return challenge or any(_hub_tables(path / folder) for folder in _HUB_FOLDERS)
+
+
+DATASET = DatasetReader(NAME, LICENCE, _recognise, Nexar)

@@ -19,7 +19,7 @@ from olt_generator.poses import pose_from_quaternion
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import MountedCamera
 from olt_toolkit.rigs.rig_files import load_rig
@@ -49,6 +49,8 @@ class Nuscenes:
     licence = LICENCE
 
     def __init__(self, root: Path, cache: Path) -> None:
+        if not any((root / name).is_dir() for name in RELEASES):
+            raise InputError(f"{root}: holds none of the tables {', '.join(RELEASES)}; give the root of nuScenes")
         self.root = root
         self._cache = cache
 
@@ -130,23 +132,6 @@ class Nuscenes:
         return CameraImages(mounted, tuple(self.root / name for name in rows["filename"]), times_us)
 
 
-class NuscenesReader:
-    """Opens folders of nuScenes releases."""
-
-    name = SOURCE
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; judged by the folders of tables."""
-        return any((root / name / f"{TABLES[0]}.json").is_file() for name in RELEASES)
-
-    def open(self, root: Path, cache: Path) -> Nuscenes:
-        """See `DatasetReader.open`; the tables are kept as Parquet in the cache."""
-        if not any((root / name).is_dir() for name in RELEASES):
-            raise InputError(f"{root}: holds none of the tables {', '.join(RELEASES)}; give the root of nuScenes")
-        return Nuscenes(root, cache)
-
-
 def _files_on_disk(root: Path, channel: str) -> set[str]:
     """Names of a camera's images as the tables have them."""
     folders = [f"{kind}/{channel}" for kind in ("samples", "sweeps")]
@@ -179,4 +164,9 @@ def _split_notes(release: str) -> list[str]:
     return ["The tables do not tell which scenes nuScenes keeps for validation."]
 
 
-DATASET = NuscenesReader()
+DATASET = DatasetReader(
+    SOURCE,
+    LICENCE,
+    lambda path: any((path / name / f"{TABLES[0]}.json").is_file() for name in RELEASES),
+    Nuscenes,
+)

@@ -24,7 +24,7 @@ from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, pose_from_quaternion
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import MountedCamera
 from olt_toolkit.rigs.rig_files import load_rig
@@ -78,7 +78,9 @@ class Pandaset:
     source = SOURCE
     licence = LICENCE
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, _: Path) -> None:
+        if not _sequences(root):
+            raise InputError(f"{root}: holds no PandaSet sequence; give the folder that holds 001, 002, ...")
         self.root = root
         self._rig = load_rig("pandaset")
 
@@ -137,23 +139,6 @@ class Pandaset:
         if not isinstance(mounted.camera, BrownConradyCamera):
             raise TypeError(f"rig pandaset: {folder.name} must be a brown_conrady camera")
         return replace(mounted, camera=replace(mounted.camera, fx=own.fx, fy=own.fy, cx=own.cx, cy=own.cy))
-
-
-class PandasetReader:
-    """Opens folders of PandaSet sequences."""
-
-    name = SOURCE
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; judged by the folders of sequences."""
-        return root.is_dir() and bool(_sequences(root))
-
-    def open(self, root: Path, cache: Path) -> Pandaset:
-        """See `DatasetReader.open`; nothing is cached."""
-        if not _sequences(root):
-            raise InputError(f"{root}: holds no PandaSet sequence; give the folder that holds 001, 002, ...")
-        return Pandaset(root)
 
 
 def _sequences(root: Path) -> list[Path]:
@@ -215,4 +200,4 @@ def _read_json(path: Path, content: TypeAdapter[Content]) -> Content:
         raise InputError(f"{path}: not readable as JSON ({error}); copy it again") from error
 
 
-DATASET = PandasetReader()
+DATASET = DatasetReader(SOURCE, LICENCE, lambda path: path.is_dir() and bool(_sequences(path)), Pandaset)

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.image_times import FARTHEST_US, farthest_apart, nearest_images, starting_at
 from olt_datasets.sources.pav_tables import (
     ClipEvents,
     IndexedClip,
@@ -20,7 +19,7 @@ from olt_datasets.sources.pav_tables import (
     read_countries,
     read_events,
 )
-from olt_datasets.sources.windows import images_within
+from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
@@ -40,7 +39,7 @@ from olt_toolkit.clips.pai_tables import read_egomotion, read_mounted_camera, re
 from olt_toolkit.clips.table import CLIP_TABLE
 from olt_toolkit.clips.video import decode_frames
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, short_name
 
@@ -65,7 +64,13 @@ class Pav:
     source = SOURCE
     licence = LICENCE
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, _: Path) -> None:
+        if not (root / CLIP_INDEX).is_file():
+            raise InputError(f"{root / CLIP_INDEX}: no such file; give the root of a PhysicalAI-AV tree")
+        if _is_clip_store(root):
+            raise InputError(
+                f"{root}: a clip store of this toolkit ({CLIP_TABLE}), whose images need not be true; use it as it is"
+            )
         self.root = root
         self._archive = lru_cache(maxsize=_KEPT_ARCHIVES)(ChunkArchive)
 
@@ -222,29 +227,14 @@ class Pav:
         return self._archive(path).read(name), f"{path}: {name}"
 
 
-class PavReader:
-    """Opens PhysicalAI-AV trees."""
-
-    name = SOURCE
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; clip stores of this toolkit have the same layout and are none."""
-        return all((root / name).is_file() for name in (CLIP_INDEX, FEATURE_TABLE)) and not _is_clip_store(root)
-
-    def open(self, root: Path, cache: Path) -> Pav:
-        """See `DatasetReader.open`; nothing is cached."""
-        if not (root / CLIP_INDEX).is_file():
-            raise InputError(f"{root / CLIP_INDEX}: no such file; give the root of a PhysicalAI-AV tree")
-        if _is_clip_store(root):
-            raise InputError(
-                f"{root}: a clip store of this toolkit ({CLIP_TABLE}), whose images need not be true; use it as it is"
-            )
-        return Pav(root)
-
-
 def _is_clip_store(root: Path) -> bool:
     return (root / CLIP_TABLE).exists()
 
 
-DATASET = PavReader()
+DATASET = DatasetReader(
+    SOURCE,
+    LICENCE,
+    # Clip stores of this toolkit have the same layout and are none.
+    lambda path: all((path / name).is_file() for name in (CLIP_INDEX, FEATURE_TABLE)) and not _is_clip_store(path),
+    Pav,
+)

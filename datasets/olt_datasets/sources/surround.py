@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.image_times import FARTHEST_US, farthest_apart, nearest_images, starting_at
 from olt_datasets.sources.mosaic import Mosaic, coverage
-from olt_datasets.sources.windows import images_within
+from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator.cameras import Camera, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.lenses.remap import Remapper

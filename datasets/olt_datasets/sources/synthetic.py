@@ -26,7 +26,7 @@ from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import POLICY_CAMERAS, pav_rig
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
@@ -66,7 +66,7 @@ class Synthetic:
     source = NAME
     licence = LICENCE
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, _: Path) -> None:
         self._file = root / FILE
         self._asked = _read_specification(self._file)
         seeds = range(self._asked.seed, self._asked.seed + self._asked.count)
@@ -96,9 +96,16 @@ class Synthetic:
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; lens and mounting are those of the nominal rig, whatever the options say."""
-        size = options.width, round(options.width * _ASPECT)
-        scene = self._scene(key)
-        return record_drive(scene, *size, self._asked.frame_rate, cameras=options.views, window_us=window_us)
+        height = options.height or round(options.width * _ASPECT)
+        return record_drive(
+            self._scene(key),
+            options.width,
+            height,
+            self._asked.frame_rate,
+            cameras=options.views,
+            with_distance=options.distance,
+            window_us=window_us,
+        )
 
     def _scene(self, key: str) -> Scene:
         if key not in self._drives:
@@ -106,21 +113,6 @@ class Synthetic:
         scene = _generate(*self._drives[key])
         shown = scene.ego.timestamps_us <= round(self._asked.duration * 1e6)
         return replace(scene, ego=Trajectory(scene.ego.timestamps_us[shown], scene.ego.T_world_rig[shown]))
-
-
-class SyntheticReader:
-    """Opens a folder with `synthetic.yaml`; see `DatasetReader`."""
-
-    name = NAME
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; judged by the file."""
-        return (root / FILE).is_file()
-
-    def open(self, root: Path, cache: Path) -> Synthetic:
-        """See `DatasetReader.open`; nothing is cached."""
-        return Synthetic(root)
 
 
 @lru_cache(maxsize=8)
@@ -138,4 +130,4 @@ def _read_specification(file: Path) -> _Specification:
         raise InputError(f"{file}: {place}: {first['msg']}") from error
 
 
-DATASET = SyntheticReader()
+DATASET = DatasetReader(NAME, LICENCE, lambda path: (path / FILE).is_file(), Synthetic)

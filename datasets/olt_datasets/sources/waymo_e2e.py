@@ -21,7 +21,7 @@ from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
@@ -97,9 +97,10 @@ class WaymoE2E:
     source = NAME
     licence = LICENCE
 
-    def __init__(self, root: Path, index: Path) -> None:
+    def __init__(self, root: Path, cache: Path) -> None:
+        """The first time all shards are indexed."""
         self._root = root
-        self._index = index
+        self._index = build_index(root, cache / NAME)
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: the names of the sequences."""
@@ -197,22 +198,6 @@ class _RecordImage:
         return bytes(images.jpegs[self.camera])
 
 
-class WaymoE2EReader:
-    """Opens the folder with the shards; see `DatasetReader`."""
-
-    name = NAME
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; judged by the names of files in the folder and one below."""
-        shards = (*root.glob(SHARDS), *root.glob(f"*/{SHARDS}"))
-        return any(_prefix(shard.name) in _SPLITS for shard in shards)
-
-    def open(self, root: Path, cache: Path) -> WaymoE2E:
-        """See `DatasetReader.open`; the first time all shards are indexed."""
-        return WaymoE2E(root, build_index(root, cache / NAME))
-
-
 def _prefix(shard: str) -> str:
     """What the name of a shard begins with: `training` of `folder/training_202504031202...`."""
     return Path(shard).name.partition("_")[0]
@@ -224,4 +209,9 @@ def _missing(frames: _Frames) -> tuple[str, ...]:
     return (f"{absent} frames between the first and the last are missing; they lie in other shards.",) if absent else ()
 
 
-DATASET = WaymoE2EReader()
+def _recognise(path: Path) -> bool:
+    """Judged by the names of files in the folder and one below."""
+    return any(_prefix(shard.name) in _SPLITS for shard in (*path.glob(SHARDS), *path.glob(f"*/{SHARDS}")))
+
+
+DATASET = DatasetReader(NAME, LICENCE, _recognise, WaymoE2E)

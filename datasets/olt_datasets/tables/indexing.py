@@ -9,7 +9,6 @@ import math
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
 from pathlib import Path
 
 import polars as pl
@@ -23,36 +22,13 @@ from olt_generator.files import make_folder, write_whole
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.clip import ClipInfo
 from olt_toolkit.clips.table import SCHEMA, write_clip_table
-from olt_toolkit.recordings.drives import Dataset, open_dataset
+from olt_toolkit.recordings.drives import DatasetPlace
 from olt_toolkit.runtime.workers import Engine, map_parallel, use_one_thread
 
 # Enough parts to keep many workers busy, and few enough files to read together.
 _PARTS = 512
 _ROWS_AT_ONCE = 500_000
 _ROW_GROUP = 250_000
-
-
-@dataclass(frozen=True)
-class DatasetPlace:
-    """Where a data set is, and how it is opened; can be sent to other processes.
-
-    Attributes:
-        root: its folder.
-        cache: where its reader keeps what takes long to find again.
-        source: name of its reader; None for the first that recognises the folder.
-    """
-
-    root: Path
-    cache: Path
-    source: str | None = None
-
-    def open(self) -> Dataset:
-        """Open the data set, once in each process.
-
-        Raises:
-            InputError: see `open_dataset`.
-        """
-        return _open_once(self)
 
 
 @dataclass(frozen=True)
@@ -131,7 +107,7 @@ def index_dataset(
         scan_clip_tables([known])  # refuses a table that cannot be used before any drive is described
     keys = place.open().keys()
     if not keys:
-        raise InputError(f"{place.root}: the data set has no drive; check that its files are unpacked")
+        raise InputError(f"{place.path}: the data set has no drive; check that its files are unpacked")
     make_folder(table.parent)
     with tempfile.TemporaryDirectory(prefix=f".{table.stem}.", dir=table.parent) as folder:
         parts = _parts(place, keys, cutting, keep_going, Path(folder))
@@ -147,11 +123,6 @@ def index_dataset(
         without_clips=[key for outcome in outcomes for key in outcome.without_clips],
         failed={key: message for outcome in outcomes for key, message in outcome.failed.items()},
     )
-
-
-@lru_cache(maxsize=1)
-def _open_once(place: DatasetPlace) -> Dataset:
-    return open_dataset(place.root, make_folder(place.cache), place.source)
 
 
 def _parts(place: DatasetPlace, keys: list[str], cutting: Cutting, keep_going: bool, folder: Path) -> list[_Part]:

@@ -16,7 +16,7 @@ from olt_toolkit.clips.pictures import contact_sheet, write_picture
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.summary import summarize_build
 from olt_toolkit.clips.views import BuildOptions
-from olt_toolkit.recordings.recording import OpenOptions, Recording, open_recording
+from olt_toolkit.recordings import OpenOptions, Recording, open_recording
 from olt_toolkit.report.drawings import draw_trajectory
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
 

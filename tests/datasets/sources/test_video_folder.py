@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 
-from olt_datasets.sources import video_folder
+from olt_datasets.sources import video
 from olt_generator.errors import InputError
 from olt_generator.video import write_video
 from olt_toolkit.recordings.drives import open_dataset
@@ -60,8 +60,8 @@ def test_all_windows_of_a_video_have_one_lens_which_is_looked_for_once(tmp_path,
     root = tmp_path / "dash"
     write(root / "a.mp4")
     found = []
-    find = video_folder.find_field_of_view
-    monkeypatch.setattr(video_folder, "find_field_of_view", lambda *args: found.append(1) or find(*args))
+    find = video.find_field_of_view
+    monkeypatch.setattr(video, "find_field_of_view", lambda *args: found.append(1) or find(*args))
     first = open_dataset(root, tmp_path / "cache").open("a.mp4", (0, 300_000), OpenOptions())
     second = open_dataset(root, tmp_path / "cache").open("a.mp4", (700_000, 900_000), OpenOptions())
     assert found == [1]

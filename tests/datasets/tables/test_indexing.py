@@ -9,9 +9,10 @@ import pytest
 import olt_datasets.tables.indexing as indexing
 from olt_datasets.tables.clip_table import read_clip_tables
 from olt_datasets.tables.cutting import Cutting
-from olt_datasets.tables.indexing import DatasetPlace, index_dataset
+from olt_datasets.tables.indexing import index_dataset
 from olt_datasets.tables.splits import SplitRule, Splitting, split_table
 from olt_generator.errors import InputError
+from olt_toolkit.recordings.drives import DatasetPlace
 
 from ..toy_drives import ToyDataset, make_drive
 

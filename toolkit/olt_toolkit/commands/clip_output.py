@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from olt_toolkit.clips.build_job import Outcome
+from olt_toolkit.clips.build_job import BuildResult
 from olt_toolkit.runtime.console import print_line, print_table
 
 # Label, and where the number is found in the pose errors.
@@ -41,18 +41,18 @@ def print_build(summary: dict[str, Any]) -> None:
     print_line(f"pictures: {summary['pictures']['contact_sheet']}, {summary['pictures']['animation']}")
 
 
-def print_outcomes(outcomes: Sequence[Outcome], store: Path) -> None:
+def print_results(results: Sequence[BuildResult], store: Path) -> None:
     """Print what became of each recording of a folder, failures last."""
     rows = [
-        (outcome.path.name, outcome.state, outcome.clip_id, *_outcome_cells(outcome.summary))
-        for outcome in outcomes
-        if outcome.state != "failed"
+        (result.path.name, result.state, result.clip_id, *_result_cells(result.summary))
+        for result in results
+        if result.state != "failed"
     ]
     columns = ["recording", "state", "clip", "length m", "label noise m/s2", "seconds", "samples"]
     print_table(f"Clips in {store}", columns, rows)
-    for outcome in outcomes:
-        if outcome.state == "failed":
-            print_line(f"failed: {outcome.path.name}: {outcome.message}")
+    for result in results:
+        if result.state == "failed":
+            print_line(f"failed: {result.path.name}: {result.message}")
 
 
 def print_plan(plan: dict[str, Any], folder: Path) -> None:
@@ -173,7 +173,7 @@ def _share_cells(view: dict[str, Any]) -> tuple[str, ...]:
     return tuple(f"{100 * share:.1f} %" for share in shares)
 
 
-def _outcome_cells(summary: dict[str, Any] | None) -> tuple[object, ...]:
+def _result_cells(summary: dict[str, Any] | None) -> tuple[object, ...]:
     """Length, expected label noise, run time and samples of a clip that was built now."""
     if summary is None:
         return "", "", "", ""

@@ -5,17 +5,12 @@ from typing import Annotated, Any
 
 import typer
 
-from olt_toolkit.commands.clip_options import (
-    CameraHeightOption,
-    DurationOption,
-    FovOption,
-    JsonOption,
-    make_open_options,
-)
+from olt_toolkit.commands.clip_options import CacheOption, CameraOptions, DurationOption, JsonOption
 
 
 def trajectory(
     recording: Annotated[Path, typer.Argument(metavar="INPUT", help="A video or a drive folder.")],
+    camera: CameraOptions,
     clip_frames: Annotated[int | None, typer.Option(min=2, help="Cut into clips of so many frames.")] = None,
     stride: Annotated[
         int | None, typer.Option(min=1, help="Frames from one clip to the next; by default a clip long.")
@@ -26,19 +21,18 @@ def trajectory(
     jitter_deg: Annotated[float, typer.Option(min=0.0, help="Noise of its rotation, degrees an axis.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of that noise.")] = 0,
     picture: Annotated[Path | None, typer.Option(help="Draw path and acceleration into this PNG file.")] = None,
-    fov: FovOption = None,
-    camera_height: CameraHeightOption = None,
     duration: DurationOption = 20.0,
+    cache: CacheOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Recover and smooth the motion, clip by clip, and hold it against the reference where one is known."""
     from math import radians
 
     from olt_toolkit.clips.trajectory_errors import Jitter, measure_clips, plot_clips, summarize_clips
-    from olt_toolkit.recordings.recording import open_recording
+    from olt_toolkit.recordings.drives import open_recording
     from olt_toolkit.runtime.console import make_progress, print_json
 
-    opened = open_recording(recording, make_open_options(duration, fov, camera_height))
+    opened = open_recording(recording, camera.opening(duration), cache)
     with make_progress() as progress:
         task = progress.add_task("trajectory", total=1.0)
         motions = measure_clips(
