@@ -171,7 +171,7 @@ class _Record:
     @property
     def calibrated(self) -> dict[str, MountedCamera]:
         """The cameras, read without looking at the images, so the checksum of the record is not looked at either."""
-        return read_images(self._shard[self._offset : self._offset + self._length], str(self)).cameras
+        return read_images(self._shard[self._offset : self._offset + self._length], str(self), False).cameras
 
     @cached_property
     def images(self) -> FrameImages:
@@ -195,7 +195,7 @@ class _RecordImage:
         own = images.cameras[self.camera]
         if own.camera != self.mounted.camera or not np.array_equal(own.T_rig_camera, self.mounted.T_rig_camera):
             raise InputError(f"{self}: its calibration is not that of the first frame; give Waymo's shards unchanged")
-        return bytes(images.jpegs[self.camera])
+        return images.jpegs[self.camera]
 
 
 def _prefix(shard: str) -> str:
