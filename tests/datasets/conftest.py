@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 import olt_toolkit.recordings.drives
-from olt_datasets.tables.clip_table import SCHEMA
+from olt_datasets.tables.clip_frame import SCHEMA
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import (

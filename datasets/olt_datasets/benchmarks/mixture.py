@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from olt_datasets.benchmarks.mixture_tables import compose_at_scale
 from olt_datasets.mixtures.mixture import Mixture, compose_mixture
 from olt_datasets.mixtures.recipe import parse_recipe
-from olt_datasets.tables.clip_table import SCHEMA
+from olt_datasets.tables.clip_frame import SCHEMA
 from olt_generator.seeds import derive_seed
 from olt_toolkit.bench.benchmark import Benchmark, Grid, Setting
 

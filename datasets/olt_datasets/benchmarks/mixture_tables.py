@@ -1,4 +1,4 @@
-"""Clip tables of any size, made up, and what composing a mixture from one takes."""
+"""What composing a mixture from a fake clip table of any size takes."""
 
 import tempfile
 import time
@@ -7,20 +7,11 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-import pyarrow as pa
-import pyarrow.parquet as pq
-
 from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.recipe import parse_recipe
-from olt_datasets.tables.clip_table import scan_clip_tables
-from olt_generator.seeds import make_generator
+from olt_datasets.tables.clip_frame import scan_clip_tables
+from olt_datasets.tables.fake_table import LONG_TAIL, write_fake_table
 from olt_toolkit.bench.runner import resident_mib
-from olt_toolkit.clips.table import SCHEMA
-
-ROWS_AT_ONCE = 100_000
-LONG_TAIL = ("cyclists", "work_zone", "uncommon_vehicle", "animal")
-SAMPLE_TIMES_US = (1_700_000, 5_100_000, 8_500_000, 11_900_000)
 
 
 def compose_at_scale(clips: int) -> dict[str, Any]:
@@ -32,56 +23,9 @@ def compose_at_scale(clips: int) -> dict[str, Any]:
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "clips.parquet"
-        write_made_up_table(path, clips)
+        write_fake_table(path, clips)
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
             return pool.submit(_measure_composing, path, clips).result()
-
-
-def write_made_up_table(path: Path, clips: int) -> None:
-    """A table of indexed clips in order of their ids: two kinds, four long-tail categories, four times t0 a clip."""
-    with pq.ParquetWriter(path, SCHEMA) as writer:
-        for start in range(0, clips, ROWS_AT_ONCE):
-            writer.write_table(_rows(start, min(ROWS_AT_ONCE, clips - start)))
-
-
-def _rows(start: int, count: int) -> pa.Table:
-    random = make_generator("made-up clip table", start)
-    number = pl.int_range(start, start + count, dtype=pl.Int64)
-
-    def digits(length: int) -> pl.Series:
-        return pl.Series(random.integers(10**length, size=count)).cast(pl.String).str.zfill(length)
-
-    def word(*words: str) -> pl.Series:
-        return pl.Series(words).gather(random.integers(len(words), size=count))
-
-    clip_id = pl.format(
-        "{}-{}-5{}-8{}-{}", number.cast(pl.String).str.zfill(8), digits(4), digits(3), digits(3), digits(12)
-    )
-    frame = pl.select(
-        clip_id=clip_id,
-        name=pl.format("drive {}", number),
-        scene_id=pl.format("pav/{}", number // 4),
-        source=word("pav", "pav", "pav", "waymo_e2e"),
-        recording=pl.format("recording {}", number // 4),
-        start_us=number % 4 * 20_000_000,
-        end_us=number % 4 * 20_000_000 + 20_000_000,
-        country=word("US", "DE", "JP"),
-        licence=pl.lit("made up"),
-        kind=word("GT", "Syn"),
-        category=word(*["nominal"] * 6, *LONG_TAIL),
-        factors=pl.when(number % 5 == 0).then(pl.lit(["cone_delineated"])).otherwise(pl.lit([], pl.List(pl.String))),
-        split=pl.when(number // 4 % 10 == 0).then(pl.lit("test")).otherwise(pl.lit("train")),
-        duration_us=pl.lit(20_000_000),
-        sample_t0_us=pl.lit(list(SAMPLE_TIMES_US)),
-        created_with=pl.lit("made up"),
-        checksum=digits(18) + digits(14),
-    )
-    columns = {name: frame[name].to_arrow() for name in frame.columns}
-    arrays = [
-        columns[field.name].cast(field.type) if field.name in columns else pa.nulls(count, field.type)
-        for field in SCHEMA
-    ]
-    return pa.table(arrays, schema=SCHEMA)
 
 
 def _measure_composing(path: Path, clips: int) -> dict[str, Any]:

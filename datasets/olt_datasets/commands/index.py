@@ -115,7 +115,7 @@ def check(
     GT and Syn clips of the same moments, windows of a scene that overlap, clips of other scenes that look alike,
     held-out scenes and external sources in training.
     """
-    from olt_datasets.tables.clip_table import scan_clip_tables
+    from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_datasets.tables.leaks import find_table_leaks
     from olt_toolkit.runtime.console import print_json, print_line
 

@@ -43,7 +43,7 @@ def compose(
     from olt_datasets.mixtures.picture import draw_mixture
     from olt_datasets.mixtures.plan import write_plan
     from olt_datasets.mixtures.recipe import find_recipe
-    from olt_datasets.tables.clip_table import scan_clip_tables
+    from olt_datasets.tables.clip_frame import scan_clip_tables
 
     chosen = find_recipe(recipe)
     training = _training(stage)
@@ -80,7 +80,7 @@ def check(recipe: RecipeArgument, stores: StoresOption, as_json: JsonOption = Fa
     """List everything that keeps a recipe from being composed: shortages and leaks. Exit status 1 if there is any."""
     from olt_datasets.mixtures.mixture import check_recipe
     from olt_datasets.mixtures.recipe import find_recipe
-    from olt_datasets.tables.clip_table import scan_clip_tables
+    from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_toolkit.runtime.console import print_json, print_line
 
     findings = check_recipe(find_recipe(recipe), scan_clip_tables(stores))

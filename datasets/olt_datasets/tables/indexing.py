@@ -15,7 +15,7 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from olt_datasets.tables.clip_table import TABLE_SUFFIX, scan_clip_tables
+from olt_datasets.tables.clip_frame import TABLE_SUFFIX, scan_clip_tables
 from olt_datasets.tables.cutting import Cutting, cut_drive
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole

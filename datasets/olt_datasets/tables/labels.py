@@ -11,7 +11,7 @@ from pathlib import Path
 import polars as pl
 import pyarrow as pa
 
-from olt_datasets.tables.clip_table import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
+from olt_datasets.tables.clip_frame import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
 from olt_generator.errors import InputError
 
 IDS = ("scene_id", "clip_id")

@@ -84,7 +84,7 @@ def _choose_mixture(mixture: Path | None, recipe: str | None, stores: list[Path]
     from olt_datasets.mixtures.mixture import compose_mixture
     from olt_datasets.mixtures.plan import read_plan
     from olt_datasets.mixtures.recipe import find_recipe
-    from olt_datasets.tables.clip_table import read_clip_tables
+    from olt_datasets.tables.clip_frame import read_clip_tables
     from olt_generator.errors import InputError
 
     if mixture is not None and recipe is None:

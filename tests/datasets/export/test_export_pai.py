@@ -16,7 +16,7 @@ from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.plan import write_plan
 from olt_datasets.mixtures.recipe import Recipe
 from olt_datasets.mixtures.torch_dataset import TorchMixtureDataset
-from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import make_clip_id
 from olt_toolkit.clips.store import ClipStore

@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_datasets.sources.tfrecord import map_records, masked_crc32c, read_record, record_spans
-from olt_datasets.sources.waymo_frames import read_images, read_states
-from olt_datasets.sources.waymo_messages import read_frame
+from olt_datasets.sources.waymo.frames import read_images, read_states
+from olt_datasets.sources.waymo.messages import read_frame
+from olt_datasets.sources.waymo.tfrecord import map_records, masked_crc32c, read_record, record_spans
 from olt_generator.errors import InputError
 
 # From RFC 3720, appendix B.4.

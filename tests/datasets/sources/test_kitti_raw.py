@@ -1,4 +1,4 @@
-"""Recording readers for plain video and KITTI raw drives, and KITTI raw data as a data set."""
+"""KITTI raw drives: one as a recording, a folder of them as a data set."""
 
 import shutil
 
@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from olt_generator.cameras import FthetaCamera, PinholeCamera
+from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import invert, transform
 from olt_generator.video import write_video
@@ -56,37 +56,6 @@ def write_drive(folder, official=False):
     times.write_text("\n".join(stamp(k, offset_ns=1_499) for k in range(FRAMES)) + "\n")
     oxts_times.write_text("\n".join(stamp(k, offset_ns=10_000_000) for k in range(FRAMES)) + "\n")
     return drive
-
-
-def test_video_opens_with_every_assumption_said(tmp_path):
-    path = write_video_file(tmp_path / "dash.mp4")
-    recording = open_recording(path, OpenOptions())
-    assert recording.frames.shape == (5, 36, 64, 3)
-    assert isinstance(recording.camera, PinholeCamera)
-    assert recording.camera.rays(np.array([[-0.5, 17.5]]))[0, 0] == pytest.approx(-np.sin(np.radians(35.0)))
-    assert recording.T_rig_camera[2, 3] == 1.5
-    said = " ".join(recording.assumptions)
-    for word in ("70 degrees", "the video does not tell: only 0 windows", "1.50 m", "rear axle", "vehicle"):
-        assert word in said
-    assert recording.reference is None
-
-
-def test_wide_video_gets_a_fisheye_and_options_are_taken(tmp_path):
-    path = write_video_file(tmp_path / "dash.mp4")
-    recording = open_recording(path, OpenOptions(width=32, horizontal_fov=np.radians(120.0), camera_height=2.2))
-    assert isinstance(recording.camera, FthetaCamera)
-    assert recording.camera.width == 32
-    edge = recording.camera.rays(np.array([[31.5, 8.5]]))[0]
-    assert np.degrees(np.arccos(edge[2])) == pytest.approx(60.0, abs=0.01)
-    assert recording.T_rig_camera[2, 3] == 2.2
-    assert any("as given" in sentence for sentence in recording.assumptions)
-
-
-def test_video_of_one_frame_and_silly_field_of_view_are_refused(tmp_path):
-    with pytest.raises(InputError, match="at least 2 frames"):
-        open_recording(write_video_file(tmp_path / "one.mp4", count=1), OpenOptions())
-    with pytest.raises(InputError, match=r"field of view 1\.0 degrees"):
-        open_recording(write_video_file(tmp_path / "dash.mp4"), OpenOptions(horizontal_fov=np.radians(1.0)))
 
 
 def test_readers_know_their_own(tmp_path):
@@ -202,17 +171,6 @@ def test_the_drives_of_a_folder_are_its_recordings_or_those_of_the_data_set(tmp_
     key = "2011_09_26/2011_09_26_drive_0001_sync"
     assert find_drives(tmp_path / "raw") == [(DatasetPlace(tmp_path / "raw"), key)]
     assert DatasetPlace(tmp_path / "raw").drive_name(key) == "2011_09_26_drive_0001_sync"
-
-
-def test_a_single_video_is_the_drive_that_it_is_in_its_folder(tmp_path):
-    path = write_video_file(tmp_path / "dash.mp4")
-    alone, beside = open_dataset(path), open_dataset(tmp_path)
-    assert (alone.keys(), beside.keys()) == (["."], ["dash.mp4"])
-    assert alone.drive(".").scene_id == beside.drive("dash.mp4").scene_id
-    frames = [
-        dataset.open(key, (0, 100_000), OpenOptions()).frames for dataset, key in ((alone, "."), (beside, "dash.mp4"))
-    ]
-    assert np.array_equal(*frames)
 
 
 def test_a_window_of_a_kitti_drive_has_the_motion_of_all_of_it(tmp_path):

@@ -13,10 +13,10 @@ import polars as pl
 from numpy.typing import NDArray
 
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
-from olt_datasets.sources.tfrecord import map_records, read_record
-from olt_datasets.sources.waymo_frames import CAMERAS, FrameImages, read_images
-from olt_datasets.sources.waymo_index import SHARDS, build_index, positions
-from olt_datasets.sources.waymo_motion import FramePath, chain_paths
+from olt_datasets.sources.waymo.frames import CAMERAS, FrameImages, read_images
+from olt_datasets.sources.waymo.index import SHARDS, build_index, positions
+from olt_datasets.sources.waymo.motion import FramePath, chain_paths
+from olt_datasets.sources.waymo.tfrecord import map_records, read_record
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import Split

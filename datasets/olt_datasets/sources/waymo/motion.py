@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from olt_datasets.sources.waymo_frames import STATE_US
+from olt_datasets.sources.waymo.frames import STATE_US
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
 from olt_generator.trajectory import Trajectory

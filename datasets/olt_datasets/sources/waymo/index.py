@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from olt_datasets.sources.tfrecord import map_records, record_spans
-from olt_datasets.sources.waymo_frames import read_states
+from olt_datasets.sources.waymo.frames import read_states
+from olt_datasets.sources.waymo.tfrecord import map_records, record_spans
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array
