@@ -56,7 +56,15 @@ class Nuscenes:
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: the names of the scenes of which front images are on disk."""
-        on_disk = pl.Series(sorted(_files_on_disk(self.root, FRONT)), dtype=pl.String)
+        folders = [f"{kind}/{FRONT}" for kind in ("samples", "sweeps")]
+        # Names as the tables have them.
+        names = [
+            f"{name}/{file.name}"
+            for name in folders
+            if (self.root / name).is_dir()
+            for file in (self.root / name).iterdir()
+        ]
+        on_disk = pl.Series(sorted(names), dtype=pl.String)
         scenes: set[str] = set()
         for release in set(self._tables.values()):
             images = pl.scan_parquet(camera_images(release, self._cache))
@@ -70,11 +78,14 @@ class Nuscenes:
         drive = self._read(key, rows)
         location, description = rows["location"][0], rows["description"][0]
         release = self._tables[key].name
-        return drive.describe(
-            country=_COUNTRIES.get(location.split("-")[0]),
-            split=_SPLITS.get(release),
-            notes=(f"nuScenes describes the scene as: {description}", *_rate_notes(drive), *_split_notes(release)),
-        )
+        notes = [f"nuScenes describes the scene as: {description}"]
+        rate = 1e6 / float(np.median(np.diff(drive.cameras[FRONT].times_us)))
+        if rate < _SWEEP_RATE:
+            notes.append(f"The front camera has {rate:.1f} images a second on disk; its sweeps are missing.")
+        if release not in _SPLITS:
+            notes.append("The tables do not tell which scenes nuScenes keeps for validation.")
+        country = _COUNTRIES.get(location.split("-")[0])
+        return drive.describe(country=country, split=_SPLITS.get(release), notes=tuple(notes))
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""
@@ -132,12 +143,6 @@ class Nuscenes:
         return CameraImages(mounted, tuple(self.root / name for name in rows["filename"]), times_us)
 
 
-def _files_on_disk(root: Path, channel: str) -> set[str]:
-    """Names of a camera's images as the tables have them."""
-    folders = [f"{kind}/{channel}" for kind in ("samples", "sweeps")]
-    return {f"{name}/{file.name}" for name in folders if (root / name).is_dir() for file in (root / name).iterdir()}
-
-
 def _ego_motion(rows: pl.DataFrame, start_us: int) -> Trajectory:
     """The vehicle's poses at the times of all images, over drive time; of those too close together the first."""
     rows = rows.unique("timestamp", keep="first").sort("timestamp")
@@ -148,20 +153,6 @@ def _ego_motion(rows: pl.DataFrame, start_us: int) -> Trajectory:
             kept.append(index)
     turn = rows.select("qx", "qy", "qz", "qw").to_numpy()[kept]
     return Trajectory(times_us[kept], pose_from_quaternion(turn, rows.select(POSITION).to_numpy()[kept]))
-
-
-def _rate_notes(drive: SurroundDrive) -> list[str]:
-    times_us = drive.cameras[FRONT].times_us
-    rate = 1e6 / float(np.median(np.diff(times_us)))
-    if rate >= _SWEEP_RATE:
-        return []
-    return [f"The front camera has {rate:.1f} images a second on disk; its sweeps are missing."]
-
-
-def _split_notes(release: str) -> list[str]:
-    if release in _SPLITS:
-        return []
-    return ["The tables do not tell which scenes nuScenes keeps for validation."]
 
 
 DATASET = DatasetReader(

@@ -37,6 +37,7 @@ LICENCE = Licence("Apache-2.0", "Made by the toolkit itself.", "None but those o
 # Shape of the images: that of the target rig's.
 _ASPECT = 9 / 16
 _MOST_DRIVES = 1_000_000
+_generate_scene = lru_cache(maxsize=8)(generate_scene)
 
 
 class _Specification(BaseModel):
@@ -68,7 +69,13 @@ class Synthetic:
 
     def __init__(self, root: Path, _: Path) -> None:
         self._file = root / FILE
-        self._asked = _read_specification(self._file)
+        content = read_yaml_mapping(self._file, "specification of synthetic drives", _Specification.model_fields)
+        try:
+            self._asked = _Specification.model_validate(content)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(part) for part in first["loc"])
+            raise InputError(f"{self._file}: {place}: {first['msg']}") from error
         seeds = range(self._asked.seed, self._asked.seed + self._asked.count)
         self._drives = {f"{name}_{seed:06d}": (name, seed) for name in self._asked.categories for seed in seeds}
 
@@ -110,24 +117,9 @@ class Synthetic:
     def _scene(self, key: str) -> Scene:
         if key not in self._drives:
             raise InputError(f"{self._file}: asks for no drive {key!r}")
-        scene = _generate(*self._drives[key])
+        scene = _generate_scene(*self._drives[key])
         shown = scene.ego.timestamps_us <= round(self._asked.duration * 1e6)
         return replace(scene, ego=Trajectory(scene.ego.timestamps_us[shown], scene.ego.T_world_rig[shown]))
-
-
-@lru_cache(maxsize=8)
-def _generate(category: str, seed: int) -> Scene:
-    return generate_scene(category, seed)
-
-
-def _read_specification(file: Path) -> _Specification:
-    content = read_yaml_mapping(file, "specification of synthetic drives", _Specification.model_fields)
-    try:
-        return _Specification.model_validate(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{file}: {place}: {first['msg']}") from error
 
 
 DATASET = DatasetReader(NAME, LICENCE, lambda path: (path / FILE).is_file(), Synthetic)

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
-from numpy.typing import NDArray
 
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_datasets.sources.waymo.frames import CAMERAS, FrameImages, read_images
@@ -18,7 +17,6 @@ from olt_datasets.sources.waymo.index import SHARDS, build_index, positions
 from olt_datasets.sources.waymo.motion import FramePath, chain_paths
 from olt_datasets.sources.waymo.tfrecord import map_records, read_record
 from olt_generator.errors import InputError
-from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
@@ -39,6 +37,7 @@ JAGUAR_I_PACE = VehicleDimensions(
     length=4.682, width=1.895, height=1.566, rear_axle_to_bbox_center=1.50, wheelbase=2.990, track_width=1.65
 )
 _SPLITS: dict[str, Split] = {"training": "train", "train": "train", "val": "val", "validation": "val", "test": "test"}
+_HAS_FRONT = pl.col("cameras").list.contains(FRONT)
 _USE = "The paper fine-tunes policies with clips of this data set and keeps it out of all training of the generator."
 _ASSUMPTIONS = (
     "Frames are 0.1 s apart, and all cameras of one expose at once; the data set tells no times.",
@@ -46,49 +45,6 @@ _ASSUMPTIONS = (
     "The vehicle frame, to which the cameras are calibrated, is taken to be on the ground under the rear axle.",
     "The vehicle has the size of a Jaguar I-Pace, which is what most of Waymo's cars are.",
 )
-
-
-@dataclass(frozen=True)
-class _Frames:
-    """The frames of one drive, in order of time.
-
-    Attributes:
-        rows: rows of the index.
-        times_us: (n,) drive times of the rows.
-    """
-
-    key: str
-    rows: pl.DataFrame
-    times_us: NDArray[np.int64]
-
-    @property
-    def with_front(self) -> "_Frames":
-        """Those with an image of the front camera."""
-        has_front = self.rows["cameras"].list.contains(FRONT).to_numpy()
-        return _Frames(self.key, self.rows.filter(pl.Series(has_front)), self.times_us[has_front])
-
-    @property
-    def cameras(self) -> tuple[str, ...]:
-        """Cameras that have images throughout."""
-        seen = [set(names) for names in self.rows["cameras"].to_list()]
-        return tuple(name for name in CAMERAS.values() if all(name in names for names in seen))
-
-    @property
-    def split(self) -> Split | None:
-        """The split that the names of the shards tell."""
-        splits: set[Split | None] = {_SPLITS.get(_prefix(name)) for name in self.rows["shard"].unique()}
-        if len(splits) > 1:
-            raise InputError(f"{self.key}: its frames lie in shards of different splits; give Waymo's shards unchanged")
-        return splits.pop()
-
-    @cached_property
-    def trajectory(self) -> Trajectory:
-        """The motion that the frames tell, in drive time, in the rig of the first frame."""
-        paths = [
-            FramePath.from_states(int(time_us), positions(past), positions(future))
-            for time_us, past, future in zip(self.times_us, self.rows["past"], self.rows["future"], strict=True)
-        ]
-        return chain_paths(paths, f"Waymo E2E drive {self.key}")
 
 
 class WaymoE2E:
@@ -109,40 +65,23 @@ class WaymoE2E:
     def drive(self, key: str) -> Drive:
         """See `Dataset.drive`; no image is read."""
         frames = self._frames(key)
-        front = frames.with_front
-        rated = front.times_us[front.rows["rated"].to_numpy()]
-        described = self._surround(frames).describe(country="US", split=frames.split, notes=(_USE, *_missing(frames)))
-        return replace(described, event_t0s_us=tuple(rated.tolist()))
+        # The split that the names of the shards tell.
+        splits: set[Split | None] = {_SPLITS.get(_prefix(name)) for name in frames["shard"].unique()}
+        if len(splits) > 1:
+            raise InputError(f"{key}: its frames lie in shards of different splits; give Waymo's shards unchanged")
+        absent = frames["index"][-1] - frames["index"][0] + 1 - len(frames)
+        missing = f"{absent} frames between the first and the last are missing; they lie in other shards."
+        notes = (_USE, missing) if absent else (_USE,)
+        described = self._surround(key, frames).describe(country="US", split=splits.pop(), notes=notes)
+        rated = frames.filter(_HAS_FRONT & pl.col("rated"))["time_us"].to_list()
+        return replace(described, event_t0s_us=tuple(rated))
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; the front images, which are portraits, are freed of their distortion."""
-        return self._surround(self._frames(key)).open(window_us, options)
+        return self._surround(key, self._frames(key)).open(window_us, options)
 
-    def _surround(self, frames: _Frames) -> SurroundDrive:
-        """The images of a drive and its motion; nothing but the calibration of the first frame is read."""
-        front = frames.with_front
-        records = self._records(front.rows)
-        mounted = records[0].calibrated
-        cameras = {}
-        for name in front.cameras:
-            images = tuple(_RecordImage(record, name, mounted[name]) for record in records)
-            cameras[name] = CameraImages(mounted[name], images, front.times_us)
-        return SurroundDrive(
-            source=NAME,
-            key=frames.key,
-            front=FRONT,
-            cameras=cameras,
-            ego=frames.trajectory,
-            vehicle=JAGUAR_I_PACE,
-            assumptions=_ASSUMPTIONS,
-        )
-
-    def _records(self, rows: pl.DataFrame) -> list["_Record"]:
-        shards = {name: map_records(self._root / name) for name in rows["shard"].unique()}
-        cells = rows.select("shard", "offset", "length").iter_rows()
-        return [_Record(shards[name], offset, length, str(self._root / name)) for name, offset, length in cells]
-
-    def _frames(self, key: str) -> _Frames:
+    def _frames(self, key: str) -> pl.DataFrame:
+        """Rows of the index for the frames of a drive, in order of time, and their drive times `time_us`."""
         rows = pl.scan_parquet(self._index).filter(pl.col("sequence") == key).sort("index").collect()
         if rows.is_empty():
             raise InputError(f"{self._root}: there is no Waymo E2E drive {key!r}")
@@ -152,11 +91,41 @@ class WaymoE2E:
             raise InputError(
                 f"Waymo E2E drive {key}: frame {index} is there more than once ({shards}); give each shard once"
             )
-        times_us = FRAME_US * rows["index"].to_numpy().astype(np.int64)
-        has_front = rows["cameras"].list.contains(FRONT).to_numpy()
-        if not has_front.any():
+        front = rows.filter(_HAS_FRONT)
+        if front.is_empty():
             raise InputError(f"Waymo E2E drive {key}: no frame has an image of the front camera")
-        return _Frames(key, rows, times_us - times_us[has_front.argmax()])
+        return rows.with_columns(time_us=FRAME_US * (pl.col("index").cast(pl.Int64) - front["index"][0]))
+
+    def _surround(self, key: str, frames: pl.DataFrame) -> SurroundDrive:
+        """The images of a drive and its motion; nothing but the calibration of the first frame is read."""
+        front = frames.filter(_HAS_FRONT)
+        times_us = front["time_us"].to_numpy()
+        shards = {name: map_records(self._root / name) for name in front["shard"].unique()}
+        cells = front.select("shard", "offset", "length").iter_rows()
+        records = [_Record(shards[name], offset, length, str(self._root / name)) for name, offset, length in cells]
+        mounted = records[0].calibrated
+        # Cameras that have images throughout.
+        steady = [name for name in CAMERAS.values() if front["cameras"].list.contains(name).all()]
+        return SurroundDrive(
+            source=NAME,
+            key=key,
+            front=FRONT,
+            cameras={
+                name: CameraImages(
+                    mounted[name], tuple(_RecordImage(record, name, mounted[name]) for record in records), times_us
+                )
+                for name in steady
+            },
+            ego=chain_paths(
+                [
+                    FramePath.from_states(time_us, positions(past), positions(future))
+                    for time_us, past, future in frames.select("time_us", "past", "future").iter_rows()
+                ],
+                f"Waymo E2E drive {key}",
+            ),
+            vehicle=JAGUAR_I_PACE,
+            assumptions=_ASSUMPTIONS,
+        )
 
 
 class _Record:
@@ -203,15 +172,9 @@ def _prefix(shard: str) -> str:
     return Path(shard).name.partition("_")[0]
 
 
-def _missing(frames: _Frames) -> tuple[str, ...]:
-    indices = frames.rows["index"].to_numpy()
-    absent = int(indices[-1] - indices[0] + 1 - len(indices))
-    return (f"{absent} frames between the first and the last are missing; they lie in other shards.",) if absent else ()
-
-
-def _recognise(path: Path) -> bool:
-    """Judged by the names of files in the folder and one below."""
-    return any(_prefix(shard.name) in _SPLITS for shard in (*path.glob(SHARDS), *path.glob(f"*/{SHARDS}")))
-
-
-DATASET = DatasetReader(NAME, LICENCE, _recognise, WaymoE2E)
+DATASET = DatasetReader(
+    NAME,
+    LICENCE,
+    lambda path: any(_prefix(shard.name) in _SPLITS for shard in (*path.glob(SHARDS), *path.glob(f"*/{SHARDS}"))),
+    WaymoE2E,
+)
