@@ -65,7 +65,8 @@ def index(
             f"{summary.clips_with_samples} of them give {summary.samples} policy samples; the others say why not"
         )
         print_line(f"{summary.kept} rows were kept from the table as it was")
-        print_line(f"{len(summary.without_clips)} drives fill no window{_first(summary.without_clips)}")
+        example = "".join(f", as {key}" for key in summary.without_clips[:1])
+        print_line(f"{len(summary.without_clips)} drives fill no window{example}")
         for key, message in summary.failed.items():
             print_line(f"failed: {key}: {message}")
     if summary.failed:
@@ -131,7 +132,3 @@ def check(
             print_line(f"  and {len(leaks) - _SHOWN} more; --json lists all")
     if leaks:
         raise typer.Exit(1)
-
-
-def _first(keys: list[str]) -> str:
-    return f", as {keys[0]}" if keys else ""

@@ -59,7 +59,12 @@ class KittiOdometrySequence:
         self._projection = _read_rows(path / "calib.txt", 12)[0].reshape(3, 4)
         apart = path.parent.parent / "poses" / f"{path.name}.txt"
         poses = apart if apart.is_file() else path / "poses.txt"
-        self._T_start_camera = _read_poses(poses, len(self._images)) if poses.is_file() else None
+        self._T_start_camera = None
+        if poses.is_file():
+            rows = _read_rows(poses, 12).reshape(-1, 3, 4)
+            if len(rows) != len(self._images):
+                raise InputError(f"{poses}: {len(rows)} poses for {len(self._images)} images; copy the sequence again")
+            self._T_start_camera = make_pose(rows[..., :3], rows[..., 3])
         self.has_motion = self._T_start_camera is not None
         self._assumptions = (
             "The camera is mounted as in KITTI's sensor sketch, 1.65 m above the road, and the rig's x axis is "
@@ -76,19 +81,14 @@ class KittiOdometrySequence:
         frames, size = read_images([self._images[index] for index in indices], width)
         (fx, _, cx, _), (_, fy, cy, _) = self._projection[0], self._projection[1]
         camera = PinholeCamera(size[0], size[1], fx, fy, cx, cy).resized(frames.shape[2], frames.shape[1])
-        reference, travel = None, None
+        T_rig_camera, reference = camera_pose_in_rig(CAMERA_POSITION, 0.0, 0.0, 0.0), None
         if self._T_start_camera is not None:
             travel = usual_travel(self._T_start_camera)
-        # Mounted with the pitch and yaw for which the vehicle travels along rig x.
-        T_rig_camera = (
-            camera_pose_in_rig(CAMERA_POSITION, 0.0, 0.0, 0.0)
-            if travel is None
-            else aim_camera(CAMERA_POSITION, 0.0, travel)
-        )
-        if self._T_start_camera is not None:
+            if travel is not None:
+                # Mounted with the pitch and yaw for which the vehicle travels along rig x.
+                T_rig_camera = aim_camera(CAMERA_POSITION, 0.0, travel)
             # From the start's rig, whose z is up, rather than from its camera.
-            T_start_rig = T_rig_camera @ self._T_start_camera @ invert(T_rig_camera)
-            reference = Trajectory(self.image_us, T_start_rig)
+            reference = Trajectory(self.image_us, T_rig_camera @ self._T_start_camera @ invert(T_rig_camera))
         return Recording(
             name=self.scene,
             source=NAME,
@@ -111,14 +111,6 @@ def _read_times(path: Path, count: int) -> tuple[NDArray[np.int64], tuple[str, .
     if len(times) != count:
         raise InputError(f"{path / 'times.txt'}: {len(times)} times for {count} images; copy the sequence again")
     return check_increasing(np.rint((times - times[0]) * 1e6).astype(np.int64), path / "times.txt"), ()
-
-
-def _read_poses(path: Path, count: int) -> Array:
-    """T_start_camera (n, 4, 4)."""
-    rows = _read_rows(path, 12).reshape(-1, 3, 4)
-    if len(rows) != count:
-        raise InputError(f"{path}: {len(rows)} poses for {count} images; copy the sequence again")
-    return make_pose(rows[..., :3], rows[..., 3])
 
 
 def _read_rows(path: Path, count: int) -> Array:

@@ -10,7 +10,6 @@ IMU itself is mounted with its nose up to a degree off the road.
 """
 
 import re
-from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
@@ -30,6 +29,7 @@ EARTH_RADIUS = 6378137.0
 CAMERA_FILE, VELODYNE_FILE, IMU_FILE = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt"
 OXTS_FIELDS = 30
 NAME = "kitti_raw"
+_OFFICIAL_IMAGES = "image_02/data"
 _DRIVE_NAME = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")
 ASSUMPTIONS = (
     f"The rig origin is the IMU's position projected to the ground, {IMU_HEIGHT} m below it, and is taken for the "
@@ -37,28 +37,6 @@ ASSUMPTIONS = (
     "The rig's x axis is the usual direction of travel measured by the GPS/IMU.",
     "The vehicle has the published size of KITTI's VW Passat.",
 )
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """Where the parts of a drive lie."""
-
-    images: Path
-    image_times: Path
-    oxts: Path
-    oxts_times: Path
-    calibration: Path
-
-    @classmethod
-    def find(cls, path: Path) -> "_Layout | None":
-        official = path / "image_02" / "data"
-        if official.is_dir():
-            times, oxts = path / "image_02" / "timestamps.txt", path / "oxts"
-            return cls(official, times, oxts / "data", oxts / "timestamps.txt", path.parent)
-        if (path / "image_02").is_dir() and (path / CAMERA_FILE).is_file():
-            times, oxts_times = path / "image_02_timestamps.txt", path / "oxts_timestamps.txt"
-            return cls(path / "image_02", times, path / "oxts", oxts_times, path)
-        return None
 
 
 class KittiRawDrive:
@@ -72,26 +50,30 @@ class KittiRawDrive:
         Raises:
             InputError: files are missing, damaged or not as many as their times.
         """
-        layout = _Layout.find(path)
-        assert layout is not None  # the reader opens no other folder
-        image_ns, oxts_ns = _read_times(layout.image_times), _read_times(layout.oxts_times)
+        if (path / _OFFICIAL_IMAGES).is_dir():
+            images, image_times, calibration = path / _OFFICIAL_IMAGES, path / "image_02/timestamps.txt", path.parent
+            oxts, oxts_times = path / "oxts/data", path / "oxts/timestamps.txt"
+        else:
+            images, image_times, calibration = path / "image_02", path / "image_02_timestamps.txt", path
+            oxts, oxts_times = path / "oxts", path / "oxts_timestamps.txt"
+        image_ns, oxts_ns = _read_times(image_times), _read_times(oxts_times)
         name = _DRIVE_NAME.search(path.name)
         self.scene = name[0] if name else path.name
         self.image_us = np.rint((image_ns - image_ns[0]) / 1000).astype(np.int64)
         self._name = path.name
         self._oxts_us = np.rint((oxts_ns - image_ns[0]) / 1000).astype(np.int64)
         fields = {"S_rect_02": 2, "P_rect_02": 12, "R_rect_00": 9}
-        self._calibration = _read_calibration(layout.calibration / CAMERA_FILE, fields)
-        self._T_imu_camera = _imu_to_camera(layout.calibration, self._calibration)
-        self._oxts = sorted(layout.oxts.glob("*.txt"))
+        self._calibration = _read_calibration(calibration / CAMERA_FILE, fields)
+        self._T_imu_camera = _imu_to_camera(calibration, self._calibration)
+        self._oxts = sorted(oxts.glob("*.txt"))
         if len(self._oxts) != len(oxts_ns):
             raise InputError(
-                f"{layout.oxts}: {len(self._oxts)} GPS/IMU files for {len(oxts_ns)} timestamps; copy the drive again"
+                f"{oxts}: {len(self._oxts)} GPS/IMU files for {len(oxts_ns)} timestamps; copy the drive again"
             )
-        self._images = list_images(layout.images)
+        self._images = list_images(images)
         if len(self._images) != len(image_ns):
             raise InputError(
-                f"{layout.images}: {len(self._images)} images for {len(image_ns)} timestamps; copy the drive again"
+                f"{images}: {len(self._images)} images for {len(image_ns)} timestamps; copy the drive again"
             )
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
@@ -164,20 +146,21 @@ def _read_times(path: Path) -> NDArray[np.int64]:
         raise InputError(f"{path}: timestamps are missing; copy them from the KITTI download")
     times = []
     for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").split("\n"), start=1):
-        if line.strip():
-            times.append(_parse_time(line.strip(), f"{path}: line {number}"))
+        text = line.strip()
+        if not text:
+            continue
+        seconds, _, fraction = text.partition(".")
+        try:
+            since_epoch = datetime.fromisoformat(seconds) - datetime(1970, 1, 1)
+            whole = since_epoch.days * 86400 + since_epoch.seconds
+            times.append(whole * 1_000_000_000 + int(fraction[:9].ljust(9, "0")))
+        except ValueError as error:
+            raise InputError(
+                f"{path}: line {number}: {text!r} is no time of the form 2011-09-26 13:10:51.168593664"
+            ) from error
     if len(times) < 2:
         raise InputError(f"{path}: holds {len(times)} timestamps; give a drive of at least 2 frames")
     return check_increasing(np.array(times, dtype=np.int64), path)
-
-
-def _parse_time(text: str, where: str) -> int:
-    seconds, _, fraction = text.partition(".")
-    try:
-        since_epoch = datetime.fromisoformat(seconds) - datetime(1970, 1, 1)
-        return (since_epoch.days * 86400 + since_epoch.seconds) * 1_000_000_000 + int(fraction[:9].ljust(9, "0"))
-    except ValueError as error:
-        raise InputError(f"{where}: {text!r} is no time of the form 2011-09-26 13:10:51.168593664") from error
 
 
 def _read_oxts(files: list[Path]) -> Array:
@@ -214,7 +197,8 @@ def _extended(trajectory: Trajectory) -> Trajectory:
 
 def is_drive(path: Path) -> bool:
     """Whether a folder looks like a drive, judged by the names in it."""
-    return _Layout.find(path) is not None
+    is_flat = (path / "image_02").is_dir() and (path / CAMERA_FILE).is_file()
+    return (path / _OFFICIAL_IMAGES).is_dir() or is_flat
 
 
 DATASET = kitti_reader(NAME, is_drive, KittiRawDrive)

@@ -133,7 +133,13 @@ def _scan_clip_table(path: Path) -> pl.LazyFrame:
             f"{file}: no such file; give the folder of a clip store, or the {TABLE_SUFFIX} file of indexed clips"
         )
     try:
-        _check_schema(file)
+        check_table_version(pl.read_parquet_metadata(file).get(VERSION_KEY.decode()), file)
+        found = pl.read_parquet_schema(file)
+        for name, dtype in SCHEMA.items():
+            if name not in found:
+                raise InputError(f"{file}: column {name} is missing; build the clips again")
+            if found[name] != dtype:
+                raise InputError(f"{file}: column {name} is {found[name]}, not {dtype}; build the clips again")
         table = pl.scan_parquet(file).select(SCHEMA.names())
         is_sorted = _check_values(table, file)
     except (pl.exceptions.PolarsError, OSError) as error:
@@ -141,16 +147,6 @@ def _scan_clip_table(path: Path) -> pl.LazyFrame:
         raise InputError(f"{file}: not a readable Parquet file ({reason}); build or index the clips again") from error
     ordered = table.set_sorted("clip_id") if is_sorted else table.sort("clip_id")
     return ordered.with_columns(store=pl.lit(str(path)))
-
-
-def _check_schema(file: Path) -> None:
-    check_table_version(pl.read_parquet_metadata(file).get(VERSION_KEY.decode()), file)
-    found = pl.read_parquet_schema(file)
-    for name, dtype in SCHEMA.items():
-        if name not in found:
-            raise InputError(f"{file}: column {name} is missing; build the clips again")
-        if found[name] != dtype:
-            raise InputError(f"{file}: column {name} is {found[name]}, not {dtype}; build the clips again")
 
 
 def _check_values(table: pl.LazyFrame, file: Path) -> bool:

@@ -134,28 +134,23 @@ class BuildJob:
         return summarize_build(built, info) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
 
     def run(self) -> BuildResult:
-        """Build the clip and prepare it, unless an earlier run did.
+        """Build the clip and prepare it on one thread, unless an earlier run did.
 
         Raises:
             InputError: the input cannot be used, and the job does not keep going.
         """
-        path = Path(self.options.name or self.place.path / self.key)
+        use_one_thread()
+        path, store = Path(self.options.name or self.place.path / self.key), ClipStore(self.store)
         try:
-            if self._is_finished():
+            # Of the pictures of a prepared clip the animation is written last.
+            drawn = not self.pictures or animation_path(self.store / PREVIEWS, self.name).is_file()
+            if self.clip_id in store or (drawn and store.is_prepared(self.clip_id)):
                 return BuildResult(path, "found", self.clip_id)
             return BuildResult(path, "built", self.clip_id, self.prepare(self.open()))
         except InputError as error:
             if not self.keep_going:
                 raise
             return BuildResult(path, "failed", message=str(error))
-
-    def _is_finished(self) -> bool:
-        """Whether the clip is in the store, or prepared with its pictures, of which the animation is written last."""
-        store = ClipStore(self.store)
-        if self.clip_id in store:
-            return True
-        drawn = not self.pictures or animation_path(self.store / PREVIEWS, self.name).is_file()
-        return drawn and store.is_prepared(self.clip_id)
 
 
 def build_clips(
@@ -176,11 +171,6 @@ def build_clips(
         InputError: something cannot be used and its job does not keep going. Clips prepared by then are found by the
             next run.
     """
-    results = map_parallel(_run_on_one_thread, jobs, workers, on_progress, engine)
+    results = map_parallel(BuildJob.run, jobs, workers, on_progress, engine)
     ClipStore(jobs[0].store).commit([result.clip_id for result in results if result.clip_id is not None])
     return results
-
-
-def _run_on_one_thread(job: BuildJob) -> BuildResult:
-    use_one_thread()
-    return job.run()

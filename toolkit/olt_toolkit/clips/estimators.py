@@ -10,7 +10,6 @@ from olt_generator.errors import InputError
 
 if TYPE_CHECKING:
     from olt_generator.distance.depth_source import DepthSource
-    from olt_generator.motion.pose_sources import PoseSource
     from olt_toolkit.clips.views import BuildOptions
 
 
@@ -63,17 +62,13 @@ class Estimators:
         Raises:
             InputError: weights are missing or those of another network.
         """
-        reference = options.use_reference_motion or self.poses is PoseEstimator.REFERENCE
-        return replace(options, use_reference_motion=reference, poses=self._open_poses(), depth=_open_depth(self))
-
-    def _open_poses(self) -> "PoseSource":
-        if self.mapanything_weights is None:
-            from olt_generator.motion.pose_sources import VisualOdometry
-
-            return VisualOdometry()
         from olt_generator.motion.map_anything import MapAnything
+        from olt_generator.motion.pose_sources import VisualOdometry
 
-        return MapAnything(self.mapanything_weights, self.device)
+        weights = self.mapanything_weights
+        poses = VisualOdometry() if weights is None else MapAnything(weights, self.device)
+        reference = options.use_reference_motion or self.poses is PoseEstimator.REFERENCE
+        return replace(options, use_reference_motion=reference, poses=poses, depth=_open_depth(self))
 
 
 @lru_cache(maxsize=1)  # a process builds many clips with one network

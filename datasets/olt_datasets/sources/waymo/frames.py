@@ -148,18 +148,14 @@ def _calibration(message: Any, where: str) -> tuple[str, MountedCamera]:
     k1, k2, p1, p2, k3 = np.where(np.abs(intrinsic[4:]) < _NO_DISTORTION, 0.0, intrinsic[4:]).tolist()
     # Waymo's pixel 0 is the left edge of the first pixel (dataset.proto, camera_projection), ours is its centre.
     camera = BrownConradyCamera(width, height, fx, fy, cx - 0.5, cy - 0.5, k1, k2, p1, p2, k3)
-    return name, MountedCamera(
-        camera, _mounting(np.array(message.extrinsic.transform), f"{where}: extrinsic of {name}")
-    )
-
-
-def _mounting(extrinsic: Array, where: str) -> Array:
-    """T_rig_camera (4, 4) with our camera axes."""
+    extrinsic = np.array(message.extrinsic.transform)
     if len(extrinsic) != 16:
-        raise InputError(f"{where} has {len(extrinsic)} numbers instead of 16; copy the file again")
+        raise InputError(
+            f"{where}: extrinsic of {name} has {len(extrinsic)} numbers instead of 16; copy the file again"
+        )
     pose = extrinsic.reshape(4, 4)
     rotation = pose[:3, :3]
     is_small = np.all(np.abs(pose) < _FARTHEST)
     if not is_small or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
-        raise InputError(f"{where} is no rigid motion; copy the file again")
-    return make_pose(rotation @ R_FORWARD_CAMERA, pose[:3, 3])
+        raise InputError(f"{where}: extrinsic of {name} is no rigid motion; copy the file again")
+    return name, MountedCamera(camera, make_pose(rotation @ R_FORWARD_CAMERA, pose[:3, 3]))
