@@ -21,8 +21,8 @@ from olt_generator.views.moving_objects import find_moving
 from olt_generator.views.view_plan import ViewPlan, plan_views
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipKind, ClipOrigin, EgoMotion, make_clip_id
 from olt_toolkit.clips.images import fit_images
+from olt_toolkit.clips.label_noise import LabelNoiseBudget, measure_label_noise
 from olt_toolkit.clips.views import BuildOptions, View, ViewMaker
-from olt_toolkit.policy.label_noise import LabelNoiseBudget, measure_label_noise
 from olt_toolkit.policy.window import sampled_frames, shown_frames
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.ftheta_fit import fit_ftheta

@@ -16,7 +16,7 @@ from olt_generator.poses import Array, invert, make_pose
 from olt_generator.progress import Progress, silent
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.policy.label_noise import LabelNoiseBudget, measure_label_noise
+from olt_toolkit.clips.label_noise import LabelNoiseBudget, measure_label_noise
 from olt_toolkit.recordings.recording import Recording
 
 

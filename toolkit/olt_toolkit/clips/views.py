@@ -6,7 +6,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-import olt_generator
 from olt_generator.cameras import Camera, fit_camera
 from olt_generator.distance.depth_source import DepthSource, GeometricDepth
 from olt_generator.errors import InputError
@@ -17,11 +16,12 @@ from olt_generator.views.front_view import FrontView
 from olt_generator.views.lookback import LOOKBACK_LATENTS
 from olt_generator.views.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
 from olt_generator.views.tele import crop_tele, tele_camera
-from olt_toolkit import __version__
-from olt_toolkit.clips.clip import UNLABELLED, ClipOrigin, Split, ViewKind, ViewProvenance
+from olt_toolkit.clips.clip import ClipOrigin, ViewKind, ViewProvenance
 from olt_toolkit.clips.images import fit_images
+from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.rig import FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, Rig, pav_rig
+from olt_toolkit.runtime.version import code_version
 
 Images = NDArray[np.uint8]
 
@@ -160,7 +160,7 @@ class ViewMaker:
             return self._as_given(self.options.image_kind)
         mask = np.repeat(np.where(self.recording.observed[name], 255, 0).astype(np.uint8)[None, ..., None], 3, axis=-1)
         share = float(fit_images(mask, self.options.width, self.options.height).mean()) / 255.0
-        return ViewProvenance("mosaic", self.recording.source, __version__, None, share, 1.0 - share)
+        return ViewProvenance("mosaic", self.recording.source, code_version(), None, share, 1.0 - share)
 
     def _synthesized(self, name: str, front: FrontView, on_progress: Progress) -> View:
         target = self.options.rig.fitted(self.options.width, self.options.height)[name]
@@ -174,7 +174,7 @@ class ViewMaker:
         provenance = ViewProvenance(
             kind="warped",
             engine="olt_generator.views.synthesis",
-            version=olt_generator.__version__,
+            version=code_version(),
             seed=self.options.seed,
             observed_share=observed,
             invented_share=1.0 - observed,
@@ -183,4 +183,4 @@ class ViewMaker:
         return View(view.images, target.camera, target.T_rig_camera, provenance, view.origin, view.drawn_on)
 
     def _as_given(self, kind: ViewKind) -> ViewProvenance:
-        return ViewProvenance(kind, self.recording.source, __version__, None, 1.0, 0.0)
+        return ViewProvenance(kind, self.recording.source, code_version(), None, 1.0, 0.0)

@@ -65,8 +65,8 @@ def build(
     from olt_generator.errors import InputError
     from olt_generator.files import make_folder
     from olt_toolkit.clips.build_job import BuildJob, find_recordings
-    from olt_toolkit.clips.clip import UNLABELLED
     from olt_toolkit.clips.views import BuildOptions
+    from olt_toolkit.recordings.labels import UNLABELLED
     from olt_toolkit.recordings.recording import is_recording
 
     if name is not None and Path(name).name != name:
