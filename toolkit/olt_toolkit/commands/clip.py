@@ -75,7 +75,7 @@ def build(
     options = BuildOptions(
         width=width,
         height=height,
-        frames="all" if all_frames else "shown",
+        frames="all" if all_frames else "grid",
         name=name,
         category=category or UNLABELLED,
         factors=tuple(factor or ()),
@@ -123,7 +123,7 @@ def views(
         width=width,
         height=height,
         cameras=wanted,
-        frames="all" if all_frames else "shown",
+        frames="all" if all_frames else "grid",
         use_reference_motion=clip is not None,
     )
     opening = make_open_options(duration, fov, camera_height)
