@@ -354,8 +354,8 @@ def test_inspect_shows_one_clip(store):
         "size": [128, 72],
         "position_rig": pytest.approx([2.473, 0.938, 0.918]),
         "frames": 90,
-        "first_us": 0,
-        "last_us": 8_900_000,
+        "first_us": 81_000,
+        "last_us": 8_981_000,
     }
     text = run("inspect", store.root, clip_id).stdout
     assert "clip bend (GT, nominal, train)" in text

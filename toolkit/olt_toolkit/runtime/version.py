@@ -6,6 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 DISTRIBUTION = "openlongtail"
+_HASHED = (".py", ".yaml")
 
 
 def package_version(package: str = DISTRIBUTION) -> str | None:
@@ -27,13 +28,15 @@ def code_version() -> str:
     its contents is added: the same source has the same one on every machine.
     """
     root = Path(__file__).resolve().parents[3]
-    if not (root / "pyproject.toml").is_file():
-        return __version__
+    return f"{__version__}+source.{hash_source(root)}" if (root / "pyproject.toml").is_file() else __version__
+
+
+def hash_source(root: Path) -> str:
+    """BLAKE2b (6 bytes, hexadecimal) of names and contents of the packages' code and settings in a checkout."""
     digest = hashlib.blake2b(digest_size=6)
     packages = [*root.glob("[a-z]*/olt_*"), *root.glob("[a-z]*/[a-z]*/olt_*")]
-    files = (path for package in packages for path in package.rglob("*") if path.suffix in (".py", ".yaml"))
-    for path in sorted(files):
+    for path in sorted(path for package in packages for path in package.rglob("*") if path.suffix in _HASHED):
         data = path.read_bytes()
         digest.update(f"{path.relative_to(root).as_posix()}\x1f{len(data)}\x1f".encode())
         digest.update(data)
-    return f"{__version__}+source.{digest.hexdigest()}"
+    return digest.hexdigest()
