@@ -90,7 +90,7 @@ def _draw(pictures: Path, recording: Recording, built: BuiltClip) -> None:
     write_picture(pictures / CONTACT_SHEET, contact_sheet(images, built.observed, times_us))
     if recording.views:
         write_picture(pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
-    if built.measured is not None and built.motion is not None:
-        drawing = draw_trajectory(built.measured.trajectory, built.motion.trajectory, recording.reference)
+    if built.motion is not None:
+        drawing = draw_trajectory(built.motion.measured, built.motion.smoothed.trajectory, recording.reference)
         with write_whole(pictures / TRAJECTORY) as path:
             path.write_text(drawing)

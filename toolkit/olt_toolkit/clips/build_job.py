@@ -23,7 +23,8 @@ from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import DatasetPlace, open_start
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.runtime.steps import OnStep, unnoticed
-from olt_toolkit.runtime.workers import Engine, map_parallel, use_one_thread
+from olt_toolkit.runtime.threads import use_one_thread
+from olt_toolkit.runtime.workers import Engine, map_parallel
 
 PREVIEWS = "previews"
 

@@ -51,9 +51,9 @@ def build(
     from olt_generator.errors import InputError
     from olt_generator.files import make_folder
     from olt_toolkit.clips.build_job import BuildJob
-    from olt_toolkit.clips.clip import UNLABELLED
     from olt_toolkit.clips.views import BuildOptions
     from olt_toolkit.recordings.drives import WHOLE, find_drives
+    from olt_toolkit.recordings.labels import UNLABELLED
 
     if name is not None and Path(name).name != name:
         raise InputError(f"--name {name!r}: pictures are named after the clip; give a name without slashes")
@@ -61,7 +61,7 @@ def build(
     options = BuildOptions(
         width=building.width,
         height=building.height,
-        frames="all" if all_frames else "shown",
+        frames="all" if all_frames else "grid",
         name=name,
         category=category or UNLABELLED,
         factors=tuple(factor or ()),
@@ -107,7 +107,7 @@ def views(
         width=building.width,
         height=building.height,
         cameras=wanted,
-        frames="all" if all_frames else "shown",
+        frames="all" if all_frames else "grid",
         use_reference_motion=clip is not None,
     )
     if clip is None:

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.clips.clip import UNLABELLED, Split
 from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 
 WHOLE = "."
