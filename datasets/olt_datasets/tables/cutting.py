@@ -13,12 +13,12 @@ import numpy as np
 
 from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, SampleChoice
 from olt_generator.errors import InputError
-from olt_toolkit import __version__
 from olt_toolkit.clips.clip import ClipInfo, ClipOrigin, make_clip_id
 from olt_toolkit.policy.sample import KEYFRAME_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, STEP_US, Coverage, Span, sample_times
 from olt_toolkit.recordings.drives import Drive
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.runtime.version import code_version
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ def cut_drive(drive: Drive, cutting: Cutting, licence: str | None) -> list[ClipI
             duration_us=(end if drive.ego_span_us is None else drive.ego_span_us[1]) - start,
             sample_t0_us=times,
             no_sample_reason=reason,
-            created_with=__version__,
+            created_with=code_version(),
             checksum=_hash_of(f"{description} {(start, end)} {times} {licence}".encode()),
             fingerprint=None,
             views={},
