@@ -28,16 +28,7 @@ def doctor(as_json: Annotated[bool, typer.Option("--json", help="Print one JSON 
         print_table(
             "Optional parts",
             ("part", "state", "enables"),
-            [
-                (
-                    part["name"],
-                    f'absent ({", ".join(part["missing"])}): pip install "openlongtail[{part["name"]}]"'
-                    if part["missing"]
-                    else "present",
-                    part["enables"],
-                )
-                for part in parts
-            ],
+            [(part["name"], _state(part["name"], part["missing"]), part["enables"]) for part in parts],
         )
     if missing:
         raise typer.Exit(1)

@@ -7,6 +7,21 @@ import typer
 
 from olt_toolkit.commands.clip_options import CacheOption, CameraOptions, DurationOption, JsonOption
 
+# Head of each column, and where its number is found among those of a clip.
+_COLUMNS = {
+    "first frame": ("first_frame",),
+    "frames": ("frames",),
+    "length m": ("path_length_m",),
+    "scale 1 sigma": ("scale_sigma",),
+    "ATE m": ("errors", "metric", "ate_m"),
+    "step %": ("errors", "metric", "step_translation_percent"),
+    "rotation by step deg": ("errors", "metric", "step_rotation_deg"),
+    "Sim(3) ATE m": ("errors", "sim3", "ate_m"),
+    "jerk² factor": ("jerk_factor",),
+    "acc. var. factor": ("acceleration_variance_factor",),
+    "label acc. m/s2": ("label_noise", "actual", "acceleration"),
+}
+
 
 def trajectory(
     recording: Annotated[Path, typer.Argument(metavar="INPUT", help="A video or a drive folder.")],
@@ -59,22 +74,11 @@ def trajectory(
 
 
 def _print_result(result: dict[str, Any]) -> None:
+    from olt_toolkit.commands.clip_output import find_number
     from olt_toolkit.runtime.console import print_line, print_table
 
-    columns = [
-        "first frame",
-        "frames",
-        "length m",
-        "scale 1 sigma",
-        "ATE m",
-        "step %",
-        "rotation by step deg",
-        "Sim(3) ATE m",
-        "jerk² factor",
-        "acc. var. factor",
-        "label acc. m/s2",
-    ]
-    print_table(f"Motion of {result['recording']}", columns, [_row(clip) for clip in result["clips"]])
+    rows = [[find_number(clip, *keys) for keys in _COLUMNS.values()] for clip in result["clips"]]
+    print_table(f"Motion of {result['recording']}", list(_COLUMNS), rows)
     summary = result["summary"]
     if summary["mean_ate_m"] is not None:
         print_line(
@@ -85,22 +89,3 @@ def _print_result(result: dict[str, Any]) -> None:
         print_line(f"assumed: {assumption}")
     if "picture" in result:
         print_line(f"picture: {result['picture']}")
-
-
-def _row(clip: dict[str, Any]) -> tuple[object, ...]:
-    errors, noise = clip["errors"], clip["label_noise"]
-    metric, sim3 = (errors["metric"], errors["sim3"]) if errors else (None, None)
-    actual = noise["actual"] if noise else None
-    return (
-        clip["first_frame"],
-        clip["frames"],
-        clip["path_length_m"],
-        clip["scale_sigma"],
-        metric and metric["ate_m"],
-        metric and metric["step_translation_percent"],
-        metric and metric["step_rotation_deg"],
-        sim3 and sim3["ate_m"],
-        clip["jerk_factor"],
-        clip["acceleration_variance_factor"],
-        actual and actual["acceleration"],
-    )
