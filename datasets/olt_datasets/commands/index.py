@@ -41,22 +41,13 @@ def index(
     from olt_datasets.tables.indexing import index_dataset
     from olt_generator.errors import InputError
     from olt_toolkit.recordings.drives import DatasetPlace
-    from olt_toolkit.runtime.console import make_progress, print_json, print_line
+    from olt_toolkit.runtime.console import print_json, print_line, show_progress
     from olt_toolkit.runtime.workers import default_workers
 
     cutting = Cutting(frames, stride, seconds, samples)
     place = DatasetPlace(root, cache.expanduser(), source)
-    with make_progress() as progress:
-        task = progress.add_task("drives", total=100)
-        summary = index_dataset(
-            place,
-            out,
-            cutting,
-            workers or default_workers(),
-            lambda share: progress.update(task, completed=round(100 * share)),
-            keep_going,
-            engine,
-        )
+    with show_progress("drives") as (on_progress, _):
+        summary = index_dataset(place, out, cutting, workers or default_workers(), on_progress, keep_going, engine)
     if as_json:
         print_json({"table": str(out), **asdict(summary)})
     else:

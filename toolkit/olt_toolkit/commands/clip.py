@@ -100,7 +100,7 @@ def views(
     from olt_toolkit.clips.views import BuildOptions
     from olt_toolkit.commands.clip_output import print_plan
     from olt_toolkit.recordings.drives import open_recording
-    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.runtime.console import print_json, show_progress
 
     wanted, estimators = parse_cameras(cameras), building.estimators()
     options = BuildOptions(
@@ -116,15 +116,9 @@ def views(
         store = ClipStore(source)
         recording = reopen_clip(store, store.find(clip))
     options = leave_out_motion(recording, estimators.apply(options))
-    with make_progress() as progress:
-        task = progress.add_task("views", total=100)
-        built = build_clip(
-            recording,
-            options,
-            on_progress=lambda share: progress.update(task, completed=round(100 * share)),
-            on_step=lambda step: progress.update(task, description=f"views: {step}"),
-        )
-        progress.update(task, completed=100)  # steps that were left out count as done
+    with show_progress("views") as (on_progress, on_step):
+        built = build_clip(recording, options, on_progress, on_step)
+        on_progress(1.0)  # steps that were left out count as done
     plan = write_view_files(out, built)
     if as_json:
         print_json(plan)
@@ -179,7 +173,7 @@ def score(
     from olt_toolkit.clips.score import open_lpips, open_matcher, score_against, score_consistency
     from olt_toolkit.clips.store import ClipStore
     from olt_toolkit.commands.clip_output import print_scores
-    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.runtime.console import print_json, show_progress
 
     if reference is None and (reference_store is not None or lpips_weights is not None):
         raise InputError("--reference is missing: the true views are needed to compare with")
@@ -187,11 +181,8 @@ def score(
     clip_id = opened.find(clip)
     reference_id = None if reference is None else truth.find(reference)
     matcher, lpips = open_matcher(loftr_weights, device), open_lpips(lpips_weights, device)
-    with make_progress() as progress:
-        task = progress.add_task("GeoKPM", total=100)
-        consistency = score_consistency(
-            opened, clip_id, matcher, moments, lambda share: progress.update(task, completed=round(100 * share))
-        )
+    with show_progress("GeoKPM") as (on_progress, _):
+        consistency = score_consistency(opened, clip_id, matcher, moments, on_progress)
     errors = None if reference_id is None else score_against(opened, clip_id, truth, reference_id, lpips)
     summary = {"store": str(store), "clip_id": clip_id, "geokpm": consistency, "reference": errors}
     print_json(summary) if as_json else print_scores(summary)
@@ -203,19 +194,15 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
     from olt_generator.errors import InputError
     from olt_toolkit.clips.store import ClipStore
     from olt_toolkit.commands.clip_output import print_build
-    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.runtime.console import print_json, show_progress
 
     recording, store = job.open(), ClipStore(job.store)
     if job.clip_id in store:
         raise InputError(f"{store.root}: already holds the clip {job.name!r}; give another --name, --seed or --out")
-    with make_progress() as progress:
-        task = progress.add_task("clip", total=100)
-        summary = job.prepare(
-            recording,
-            lambda share: progress.update(task, completed=round(100 * share)),
-            lambda step: progress.update(task, description=f"clip: {step}"),
-        )
-        progress.update(task, completed=100, description="clip: store")
+    with show_progress("clip") as (on_progress, on_step):
+        summary = job.prepare(recording, on_progress, on_step)
+        on_progress(1.0)
+        on_step("store")
         start = time.perf_counter()
         store.commit([summary["clip"]["clip_id"]])
     summary["store_seconds"]["commit"] = time.perf_counter() - start
@@ -240,18 +227,12 @@ def build_all(jobs: "list[BuildJob]", workers: int | None, engine: Engine, as_js
     from olt_generator.errors import InputError
     from olt_toolkit.clips.build_job import build_clips
     from olt_toolkit.commands.clip_output import print_results
-    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.runtime.console import print_json, show_progress
     from olt_toolkit.runtime.workers import default_workers
 
     store = jobs[0].store
-    with make_progress() as progress:
-        task = progress.add_task("clips", total=len(jobs))
-        results = build_clips(
-            jobs,
-            workers or default_workers(),
-            lambda share: progress.update(task, completed=round(share * len(jobs))),
-            engine,
-        )
+    with show_progress("clips", len(jobs)) as (on_progress, _):
+        results = build_clips(jobs, workers or default_workers(), on_progress, engine)
     if as_json:
         print_json({"store": str(store), what: [asdict(each) | {"path": str(each.path)} for each in results]})
     else:

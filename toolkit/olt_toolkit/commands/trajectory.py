@@ -45,18 +45,12 @@ def trajectory(
 
     from olt_toolkit.clips.trajectory_errors import Jitter, measure_clips, plot_clips, summarize_clips
     from olt_toolkit.recordings.drives import open_recording
-    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.runtime.console import print_json, show_progress
 
     opened = open_recording(recording, camera.opening(duration), cache)
-    with make_progress() as progress:
-        task = progress.add_task("trajectory", total=1.0)
-        motions = measure_clips(
-            opened,
-            clip_frames,
-            stride,
-            None if jitter_m is None else Jitter(jitter_m, radians(jitter_deg), seed),
-            on_progress=lambda share: progress.update(task, completed=share),
-        )
+    jitter = None if jitter_m is None else Jitter(jitter_m, radians(jitter_deg), seed)
+    with show_progress("trajectory") as (on_progress, _):
+        motions = measure_clips(opened, clip_frames, stride, jitter, on_progress=on_progress)
     result = {
         "recording": opened.name,
         "reference": opened.reference is not None,
