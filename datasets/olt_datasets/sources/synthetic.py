@@ -103,16 +103,8 @@ class Synthetic:
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; lens and mounting are those of the nominal rig, whatever the options say."""
-        height = options.height or round(options.width * _ASPECT)
-        return record_drive(
-            self._scene(key),
-            options.width,
-            height,
-            self._asked.frame_rate,
-            cameras=options.views,
-            with_distance=options.distance,
-            window_us=window_us,
-        )
+        size, scene = (options.width, round(options.width * _ASPECT)), self._scene(key)
+        return record_drive(scene, *size, self._asked.frame_rate, cameras=options.views, window_us=window_us)
 
     def _scene(self, key: str) -> Scene:
         if key not in self._drives:

@@ -35,6 +35,7 @@ def test_video_opens_with_every_assumption_said(tmp_path):
     for word in ("70 degrees", "the video does not tell: only 0 windows", "1.50 m", "rear axle", "vehicle"):
         assert word in said
     assert recording.reference is None
+    assert np.array_equal(open_recording(path, OpenOptions(duration=float("inf"))).frames, recording.frames)
 
 
 def test_wide_video_gets_a_fisheye_and_options_are_taken(tmp_path):

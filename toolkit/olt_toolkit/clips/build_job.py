@@ -63,7 +63,6 @@ class BuildJob:
         estimators: where motion and distances come from.
         measured_motion: whether motion that the data set measured goes before what `estimators` say.
         source: the reader that the data set must have; None for any.
-        pictures: whether the clip's contact sheet and animation are drawn too.
         keep_going: whether input that cannot be used is a result instead of an error.
     """
 
@@ -76,7 +75,6 @@ class BuildJob:
     estimators: Estimators = field(default_factory=Estimators)
     measured_motion: bool = False
     source: str | None = None
-    pictures: bool = True
     keep_going: bool = False
 
     @property
@@ -125,11 +123,9 @@ class BuildJob:
         start = time.perf_counter()
         info = ClipStore(self.store).prepare(built.clip)
         prepared = time.perf_counter()
-        pictures = None
-        if self.pictures:
-            images = {name: stream.frames for name, stream in streams.items()}
-            times_us = next(iter(streams.values())).timestamps_us
-            pictures = write_clip_pictures(self.store / PREVIEWS, self.name, images, built.observed, times_us)
+        images = {name: stream.frames for name, stream in streams.items()}
+        times_us = next(iter(streams.values())).timestamps_us
+        pictures = write_clip_pictures(self.store / PREVIEWS, self.name, images, built.observed, times_us)
         seconds = {"prepare": prepared - start, "pictures": time.perf_counter() - prepared}
         sources = {"poses": str(self.estimators.poses), "depth": str(self.estimators.depth)}
         return summarize_build(built, info) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
@@ -144,7 +140,7 @@ class BuildJob:
         path, store = Path(self.options.name or self.place.path / self.key), ClipStore(self.store)
         try:
             # Of the pictures of a prepared clip the animation is written last.
-            drawn = not self.pictures or animation_path(self.store / PREVIEWS, self.name).is_file()
+            drawn = animation_path(self.store / PREVIEWS, self.name).is_file()
             if self.clip_id in store or (drawn and store.is_prepared(self.clip_id)):
                 return BuildResult(path, "found", self.clip_id)
             return BuildResult(path, "built", self.clip_id, self.prepare(self.open()))

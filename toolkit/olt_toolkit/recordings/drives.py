@@ -163,16 +163,6 @@ class DatasetPlace:
         return path.stem if path.is_file() else path.name
 
 
-@lru_cache(maxsize=1)
-def _open_once(place: DatasetPlace) -> Dataset:
-    return open_dataset(place.path, place.cache, place.source)
-
-
-@cache
-def _make_own_cache() -> "tempfile.TemporaryDirectory[str]":
-    return tempfile.TemporaryDirectory(prefix="olt-")
-
-
 def readers() -> dict[str, DatasetReader]:
     """All installed readers by name."""
     loaded: list[DatasetReader] = [entry.load() for entry in sorted(entry_points(group="olt.datasets"))]
@@ -234,8 +224,8 @@ def open_start(dataset: Dataset, key: str, options: OpenOptions) -> Recording:
     Raises:
         InputError: see `Dataset.open`.
     """
-    end_us = min(math.ceil(options.duration * 1e6), np.iinfo(np.int64).max) - 1
-    recording = dataset.open(key, (0, int(end_us)), options)
+    end_us = math.ceil(min(options.duration * 1e6, 2.0**62)) - 1
+    recording = dataset.open(key, (0, end_us), options)
     if recording.reference is None:
         return recording
     times_us = recording.timestamps_us
@@ -271,3 +261,11 @@ def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlac
         if count > 1:
             raise InputError(f"{path}: {count} recordings are called {name!r}; rename them, clips are told by name")
     return found
+
+
+_make_own_cache = cache(lambda: tempfile.TemporaryDirectory(prefix="olt-"))
+
+
+@lru_cache(maxsize=1)
+def _open_once(place: DatasetPlace) -> Dataset:
+    return open_dataset(place.path, place.cache, place.source)

@@ -53,19 +53,15 @@ class OpenOptions:
     """How to open a recording.
 
     Attributes:
-        width: working width of the frames in pixels.
-        height: their height where images are rendered; None for what follows from the width.
+        width: working width of the frames in pixels; height follows the aspect ratio.
         duration: at most this many seconds from the start, where no window is asked for.
         horizontal_fov: field of view in radians to assume where no calibration exists; None for the reader's default.
         camera_height: height in metres above ground to assume where no mounting is known; None for the default.
         views: cameras whose true images are wanted beside the front ones, where the recording has them.
-        distance: whether true distances are wanted, where images are rendered.
     """
 
     width: int = 832
-    height: int | None = None
     duration: float = 20.0
     horizontal_fov: float | None = None
     camera_height: float | None = None
     views: tuple[str, ...] = POLICY_CAMERAS
-    distance: bool = False
