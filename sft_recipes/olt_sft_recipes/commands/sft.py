@@ -29,7 +29,7 @@ def train(
     from olt_sft_recipes.stage_config import builtin_stage_config, read_stage_config
     from olt_sft_recipes.training import train_on_mixture
     from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
-    from olt_toolkit.runtime.workers import use_one_thread
+    from olt_toolkit.runtime.threads import use_one_thread
 
     use_one_thread()
     chosen = _choose_mixture(mixture, recipe, stores, seed)
@@ -84,7 +84,7 @@ def _choose_mixture(mixture: Path | None, recipe: str | None, stores: list[Path]
     from olt_datasets.mixtures.mixture import compose_mixture
     from olt_datasets.mixtures.mixture_file import read_mixture
     from olt_datasets.mixtures.recipe import find_recipe
-    from olt_datasets.tables.clip_table import read_clip_tables
+    from olt_datasets.tables.clip_frame import read_clip_tables
     from olt_generator.errors import InputError
 
     if mixture is not None and recipe is None:
