@@ -13,7 +13,7 @@ from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout import Rollout, save_rollouts
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.definitions import Definition, RolloutScore, score_rollout
-from olt_closed_loop.simulation.closed_loop import DriveRequest, Sensors, simulate, simulate_batch
+from olt_closed_loop.simulation.closed_loop import RolloutRequest, Sensors, simulate, simulate_batch
 from olt_closed_loop.simulation.policies import make_policy
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.errors import InputError
@@ -172,7 +172,7 @@ def _drive(batch: _Batch) -> list[Result]:
     if policy.cameras:  # one after another, so that one scene's textures are held at a time
         rollouts = [simulate(scene, policy, batch.settings, seed, _make_sensors(scene)) for scene, seed in drives]
     else:
-        rollouts = simulate_batch([DriveRequest(scene, seed) for scene, seed in drives], policy, batch.settings)
+        rollouts = simulate_batch([RolloutRequest(scene, seed) for scene, seed in drives], policy, batch.settings)
     return [
         (rollout, score_rollout(scene, rollout, batch.settings.skip, batch.definition))
         for scene, rollout in zip(scenes, rollouts, strict=True)

@@ -31,13 +31,13 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord, record_drive_in_scene
 from olt_closed_loop.rollouts.progress import PathTracker
 from olt_closed_loop.rollouts.rollout import Rollout
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord, record_rollout
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
 from olt_closed_loop.scoring.collisions import Collision, find_collisions
-from olt_closed_loop.scoring.drivable import first_departure, road_of
+from olt_closed_loop.scoring.drivable import drivable_area_of, first_departure
 from olt_closed_loop.scoring.driving_metrics import measure_driving
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
 from olt_generator.errors import InputError
@@ -128,17 +128,17 @@ def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition:
     reason = rollout.failure or _unscorable(rollout)
     if reason:
         return RolloutScore(**named, reason=reason)
-    record = record_drive_in_scene(scene, rollout)
+    record = record_rollout(scene, rollout)
     return _score(record, named, skip)
 
 
-def score_record(record: DriveRecord, definition: Definition = "strict", skip: bool = True) -> RolloutScore:
+def score_record(record: RolloutRecord, definition: Definition = "strict", skip: bool = True) -> RolloutScore:
     """Score one drive of which nothing but the record is known (`rollout_files`)."""
     unknown = {"scene": record.name, "category": "unknown", "policy": "unknown", "seed": None}
     return _score(record, {**unknown, "definition": definition}, skip)
 
 
-def _score(record: DriveRecord, named: dict[str, Any], skip: bool) -> RolloutScore:
+def _score(record: RolloutRecord, named: dict[str, Any], skip: bool) -> RolloutScore:
     if int((record.timestamps_us >= record.handover_us).sum()) < 2:
         return RolloutScore(**named, reason="the drive ends before the hand-over")
     values = _strict(record, skip) if named["definition"] == "strict" else _as_alpasim(record)
@@ -150,8 +150,8 @@ def _unscorable(rollout: Rollout) -> str | None:
     return None if finite.all() else f"the state at {rollout.timestamps_us[np.argmin(finite)]} us is not finite"
 
 
-def _strict(record: DriveRecord, skip: bool) -> dict[str, Any]:
-    ego, road = ego_box(record), road_of(record)
+def _strict(record: RolloutRecord, skip: bool) -> dict[str, Any]:
+    ego, road = ego_box(record), drivable_area_of(record)
     boxes = [agent_box(agent) for agent in record.agents]
     span = _scored_span(record)
     collisions, unreachable = find_collisions(ego, record.agents, boxes, *span, skip_unreachable=skip)
@@ -181,7 +181,7 @@ def _strict(record: DriveRecord, skip: bool) -> dict[str, Any]:
     }
 
 
-def _as_alpasim(record: DriveRecord) -> dict[str, Any]:
+def _as_alpasim(record: RolloutRecord) -> dict[str, Any]:
     scores = score_as_alpasim(record)
     missing = tuple(f"{name}: {reason}" for name, reason in scores.missing.items())
     if scores.scene.score is None:
@@ -204,12 +204,12 @@ def _as_alpasim(record: DriveRecord) -> dict[str, Any]:
     }
 
 
-def _scored_span(record: DriveRecord) -> tuple[int, int]:
+def _scored_span(record: RolloutRecord) -> tuple[int, int]:
     """First and last microsecond that count."""
     return max(record.handover_us, int(record.timestamps_us[0])), int(record.timestamps_us[-1])
 
 
-def _progress(record: DriveRecord, recorded_m: float) -> tuple[float, int | None]:
+def _progress(record: RolloutRecord, recorded_m: float) -> tuple[float, int | None]:
     """Progress of the drive along the metres that were recorded, and when it left the path."""
     tracker = PathTracker(record.recorded_poses[:, :2])
     handed_over, reached, left_path_us = 0.0, 0.0, None
@@ -226,10 +226,10 @@ def _progress(record: DriveRecord, recorded_m: float) -> tuple[float, int | None
 
 def recorded_length(scene: Scene, rollout: Rollout) -> float:
     """Metres that the recording drives from the rollout's hand-over to its end."""
-    return _recorded_length(record_drive_in_scene(scene, rollout))
+    return _recorded_length(record_rollout(scene, rollout))
 
 
-def _recorded_length(record: DriveRecord) -> float:
+def _recorded_length(record: RolloutRecord) -> float:
     times = record.recorded_us
     steps: Array = np.linalg.norm(np.diff(record.recorded_poses[:, :2], axis=0), axis=1)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
@@ -243,7 +243,7 @@ def _progress_score(recorded_m: float, progress: float) -> float:
     return min(progress / FULL_PROGRESS, 1.0)
 
 
-def _left_out(record: DriveRecord, unreachable: tuple[str, ...], road: bool) -> tuple[str, ...]:
+def _left_out(record: RolloutRecord, unreachable: tuple[str, ...], road: bool) -> tuple[str, ...]:
     notes = []
     if unreachable:
         notes.append(f"collision tests of {len(unreachable)} of {len(record.agents)} agents: never within reach")

@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord, LaneLines
+from olt_closed_loop.rollouts.rollout_record import LaneLines, RolloutRecord
 from olt_closed_loop.scoring.moving_boxes import MovingBox, corners
 from olt_generator.poses import Array
 
@@ -29,7 +29,7 @@ Polygons = NDArray[np.object_]
 
 
 @dataclass(frozen=True)
-class Road:
+class DrivableArea:
     """The road in the plane, relative to `origin` (2,).
 
     Attributes:
@@ -57,16 +57,18 @@ class Road:
         return ~np.asarray(shapely.covers(self.area, surroundings))
 
 
-def road_of(record: DriveRecord) -> Road | None:
+def drivable_area_of(record: RolloutRecord) -> DrivableArea | None:
     """The road of a drive; None when its map has neither an outline nor lanes with edges."""
     origin = record.poses[0, :2]
     if record.drivable:
-        return Road(origin, _union([shapely.Polygon(outline[:, :2] - origin) for outline in record.drivable]), None)
+        return DrivableArea(
+            origin, _union([shapely.Polygon(outline[:, :2] - origin) for outline in record.drivable]), None
+        )
     if not (record.lanes and record.road_edges):
         return None
     edges = shapely.MultiLineString([edge[:, :2] - origin for edge in record.road_edges])
     shapely.prepare(edges)
-    return Road(origin, _union([lane_area(lane, origin) for lane in record.lanes]), edges)
+    return DrivableArea(origin, _union([lane_area(lane, origin) for lane in record.lanes]), edges)
 
 
 def lane_area(lane: LaneLines, origin: Array) -> BaseGeometry:
@@ -76,7 +78,7 @@ def lane_area(lane: LaneLines, origin: Array) -> BaseGeometry:
     return shapely.Polygon(np.concatenate([lane.left[:, :2], lane.right[::-1, :2]]) - origin)
 
 
-def first_departure(road: Road, ego: MovingBox, start_us: int, end_us: int, skip: bool = True) -> int | None:
+def first_departure(road: DrivableArea, ego: MovingBox, start_us: int, end_us: int, skip: bool = True) -> int | None:
     """The first time from `start_us` to `end_us` at which some part of the ego's box is off the road, or None.
 
     It is looked for every 20 ms and then narrowed to a microsecond. `skip` leaves out the times at which the whole
@@ -91,7 +93,7 @@ def first_departure(road: Road, ego: MovingBox, start_us: int, end_us: int, skip
     return _narrow(lambda moments: road.leaves(ego.at(moments), ego.half_size), before_us, after_us)
 
 
-def _near_border(road: Road, ego: MovingBox, times: NDArray[np.int64]) -> Flags:
+def _near_border(road: DrivableArea, ego: MovingBox, times: NDArray[np.int64]) -> Flags:
     """At which times (n,) the ego may be off the road, judged from every fifth and what it can drive in between."""
     ways = np.linalg.norm(np.diff(ego.poses[:, :2], axis=0), axis=1)
     fastest = float((ways / np.diff(ego.timestamps_us)).max(initial=0.0))

@@ -14,7 +14,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scoring.drivable import lane_area
 from olt_closed_loop.scoring.moving_boxes import MovingBox, corners, separations
 from olt_generator.poses import Array
@@ -63,7 +63,7 @@ class DrivingMetrics:
         return asdict(self)
 
 
-def measure_driving(record: DriveRecord, ego: MovingBox, others: Sequence[MovingBox]) -> DrivingMetrics:
+def measure_driving(record: RolloutRecord, ego: MovingBox, others: Sequence[MovingBox]) -> DrivingMetrics:
     """Figures of a drive that has two samples or more from the hand-over on.
 
     Args:
@@ -191,7 +191,7 @@ def box_distances(ours: Array, our_half: Array, theirs: Array, their_halves: Arr
     return np.hypot(shapely.distance(first, second), np.maximum(vertical, 0.0))
 
 
-def _drives_wrong_way(record: DriveRecord, ego: MovingBox, times: NDArray[np.int64]) -> bool | None:
+def _drives_wrong_way(record: RolloutRecord, ego: MovingBox, times: NDArray[np.int64]) -> bool | None:
     if not record.lanes:
         return None
     poses = ego.at(times)

@@ -20,7 +20,7 @@ from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.simulation.batch_policy import BatchPolicy, ObservationBatch
 from olt_closed_loop.simulation.recorded_motion import RecordedMotion, recorded_motion
-from olt_closed_loop.simulation.running_drive import RunningDrive, Sensors
+from olt_closed_loop.simulation.running_rollout import RunningRollout, Sensors
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
 from olt_closed_loop.vehicle.models import STATE
 from olt_generator.errors import InputError
@@ -30,7 +30,7 @@ from olt_toolkit.rigs.rig import CAMERA_INDEX
 
 
 @dataclass(frozen=True)
-class DriveRequest:
+class RolloutRequest:
     """A scene to drive, what seeds the drive, and what takes pictures in it."""
 
     scene: Scene
@@ -54,11 +54,11 @@ def simulate(
         InputError: the recording is too short, the policy needs cameras and there is no renderer, or pictures would
             show reactive traffic where it is not.
     """
-    return _simulate_in_step([DriveRequest(scene, seed, renderer)], policy, settings or SimulationSettings())[0]
+    return _simulate_in_step([RolloutRequest(scene, seed, renderer)], policy, settings or SimulationSettings())[0]
 
 
 def simulate_batch(
-    requests: Sequence[DriveRequest], policy: Policy, settings: SimulationSettings | None = None
+    requests: Sequence[RolloutRequest], policy: Policy, settings: SimulationSettings | None = None
 ) -> list[Rollout]:
     """Many rollouts of one policy, in the order of the requests; each is the same as by `simulate`.
 
@@ -73,7 +73,9 @@ def simulate_batch(
     return [_simulate_in_step([request], policy, settings)[0] for request in requests]
 
 
-def _simulate_in_step(requests: Sequence[DriveRequest], policy: Policy, settings: SimulationSettings) -> list[Rollout]:
+def _simulate_in_step(
+    requests: Sequence[RolloutRequest], policy: Policy, settings: SimulationSettings
+) -> list[Rollout]:
     """All drives side by side, step by step; they share the policy's calls."""
     drives = [_start(request, policy, settings) for request in requests]
     delay = settings.planner_delay
@@ -91,7 +93,7 @@ def _simulate_in_step(requests: Sequence[DriveRequest], policy: Policy, settings
     return [drive.rollout(left_out) for drive in drives]
 
 
-def _start(request: DriveRequest, policy: Policy, settings: SimulationSettings) -> RunningDrive:
+def _start(request: RolloutRequest, policy: Policy, settings: SimulationSettings) -> RunningRollout:
     if policy.cameras and request.sensors is None:
         raise InputError(f"policy {policy.name} needs cameras ({', '.join(policy.cameras)}); give a renderer")
     if policy.cameras and settings.traffic != "recorded":
@@ -101,10 +103,10 @@ def _start(request: DriveRequest, policy: Policy, settings: SimulationSettings) 
         )
     sensors = request.sensors if policy.cameras else None
     with_route = not _ignores_route(policy, settings)
-    return RunningDrive(request.scene, policy, settings, request.seed, sensors, with_route)
+    return RunningRollout(request.scene, policy, settings, request.seed, sensors, with_route)
 
 
-def _plan(drives: Sequence[RunningDrive], policy: Policy, step: int) -> None:
+def _plan(drives: Sequence[RunningRollout], policy: Policy, step: int) -> None:
     """Ask the policy for all drives; one that makes it raise fails alone."""
     if not drives:
         return
@@ -145,7 +147,7 @@ def _answer_batch(policy: BatchPolicy, seen: ObservationBatch) -> list[PlannedTr
         return [_answer_batch(policy, seen.row(index))[0] for index in range(len(seen.seeds))]
 
 
-def _observe(drives: Sequence[RunningDrive], step: int) -> ObservationBatch:
+def _observe(drives: Sequence[RunningRollout], step: int) -> ObservationBatch:
     """What the drives' policy sees at a step; the rig stands upright, so its frame is turned about z alone."""
     poses = np.stack([drive.past_poses(step) for drive in drives])
     offset = poses[..., :3] - poses[:, -1:, :3]
@@ -162,7 +164,7 @@ def _observe(drives: Sequence[RunningDrive], step: int) -> ObservationBatch:
     )
 
 
-def _observation(drive: RunningDrive, policy: Policy, seen: ObservationBatch) -> Observation:
+def _observation(drive: RunningRollout, policy: Policy, seen: ObservationBatch) -> Observation:
     """What one drive shows its policy, with pictures."""
     route = seen.route_xy[0]
     return Observation(

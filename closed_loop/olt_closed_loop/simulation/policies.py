@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.batch_policy import ObservationBatch, PlanBatch
+from olt_closed_loop.simulation.batch_policy import ObservationBatch, PlannedTrajectoryBatch
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, planar_pose
 from olt_generator.trajectory import Trajectory
@@ -46,7 +46,7 @@ class _BatchPolicy(ABC):
         return PlannedTrajectory(plans.xyz[0], plans.rotation[0])
 
     @abstractmethod
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`."""
 
 
@@ -55,7 +55,7 @@ class ConstantVelocityPolicy(_BatchPolicy):
 
     name = "constant_velocity"
 
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`."""
         return _straight(_speed(observations)[:, None] * FUTURE_TIMES)
 
@@ -67,7 +67,7 @@ class StandingPolicy(_BatchPolicy):
     braking = 4.0
     """Deceleration, m/s^2."""
 
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`."""
         speed = np.maximum(_speed(observations), 0.0)[:, None]
         time = np.minimum(FUTURE_TIMES, speed / self.braking)
@@ -82,7 +82,7 @@ class RouteFollowingPolicy(_BatchPolicy):
     return_distance = 8.0
     """Metres over which an offset from the route fades to 1/e."""
 
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`.
 
         Raises:
@@ -168,10 +168,10 @@ def _going_on(recording: Trajectory, timestamps_us: NDArray[np.int64]) -> Array:
     return poses
 
 
-def _straight(distances: Array) -> PlanBatch:
+def _straight(distances: Array) -> PlannedTrajectoryBatch:
     """Plans straight ahead by distances (n, 64)."""
     poses = planar_pose(distances, 0.0, 0.0)
-    return PlanBatch(poses[..., :3, 3], poses[..., :3, :3])
+    return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])
 
 
 def _along(paths: Array, distances: Array) -> Array:
@@ -187,7 +187,7 @@ def _along(paths: Array, distances: Array) -> Array:
     return begin + share[..., None] * (end - begin)
 
 
-def _facing_forward(points: Array) -> PlanBatch:
+def _facing_forward(points: Array) -> PlannedTrajectoryBatch:
     """The plans through points (n, 64, 2) that face where they go; while they do not move they face as before."""
     moves = np.diff(points, axis=1, prepend=0.0)
     moving = np.hypot(moves[..., 0], moves[..., 1]) > 1e-3
@@ -195,4 +195,4 @@ def _facing_forward(points: Array) -> PlanBatch:
     latest = np.maximum.accumulate(np.where(moving, np.arange(moves.shape[1]), -1), axis=1)
     held = np.take_along_axis(headings, np.maximum(latest, 0), axis=1)
     poses = planar_pose(points[..., 0], points[..., 1], np.where(latest >= 0, held, 0.0))
-    return PlanBatch(poses[..., :3, 3], poses[..., :3, :3])
+    return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])

@@ -6,7 +6,7 @@ import pytest
 
 from olt_closed_loop.rollouts.rollout import Rollout, load_rollouts, save_rollouts
 from olt_closed_loop.scoring.definitions import score_rollout
-from olt_closed_loop.simulation.closed_loop import DriveRequest, replay, simulate, simulate_batch, stand
+from olt_closed_loop.simulation.closed_loop import RolloutRequest, replay, simulate, simulate_batch, stand
 from olt_closed_loop.simulation.policies import (
     ConstantVelocityPolicy,
     ReplayPolicy,
@@ -167,7 +167,7 @@ def test_a_rollout_is_the_same_alone_and_in_any_batch(straight_scene, moved_scen
     short = curved_scene(straight_scene(duration=3.0))
     small = replace(DEFAULT_VEHICLE, wheelbase=2.5)
     far = replace(moved_scene(straight_scene(duration=4.0, speed=17.0), 5e6, -3e5, 2.0), vehicle=small)
-    requests = [DriveRequest(scene, seed) for seed, scene in enumerate([short, far, straight_scene(duration=3.5)])]
+    requests = [RolloutRequest(scene, seed) for seed, scene in enumerate([short, far, straight_scene(duration=3.5)])]
     together = simulate_batch(requests, policy)
     for request, rollout in zip(requests, together, strict=True):
         assert without_timings(rollout) == without_timings(simulate(request.scene, policy, seed=request.seed))
@@ -176,7 +176,7 @@ def test_a_rollout_is_the_same_alone_and_in_any_batch(straight_scene, moved_scen
 
 def test_a_drive_without_a_route_fails_alone(straight_scene):
     without = replace(straight_scene(), route=np.zeros((0, 3)))
-    requests = [DriveRequest(straight_scene()), DriveRequest(without)]
+    requests = [RolloutRequest(straight_scene()), RolloutRequest(without)]
     whole, failed = simulate_batch(requests, RouteFollowingPolicy())
     assert whole.failure is None and len(whole.states) == 81
     assert "no route ahead" in failed.failure and failed.events.policy_errors == 1
@@ -232,7 +232,7 @@ def test_a_vehicle_with_tyres_follows_a_winding_road_too(straight_scene, method)
     apart = np.linalg.norm(slipping.states[:, :2] - rolling.states[:, :2], axis=1)
     assert slipping.states.shape == rolling.states.shape
     assert 1e-4 < apart.max() < 0.5
-    requests = [DriveRequest(scene), DriveRequest(straight_scene(duration=3.0))]
+    requests = [RolloutRequest(scene), RolloutRequest(straight_scene(duration=3.0))]
     together = simulate_batch(requests, RouteFollowingPolicy(), settings)
     np.testing.assert_array_equal(together[0].states, slipping.states)
     assert any("tyre" in note for note in rolling.left_out)

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from olt_closed_loop.rollouts.drive_record import TimedPlan
+from olt_closed_loop.rollouts.rollout_record import PlanRecord
 from olt_closed_loop.scoring.alpasim.series import Fold, MetricSeries
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings
 from olt_closed_loop.scoring.alpasim.tracks import Indices, Single, Times, ego_track, ego_tracks
@@ -47,13 +47,13 @@ def measure_displacement(surroundings: Surroundings) -> dict[str, MetricSeries]:
     return {ade_name(horizon): _series(pairs) for horizon, pairs in rows.items()}
 
 
-def _compared(times: Times, plan: TimedPlan) -> Times:
+def _compared(times: Times, plan: PlanRecord) -> Times:
     """The scored times at which a plan is compared with the recording."""
     last_us = min(plan.now_us + max(ADE_HORIZONS) * 1e6, times[-1])
     return times[(times >= plan.query_us) & (times <= last_us)]
 
 
-def _displacements(times: Times, plan: TimedPlan, errors: Single) -> list[float]:
+def _displacements(times: Times, plan: PlanRecord, errors: Single) -> list[float]:
     """The values of the horizons that the drive still has samples for, shortest first, of errors (samples, n)."""
     means = (np.cumsum(errors, axis=1) / np.arange(1, errors.shape[1] + 1)).min(axis=0)
     ends = np.searchsorted(times, plan.now_us + 1e6 * np.array(ADE_HORIZONS)) - np.searchsorted(times, plan.now_us) - 1
@@ -95,7 +95,7 @@ def measure_plan_collisions(surroundings: Surroundings) -> dict[str, MetricSerie
     return {"open_loop_collision": _series(pairs)}
 
 
-def _is_ahead(plan: TimedPlan) -> NDArray[np.bool_]:
+def _is_ahead(plan: PlanRecord) -> NDArray[np.bool_]:
     """Which poses (n,) of a plan lie in the 3 s after it was made."""
     return (plan.timestamps_us > plan.now_us) & (plan.timestamps_us <= plan.now_us + COLLISION_HORIZON_US)
 

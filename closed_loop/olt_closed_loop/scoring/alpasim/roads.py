@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 from shapely.geometry.base import BaseGeometry
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord, LaneLines
+from olt_closed_loop.rollouts.rollout_record import LaneLines, RolloutRecord
 from olt_closed_loop.scoring.alpasim.series import MetricSeries, UnmeasuredError
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings
 from olt_closed_loop.scoring.alpasim.tracks import Geometries
@@ -25,7 +25,7 @@ _LOOK = 0.01
 class _RoadMap:
     """The map with its search trees over vertices."""
 
-    def __init__(self, record: DriveRecord) -> None:
+    def __init__(self, record: RolloutRecord) -> None:
         if not record.lanes:
             raise UnmeasuredError("the rollout has no lanes")
         self.lanes, self.edges = record.lanes, record.road_edges

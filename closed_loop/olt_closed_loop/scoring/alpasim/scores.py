@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scoring.alpasim.plans import (
     ADE_HORIZONS,
     ade_name,
@@ -89,7 +89,7 @@ class AlpasimScores:
         return {**vars(self), "scene": vars(self.scene).copy()}
 
 
-def score_as_alpasim(record: DriveRecord) -> AlpasimScores:
+def score_as_alpasim(record: RolloutRecord) -> AlpasimScores:
     """All metrics and the scene score of one drive.
 
     Camera frames are not looked at: `img_is_black` is 0, as with frames that show something.
@@ -120,7 +120,7 @@ def _measure(surroundings: Surroundings) -> tuple[Metrics, dict[str, str]]:
     return series, missing
 
 
-def _combined(record: DriveRecord, series: Metrics) -> Metrics:
+def _combined(record: RolloutRecord, series: Metrics) -> Metrics:
     """The metrics made of others. Without a map nothing is off road here, though the scene score is refused."""
     times = record.timestamps_us
     front, lateral, contact = (series[f"collision_{name}"].values for name in ("front", "lateral", "any"))
@@ -137,13 +137,13 @@ def _combined(record: DriveRecord, series: Metrics) -> Metrics:
     }
 
 
-def _start_us(record: DriveRecord) -> int:
+def _start_us(record: RolloutRecord) -> int:
     """The first sample that is not warm-up; the very first when the drive ends before the hand-over."""
     engaged = record.timestamps_us[record.timestamps_us >= record.handover_us]
     return int(engaged[0] if len(engaged) else record.timestamps_us[0])
 
 
-def _scored_span(record: DriveRecord, series: Metrics) -> tuple[int, int]:
+def _scored_span(record: RolloutRecord, series: Metrics) -> tuple[int, int]:
     """From the end of the warm-up to the first incident of any kind or the first time 4 m off the recorded path."""
     start_us, end_us = _start_us(record), int(record.timestamps_us[-1])
     for name, limit in (("offroad_or_collision", 1.0), ("dist_to_gt_trajectory", MAX_PATH_DISTANCE)):

@@ -10,14 +10,14 @@ from functools import cached_property
 import numpy as np
 import shapely
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scoring.alpasim.series import MetricSeries
 from olt_closed_loop.scoring.alpasim.tracks import (
+    BoxTracks,
     Geometries,
     Indices,
     RoundedBoxes,
     Single,
-    Tracks,
     agent_tracks,
     ego_track,
     ego_tracks,
@@ -35,10 +35,10 @@ _ROUNDING = 0.43
 class Surroundings:
     """The ego and the agents of a drive as AlpaSim sees them."""
 
-    record: DriveRecord
+    record: RolloutRecord
 
     @cached_property
-    def ego(self) -> Tracks:
+    def ego(self) -> BoxTracks:
         """The ego's box centre at the scored times."""
         return ego_track(self.record.timestamps_us, self.record.poses, self.record.box)
 
@@ -63,13 +63,13 @@ class Surroundings:
         return np.asarray(shapely.centroid(self.ego_outlines))
 
     @cached_property
-    def plans(self) -> Tracks:
+    def plans(self) -> BoxTracks:
         """The ego's box centre along each plan."""
         plans = self.record.plans
         return ego_tracks([plan.timestamps_us for plan in plans], [plan.poses for plan in plans], self.record.box)
 
     @cached_property
-    def agents(self) -> Tracks:
+    def agents(self) -> BoxTracks:
         """The agents' box centres."""
         return agent_tracks(self.record.agents)
 

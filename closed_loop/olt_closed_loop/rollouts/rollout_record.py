@@ -33,7 +33,7 @@ class LaneLines:
 
 
 @dataclass(frozen=True)
-class TimedPlan:
+class PlanRecord:
     """What the policy planned at one time.
 
     Attributes:
@@ -52,7 +52,7 @@ class TimedPlan:
 
 
 @dataclass(frozen=True)
-class DriveRecord:
+class RolloutRecord:
     """One drive with everything that scoring needs; times are integer microseconds, lengths metres, angles radians.
 
     Attributes:
@@ -79,15 +79,15 @@ class DriveRecord:
     lanes: tuple[LaneLines, ...] = ()
     road_edges: tuple[Array, ...] = ()
     drivable: tuple[Array, ...] = ()
-    plans: tuple[TimedPlan, ...] = ()
+    plans: tuple[PlanRecord, ...] = ()
 
 
-def record_drive_in_scene(scene: Scene, rollout: Rollout) -> DriveRecord:
+def record_rollout(scene: Scene, rollout: Rollout) -> RolloutRecord:
     """The record of a rollout of a scene. A policy's plan is the one sample that it drew."""
     vehicle = scene.vehicle
     x, y, yaw = rollout.states[:, [STATE.x, STATE.y, STATE.yaw]].T
     T_world_rig = scene.ego.T_world_rig
-    return DriveRecord(
+    return RolloutRecord(
         name=scene.name,
         handover_us=rollout.handover_us,
         timestamps_us=rollout.timestamps_us,
@@ -105,6 +105,6 @@ def record_drive_in_scene(scene: Scene, rollout: Rollout) -> DriveRecord:
     )
 
 
-def _plan(now_us: int, poses: Array) -> TimedPlan:
+def _plan(now_us: int, poses: Array) -> PlanRecord:
     times = now_us + PLAN_STEP_US * np.arange(len(poses), dtype=np.int64)
-    return TimedPlan(now_us, now_us + PLAN_STEP_US, times, poses, (poses,))
+    return PlanRecord(now_us, now_us + PLAN_STEP_US, times, poses, (poses,))

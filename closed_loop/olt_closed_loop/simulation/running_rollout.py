@@ -47,7 +47,7 @@ class Sensors(Protocol):
         ...
 
 
-class RunningDrive:
+class RunningRollout:
     """The drive of one vehicle through one scene; steps are counted from the start of the recording.
 
     Attributes:
