@@ -10,7 +10,7 @@ from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.scoring.definitions import SHORT_RECORDING, RolloutScore, recorded_length, score_rollout
 from olt_closed_loop.simulation.closed_loop import replay, stand
 from olt_closed_loop.simulation.settings import SimulationSettings
-from olt_closed_loop.vehicle.models import STATE
+from olt_closed_loop.vehicle.state import STATE
 
 WALL_LENGTH, WALL_WIDTH, WALL_HEIGHT = 0.5, 8.0, 2.0
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_closed_loop.vehicle.models import STATE, STATE_SIZE
+from olt_closed_loop.vehicle.state import STATE, STATE_SIZE
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array, planar_pose

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_closed_loop.vehicle.models import STATE
+from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import Array, yaw_of
 
 PLAN_STEP_US = 100_000

@@ -22,7 +22,7 @@ from olt_closed_loop.simulation.batch_policy import BatchPolicy, ObservationBatc
 from olt_closed_loop.simulation.recorded_motion import RecordedMotion, recorded_motion
 from olt_closed_loop.simulation.running_rollout import RunningRollout, Sensors
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
-from olt_closed_loop.vehicle.models import STATE
+from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import planar_pose
 from olt_toolkit.policy.contract import FUTURE_STEPS, IMAGE_FRAMES, Observation, PlannedTrajectory, Policy

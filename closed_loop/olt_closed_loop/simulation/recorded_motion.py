@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.vehicle.models import STATE, STATE_SIZE, steering_for
+from olt_closed_loop.vehicle.state import STATE, STATE_SIZE, steering_for
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, yaw_of
 from olt_generator.trajectory import Trajectory

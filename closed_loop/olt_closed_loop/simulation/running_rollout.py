@@ -18,7 +18,8 @@ from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
 from olt_closed_loop.vehicle.integrators import make_stepper
-from olt_closed_loop.vehicle.models import STATE, STATE_SIZE, with_rolling_tyres
+from olt_closed_loop.vehicle.models import with_rolling_tyres
+from olt_closed_loop.vehicle.state import STATE, STATE_SIZE
 from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import derive_seed
 from olt_toolkit.policy.contract import (

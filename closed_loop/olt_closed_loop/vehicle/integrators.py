@@ -19,14 +19,8 @@ from olt_closed_loop.vehicle.buffered import BufferedFunction
 from olt_closed_loop.vehicle.compiled import MOST_SUBSTEPS, Drive, StepProgram, check_finite, make_drive
 from olt_closed_loop.vehicle.implicit import cvodes_function, radau_function
 from olt_closed_loop.vehicle.integration_plan import automatic_plan, candidates, fixed_plan, stiffness_plan
-from olt_closed_loop.vehicle.models import (
-    CONTROL_SIZE,
-    STATE,
-    Model,
-    VehicleNumbers,
-    VehicleParameters,
-    model_state_size,
-)
+from olt_closed_loop.vehicle.models import Model, VehicleNumbers, VehicleParameters, model_state_size
+from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
 from olt_closed_loop.vehicle.substeps import ExplicitMethod, explicit_substep, substep_function
 from olt_generator.errors import InputError
 from olt_generator.poses import Array

@@ -14,7 +14,7 @@ from olt_closed_loop.simulation.policies import (
     StandingPolicy,
 )
 from olt_closed_loop.simulation.settings import SimulationSettings
-from olt_closed_loop.vehicle.models import STATE
+from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
