@@ -1,4 +1,4 @@
-"""What a definition of the score looks at: one drive, what was around it, and what had been recorded there."""
+"""What a definition of the score looks at: one rollout, what was around it, and what had been recorded there."""
 
 from dataclasses import dataclass
 
@@ -34,13 +34,13 @@ class LaneLines:
 
 @dataclass(frozen=True)
 class PlanRecord:
-    """What the policy planned at one time.
+    """What the policy planned at one time, in the world.
 
     Attributes:
         now_us: when the plan was made.
         query_us: the first time that it was asked for.
         timestamps_us: (n,) int64 times of its poses, increasing.
-        poses: (n, 3) x, y, yaw of the rig in the world.
+        poses: (n, 3) x, y, yaw of the rig in the world, metres and radians.
         samples: further plans (n, 3) that the policy drew at the same times.
     """
 
@@ -53,10 +53,10 @@ class PlanRecord:
 
 @dataclass(frozen=True)
 class RolloutRecord:
-    """One drive with everything that scoring needs; times are integer microseconds, lengths metres, angles radians.
+    """One rollout with everything that scoring needs; times are integer microseconds, lengths metres, angles radians.
 
     Attributes:
-        name: what the drive is called.
+        name: what the rollout is called.
         handover_us: when the policy took over; what comes before is warm-up.
         timestamps_us: (n,) int64, strictly increasing.
         poses: (n, 4) x, y, z, yaw of the rig in the world.
@@ -100,11 +100,7 @@ def record_rollout(scene: Scene, rollout: Rollout) -> RolloutRecord:
         road_edges=scene.road_edges,
         drivable=scene.drivable,
         plans=tuple(
-            _plan(int(now_us), poses) for now_us, poses in zip(rollout.plan_times_us, rollout.plans, strict=True)
+            PlanRecord(now_us, now_us + PLAN_STEP_US, now_us + PLAN_STEP_US * np.arange(len(poses)), poses, (poses,))
+            for now_us, poses in zip(rollout.plan_times_us.tolist(), rollout.plans, strict=True)
         ),
     )
-
-
-def _plan(now_us: int, poses: Array) -> PlanRecord:
-    times = now_us + PLAN_STEP_US * np.arange(len(poses), dtype=np.int64)
-    return PlanRecord(now_us, now_us + PLAN_STEP_US, times, poses, (poses,))

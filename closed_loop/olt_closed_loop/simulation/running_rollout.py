@@ -4,6 +4,7 @@ import time
 from collections import Counter, defaultdict, deque
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -12,14 +13,17 @@ from numpy.typing import NDArray
 from olt_closed_loop.control.plans import PlanRefused, WorldPlan, place_plan
 from olt_closed_loop.control.tracking import TrackingController
 from olt_closed_loop.rollouts.progress import PathTracker
-from olt_closed_loop.rollouts.rollout import Events, Rollout
+from olt_closed_loop.rollouts.rollout import Incidents, Rollout
 from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.simulation.batch_policy import BatchPolicy
 from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
 from olt_closed_loop.vehicle.integrators import make_stepper
 from olt_closed_loop.vehicle.models import with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE, STATE_SIZE
+from olt_generator.errors import InputError
+from olt_generator.omissions import Omission
 from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import derive_seed
 from olt_toolkit.policy.contract import (
@@ -30,6 +34,7 @@ from olt_toolkit.policy.contract import (
     PlannedTrajectory,
     Policy,
 )
+from olt_toolkit.rigs.rig import CAMERA_INDEX
 
 ROUTE_POINTS = 20
 ROUTE_LENGTH = 80.0
@@ -44,78 +49,83 @@ class Sensors(Protocol):
     def render_rig(
         self, cameras: tuple[str, ...], size: tuple[int, int], T_world_rig: Array, time_us: int
     ) -> NDArray[np.uint8]:
-        """Images (cameras, 3, H, W) of the named cameras on the rig at `T_world_rig`; `size` is (H, W)."""
+        """Images (cameras, 3, H, W) of the named cameras on the rig at `T_world_rig` (4, 4); `size` is (H, W)."""
         ...
+
+
+@dataclass(frozen=True)
+class RolloutRequest:
+    """A scene to drive, what seeds the rollout, and what takes pictures in it."""
+
+    scene: Scene
+    seed: int = 0
+    sensors: Sensors | None = None
 
 
 class RunningRollout:
     """The drive of one vehicle through one scene; steps are counted from the start of the recording.
 
     Attributes:
-        seed: seeds the rollout.
         times: (n,) int64 times of the steps, microseconds.
-        events: counted so far.
-        failure: why the drive cannot go on, or None.
+        incidents: counted so far.
+        failure: why the rollout cannot go on, or None.
     """
 
-    def __init__(
-        self,
-        scene: Scene,
-        policy: Policy,
-        settings: SimulationSettings,
-        seed: int,
-        sensors: Sensors | None,
-        with_route: bool,
-    ) -> None:
+    def __init__(self, request: RolloutRequest, policy: Policy, settings: SimulationSettings) -> None:
         """Follow the recording up to the hand-over.
 
         Raises:
-            InputError: the recording is too short.
+            InputError: the recording is too short, the policy needs cameras and there is nothing to take pictures, or
+                pictures would show reactive traffic where it is not.
         """
-        self.seed, self.times = seed, step_times(scene, settings)
-        self._parameters = settings.vehicle_of(scene)
-        self._ground = scene.ego.positions.copy()
-        self.events: Counter[str] = Counter()
+        if policy.cameras and request.sensors is None:
+            raise InputError(f"policy {policy.name} needs cameras ({', '.join(policy.cameras)}); give a renderer")
+        if policy.cameras and settings.traffic != "recorded":
+            raise InputError(
+                f"policy {policy.name} has cameras, and pictures show agents where they were recorded; "
+                "give recorded traffic instead of reactive"
+            )
+        self._scene, self._seed, self._sensors = request.scene, request.seed, request.sensors
+        self._policy, self._settings = policy, settings
+        self.times = step_times(self._scene, settings)
+        self.incidents: Counter[str] = Counter()
         self.failure: str | None = None
-        self._scene, self._policy, self._settings, self._sensors = scene, policy, settings, sensors
+        self._parameters = settings.vehicle_of(self._scene)
         self._controller = TrackingController(self._parameters, settings.control)
-        self._stepper = make_stepper(self._parameters, settings.method, settings.substeps, STEP_SECONDS)
+        self._stepper = make_stepper(self._parameters, settings.integrator, step=STEP_SECONDS)
         self._plans: list[WorldPlan] = []
         self._frames: deque[NDArray[np.uint8]] = deque(maxlen=IMAGE_FRAMES)
         self._timings: defaultdict[str, float] = defaultdict(float)
-        self._rendered = 0
-        self._driven = settings.handover
+        self._rendered, self._driven = 0, settings.handover
         self._follow_recording()
         reactive = settings.traffic == "idm"
-        self._agents = ReactiveAgents(scene.agents, int(self.times[self._driven])) if reactive else None
-        self._route = self._start_route() if with_route and len(scene.route) else None
+        self._agents = ReactiveAgents(self._scene.agents, int(self.times[self._driven])) if reactive else None
+        self._ignores_route = settings.skip and isinstance(policy, BatchPolicy) and not policy.uses_route
+        self._route: PathTracker | None = None
+        if len(self._scene.route) and not self._ignores_route:
+            self._route = PathTracker(self._scene.route[:, :2])
+            self._route.start_at(self._states[settings.handover - settings.planner_delay, : STATE.yaw])
 
     def _follow_recording(self) -> None:
-        recorded = recorded_motion(self._scene, self.times[: self._driven + 1])
-        count = len(recorded.states)
+        recorded, heights = recorded_motion(self._scene, self.times[: self._driven + 1])
+        count = len(recorded)
         self._states = np.full((len(self.times), self._parameters.state_size), np.nan)
         self._heights = np.full(len(self.times), np.nan)
         self._controls = np.full((len(self.times) - 1, 2), np.nan)
-        self._states[:count] = with_rolling_tyres(recorded.states, self._parameters)
-        self._heights[:count] = recorded.heights
-        x, y, yaw, speed = recorded.states[0, : STATE.steering]
+        self._states[:count] = with_rolling_tyres(recorded, self._parameters)
+        self._heights[:count] = heights
+        x, y, yaw, speed = recorded[0, : STATE.steering]
         back = STEP_SECONDS * speed * np.arange(-_BEFORE, 0)
-        z = np.full(_BEFORE, recorded.heights[0])
+        z = np.full(_BEFORE, heights[0])
         # Before the recording starts the rig is taken to have come straight at its first velocity.
         self._earlier = np.column_stack([x + np.cos(yaw) * back, y + np.sin(yaw) * back, z, np.full(_BEFORE, yaw)])
-
-    def _start_route(self) -> PathTracker:
-        route = PathTracker(self._scene.route[:, :2])
-        first_asked = self._settings.handover - self._settings.planner_delay
-        route.start_at(self._states[first_asked, : STATE.yaw])
-        return route
 
     def runs_at(self, step: int) -> bool:
         """Whether the vehicle is still to be driven on from this step."""
         return not self.failure and step < len(self.times) - 1
 
     def past_poses(self, step: int) -> Array:
-        """x, y, z, yaw (16, 4) of the rig at this step and the 15 before it."""
+        """x, y, z, yaw (16, 4) of the rig in the world at this step and the 15 before it."""
         first = step - _BEFORE
         known = slice(max(first, 0), step + 1)
         poses = np.column_stack([self._states[known, :2], self._heights[known], self._states[known, STATE.yaw]])
@@ -127,10 +137,10 @@ class RunningRollout:
 
     def seed_at(self, step: int) -> int:
         """What seeds the policy's call at a step."""
-        return derive_seed(self.seed, self._scene.name, step)
+        return derive_seed(self._seed, self._scene.name, step)
 
     def route_ahead(self, step: int) -> Array:
-        """Route (20, 2) ahead in the rig frame, filled up with NaN where it ends earlier or is not known."""
+        """Route (20, 2) ahead in the rig frame, metres, filled up with NaN where it ends earlier or is not known."""
         route = np.full((ROUTE_POINTS, 2), np.nan)
         if self._route is None:
             return route
@@ -143,80 +153,63 @@ class RunningRollout:
         return route
 
     def take_pictures(self, step: int) -> None:
-        """Render the policy's cameras once; the picture serves this step and the next three."""
-        if self._sensors is None:
+        """Render the policy's cameras once, if it has any; the picture serves this step and the next three."""
+        if self._sensors is None or not self._policy.cameras:
             return
         x, y, yaw = self._states[step, : STATE.speed]
         pose = planar_pose(x, y, yaw, self._heights[step])
-        with self.timed("rendering"):
+        with self._timed("rendering"):
             pictures = self._sensors.render_rig(
                 self._policy.cameras, self._policy.image_size, pose, int(self.times[step])
             )
         self._frames.append(pictures)
         self._rendered += 1
 
-    def accept(self, plan: PlannedTrajectory, step: int) -> None:
-        """Keep the plan made at a step, or count that it is refused."""
+    def accept(self, answer: PlannedTrajectory | Exception, step: int, seconds: float) -> None:
+        """Keep the plan made at a step in so many seconds, count that it is refused, or end with what was raised."""
+        self._timings["policy"] += seconds
+        if isinstance(answer, Exception):
+            self.incidents["policy_errors"] += 1
+            self.failure = f"the policy raised {type(answer).__name__} at {self.times[step] * 1e-6:.1f} s: {answer}"
+            return
         try:
             x, y, yaw = self._states[step, : STATE.speed]
-            self._plans.append(place_plan(plan, x, y, yaw, int(self.times[step])))
+            self._plans.append(place_plan(answer, x, y, yaw, int(self.times[step])))
         except PlanRefused as refusal:
-            self.events["plans_refused"] += 1
+            self.incidents["plans_refused"] += 1
             if not self._plans:
                 self.failure = f"the first plan was refused: {refusal}"
 
-    def fail(self, error: Exception, step: int) -> None:
-        """End the drive because the policy raised."""
-        self.events["policy_errors"] += 1
-        self.failure = f"the policy raised {type(error).__name__} at {self.times[step] * 1e-6:.1f} s: {error}"
-
     def move(self, step: int) -> None:
-        """Control the vehicle and move it on by one step; the agents react to where it was before."""
-        control = self._control(step)
-        with self.timed("vehicle"):
-            state = self._stepper(self._states[step], control)
-        if self._agents is not None:
-            self._agents.step(int(self.times[step]), *self._ego_box(step))
-        self._driven = step + 1
-        self._states[step + 1] = state
-        self._heights[step + 1] = self._height_at(state)
-
-    def _control(self, step: int) -> Array:
-        """The command (2,) that follows the plan in force at a step: the newest that is older than the delay."""
-        latest_us = self.times[step] - self._settings.planner_delay_us
-        plan = next(plan for plan in reversed(self._plans) if plan.timestamps_us[0] <= latest_us)
-        with self.timed("control"):
-            control = self._controller.control(self._states[step], plan, int(self.times[step]))
+        """Follow the plan in force, the newest older than the delay, for one step; agents react to the ego before."""
+        now_us, before = int(self.times[step]), self._states[step]
+        in_force_us = now_us - self._settings.planner_delay_us
+        plan = next(plan for plan in reversed(self._plans) if plan.timestamps_us[0] <= in_force_us)
+        with self._timed("control"):
+            control = self._controller.control(before, plan, now_us)
         low, high = self._parameters.control_limits
-        self.events["saturations"] += bool(np.any((control <= low) | (control >= high)))
-        self._controls[step] = control
-        return control
-
-    def _ego_box(self, step: int) -> tuple[Array, tuple[float, float], float]:
-        """Pose (3,) of the centre of the ego's box, its length and width, and the ego's speed."""
-        x, y, yaw, speed = self._states[step, : STATE.steering]
-        vehicle = self._scene.vehicle
-        ahead = vehicle.rear_axle_to_bbox_center
-        pose = np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
-        return pose, (vehicle.length, vehicle.width), speed
-
-    def _height_at(self, state: Array) -> float:
-        """Height of the ground under the rig, taken from the nearest recorded pose."""
-        x, y, z = self._ground.T
-        return float(z[np.argmin((x - state[STATE.x]) ** 2 + (y - state[STATE.y]) ** 2)])
+        self.incidents["saturations"] += bool(np.any((control <= low) | (control >= high)))
+        with self._timed("vehicle"):
+            state = self._stepper(before, control)
+        if self._agents is not None:
+            x, y, yaw, speed = before[: STATE.steering]
+            ego, ahead = self._scene.vehicle, self._scene.vehicle.rear_axle_to_bbox_center
+            center = np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
+            self._agents.step(now_us, center, (ego.length, ego.width), speed)
+        # The ground is as high as at the nearest recorded pose.
+        ground = self._scene.ego.positions
+        nearest = np.argmin((ground[:, 0] - state[STATE.x]) ** 2 + (ground[:, 1] - state[STATE.y]) ** 2)
+        self._controls[step], self._states[step + 1], self._heights[step + 1] = control, state, ground[nearest, 2]
+        self._driven = step + 1
 
     @contextmanager
-    def timed(self, work: str) -> Iterator[None]:
+    def _timed(self, work: str) -> Iterator[None]:
         """Add the time that the block takes to a kind of work."""
         started = time.perf_counter()
         yield
-        self.add_time(work, time.perf_counter() - started)
+        self._timings[work] += time.perf_counter() - started
 
-    def add_time(self, work: str, seconds: float) -> None:
-        """Add seconds to a kind of work."""
-        self._timings[work] += seconds
-
-    def rollout(self, left_out: tuple[str, ...]) -> Rollout:
+    def rollout(self) -> Rollout:
         """What has been driven."""
         count = self._driven + 1
         plans = [plan.poses for plan in self._plans]
@@ -225,7 +218,7 @@ class RunningRollout:
             scene=self._scene.name,
             category=self._scene.category,
             policy=self._policy.name,
-            seed=self.seed,
+            seed=self._seed,
             handover_us=int(self.times[self._settings.handover]),
             timestamps_us=self.times[:count],
             states=self._states[:count, :STATE_SIZE],
@@ -233,12 +226,22 @@ class RunningRollout:
             controls=self._controls[: count - 1],
             plan_times_us=np.array([plan.timestamps_us[0] for plan in self._plans], dtype=np.int64),
             plans=np.stack(plans) if plans else np.zeros((0, FUTURE_STEPS + 1, 3)),
-            events=Events(**self.events, solves_failed=solves.failed, solves_late=solves.late),
+            incidents=Incidents(**self.incidents, solves_failed=solves.failed, solves_late=solves.late),
             failure=self.failure,
             rendered_images=dict.fromkeys(self._policy.cameras, self._rendered),
-            left_out=(*left_out, *integration.left_out),
-            vehicle_steps={way.partition(" (")[0]: count for way, count in integration.taken.items()},
+            left_out=(*self._left_out(), *integration.left_out),
+            vehicle_steps=integration.taken,
             timings=dict(self._timings),
             traffic=self._settings.traffic,
             reacted=self._agents.reacted() if self._agents else (),
         )
+
+    def _left_out(self) -> Iterator[Omission]:
+        unseen = f"policy {self._policy.name} does not look at "
+        unused = [camera for camera in CAMERA_INDEX if camera not in self._policy.cameras]
+        if unused:
+            yield Omission(f"rendering of {', '.join(unused)}", f"{unseen}them")
+        if self._settings.vehicle == "kinematic":
+            yield Omission("tyre dynamics", "the vehicle is kinematic")
+        if self._ignores_route:
+            yield Omission("the route ahead", f"{unseen}it")
