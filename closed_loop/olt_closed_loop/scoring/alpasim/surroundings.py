@@ -168,11 +168,15 @@ def _poses(positions: Single, yaws: Single) -> Array:
 
 def measure_contact(surroundings: Surroundings) -> dict[str, MetricSeries]:
     """The collision metrics and the distance to the nearest agent."""
-    times = surroundings.record.timestamps_us
-    distances = surroundings.distances
-    touching = np.flatnonzero((distances <= 0.0).any(axis=0))
+    times, distances = surroundings.record.timestamps_us, surroundings.distances
+    samples = np.flatnonzero((distances <= 0.0).any(axis=0))
+    touched = np.array([surroundings.last_touched(int(sample)) for sample in samples], dtype=np.int64)
+    positions, yaws = surroundings.agent_places
+    others = surroundings.agent_shapes.select(touched).polygons(positions[touched, samples], yaws[touched, samples])
+    front, rear = surroundings.ego_shape.end_zones(*(place[samples] for place in surroundings.ego_places))
+    zones = np.where(shapely.intersects(others, front), 0, np.where(shapely.intersects(others, rear), 1, 2))
     flags = np.zeros((3, len(times)))
-    flags[_touched_zones(surroundings, touching), touching] = 1.0
+    flags[zones, samples] = 1.0
     nearest = np.where(np.isnan(distances), np.inf, distances).min(axis=0, initial=np.inf)
     names = ("collision_front", "collision_rear", "collision_lateral")
     return {
@@ -180,12 +184,3 @@ def measure_contact(surroundings: Surroundings) -> dict[str, MetricSeries]:
         "collision_any": MetricSeries(times, flags.max(axis=0), "max"),
         "min_distance_to_obstacle_m": MetricSeries(times, np.where(np.isinf(nearest), np.nan, nearest), "min"),
     }
-
-
-def _touched_zones(surroundings: Surroundings, samples: Indices) -> Indices:
-    """0 front, 1 rear, 2 neither: the zones (k,) of the ego that are touched at samples (k,)."""
-    touched = np.array([surroundings.last_touched(int(sample)) for sample in samples], dtype=np.int64)
-    positions, yaws = surroundings.agent_places
-    others = surroundings.agent_shapes.select(touched).polygons(positions[touched, samples], yaws[touched, samples])
-    front, rear = surroundings.ego_shape.end_zones(*(place[samples] for place in surroundings.ego_places))
-    return np.where(shapely.intersects(others, front), 0, np.where(shapely.intersects(others, rear), 1, 2))

@@ -112,7 +112,7 @@ class BoxTracks:
         return self.times_us[self.firsts[tracks]], self.times_us[self.firsts[np.add(tracks, 1)] - 1]
 
     def at(self, times_us: Times, tracks: Indices | int = 0) -> tuple[Single, Single]:
-        """Positions (m, 2) and wrapped yaws (m,) of the tracks (m,) at these times.
+        """Positions (m, 2) in metres and yaws (m,) from -pi to pi of the tracks (m,) at these times.
 
         Raises:
             UnmeasuredError: a time lies outside its track.
@@ -126,7 +126,8 @@ class BoxTracks:
         share = (times_us - self.times_us[before]) / span
         start, end = self.positions[before], self.positions[after]
         positions = (start + (end - start) * share[:, None].astype(np.float32)).astype(np.float32)
-        return positions, wrapped(self.yaws[before] + (self.yaws[after] - self.yaws[before]) * share)
+        yaws = self.yaws[before] + (self.yaws[after] - self.yaws[before]) * share
+        return positions, np.arctan2(np.sin(yaws), np.cos(yaws)).astype(np.float32)
 
     def _neighbours(self, times_us: Times, tracks: Indices | int) -> tuple[Indices, Indices]:
         """Rows (m,) of the samples at or before, and after; a track of one sample has that for both.
@@ -163,20 +164,10 @@ def agent_tracks(agents: Sequence[Agent]) -> BoxTracks:
 
 
 def _tracks(times_us: Sequence[Times], positions: Single, yaws: Array) -> BoxTracks:
-    firsts = np.cumsum([0, *map(len, times_us)])
-    return BoxTracks(firsts, np.concatenate([np.empty(0, np.int64), *times_us]), positions, _unwrapped(yaws, firsts))
-
-
-def _unwrapped(yaws: Array, firsts: Indices) -> Array:
-    """Yaws (n,) without jumps within a track; only the tracks that have one are touched."""
-    unwrapped = yaws.copy()
+    """The table of tracks; yaws are unwrapped in the tracks that have a jump."""
+    firsts, unwrapped = np.cumsum([0, *map(len, times_us)]), yaws.copy()
     jumps = np.flatnonzero(np.abs(np.diff(yaws)) >= np.pi) + 1
     for track in np.unique(np.searchsorted(firsts, jumps, side="right") - 1):
         rows = slice(firsts[track], firsts[track + 1])
         unwrapped[rows] = np.unwrap(yaws[rows])
-    return unwrapped
-
-
-def wrapped(yaws: Array) -> Single:
-    """Yaws (n,) as single precision angles from -pi to pi."""
-    return np.arctan2(np.sin(yaws), np.cos(yaws)).astype(np.float32)
+    return BoxTracks(firsts, np.concatenate([np.empty(0, np.int64), *times_us]), positions, unwrapped)
