@@ -33,7 +33,14 @@ def test_the_package_itself_loads_nothing():
     assert ran.stdout.split() == ["False"]
 
 
-@pytest.mark.parametrize("name", olt_closed_loop.__all__)
+NAMES = (
+    *("ControlSettings", "Rollout", "RolloutScore", "Scene", "SimulationSettings", "check_gate", "generate_scene"),
+    *("load_rollouts", "load_scene", "make_policy", "read_rollout_file", "read_scene", "replay", "run_closed_loop"),
+    *("save_results", "save_rollouts", "score_record", "score_rollout", "simulate", "summarize_scores", "write_scene"),
+)
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_the_package_gives_what_it_names(name):
     assert getattr(olt_closed_loop, name).__name__ == name
     assert name in dir(olt_closed_loop)

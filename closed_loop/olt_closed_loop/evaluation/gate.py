@@ -76,11 +76,21 @@ def check_gate(scene: Scene, settings: SimulationSettings | None = None) -> Gate
 def _check(
     name: str, score: RolloutScore, expected: float, collisions: int | None = None, progress: float | None = None
 ) -> GateCheck:
-    """Whether the score, and the number of collisions or the progress where given, are those expected."""
+    """Whether the score, and the number of collisions or the progress where given, are those expected.
+
+    What is found is the score and, where it is not perfect, what happened when, so that the scene can be repaired.
+    """
     passed = (
         score.score == expected and collisions in (None, len(score.collisions)) and progress in (None, score.progress)
     )
-    return GateCheck(name, passed, _describe(score))
+    figures = [
+        f"{name} {'not measured' if value is None else f'{value:.4f}'}"
+        for name, value in (("score", score.score), ("progress", score.progress))
+    ]
+    moments = [(f"{hit.side} contact with {hit.label} {hit.agent_id}", hit.time_us) for hit in score.collisions]
+    moments += [("off the road", score.offroad_us), ("off the recorded path", score.left_path_us)]
+    happened = [f"{what} at {time_us * 1e-6:.2f} s" for what, time_us in moments if time_us is not None]
+    return GateCheck(name, passed, ", ".join([*figures, *happened, *([score.reason] if score.reason else [])]))
 
 
 def _wall(scene: Scene, replayed: Rollout) -> Agent:
@@ -90,15 +100,3 @@ def _wall(scene: Scene, replayed: Rollout) -> Agent:
     pose = [x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), replayed.heights[-1] + 0.5 * WALL_HEIGHT, yaw]
     times = replayed.timestamps_us[[0, -1]]
     return Agent("wall", "barrier", WALL_LENGTH, WALL_WIDTH, WALL_HEIGHT, times, np.array([pose, pose]))
-
-
-def _describe(score: RolloutScore) -> str:
-    """The score and, where it is not perfect, what happened when, so that the scene can be repaired."""
-    figures = [
-        f"{name} {'not measured' if value is None else f'{value:.4f}'}"
-        for name, value in (("score", score.score), ("progress", score.progress))
-    ]
-    moments = [(f"{hit.side} contact with {hit.label} {hit.agent_id}", hit.time_us) for hit in score.collisions]
-    moments += [("off the road", score.offroad_us), ("off the recorded path", score.left_path_us)]
-    happened = [f"{what} at {time_us * 1e-6:.2f} s" for what, time_us in moments if time_us is not None]
-    return ", ".join([*figures, *happened, *([score.reason] if score.reason else [])])

@@ -5,6 +5,7 @@ what lies beyond an edge: neither on a lane, nor to be reached from the nearest 
 entirely beyond the edge is off the road, whichever way the edge is drawn.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -108,7 +109,7 @@ def _near_border(drivable: DrivableArea, ego: MovingBox, times: NDArray[np.int64
     return np.repeat(drivable.may_be_left(ego.at(times[::_EVERY], columns=2), reach), _EVERY)[: len(times)]
 
 
-def _union(areas: list[BaseGeometry]) -> BaseGeometry:
+def _union(areas: Sequence[BaseGeometry]) -> BaseGeometry:
     union = shapely.union_all([shapely.make_valid(area) for area in areas]).buffer(TOLERANCE)
     shapely.prepare(union)
     return union

@@ -70,9 +70,9 @@ class AlpasimScores:
 
     Attributes:
         raw: every metric folded over all samples.
-        final: every metric that has samples, and those made of others, folded over the samples from the hand-over to the
-            first incident or the first time off the recorded path; empty when the distance to that path has no value,
-            without which AlpaSim does not aggregate.
+        final: every metric that has samples, and those made of others, folded over the samples from the hand-over to
+            the first incident or the first time off the recorded path; empty when the distance to that path has no
+            value, without which AlpaSim does not aggregate.
         scene: the scene score.
         missing: metrics that cannot be had from this drive, with the reason.
         n_steps, n_steps_scored: samples, and how many of them are left.
