@@ -45,14 +45,7 @@ class ObservationBatch:
 
     def row(self, index: int) -> "ObservationBatch":
         """The batch of the one rollout at `index`."""
-        part = slice(index, index + 1)
-        return ObservationBatch(
-            self.history_xyz[part],
-            self.history_rotation[part],
-            self.route_xy[part],
-            self.time_us[part],
-            self.seeds[part],
-        )
+        return ObservationBatch(**{name: values[index : index + 1] for name, values in vars(self).items()})
 
 
 @dataclass(frozen=True)
