@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from olt_closed_loop.benchmarks.alpasim_vehicle import REAR_TO_GRAVITY, drive_step
+from olt_closed_loop.benchmarks.alpasim_vehicle import REAR_TO_GRAVITY, alpasim_vehicle, drive_step
 from olt_closed_loop.benchmarks.control_extremes import control_grid
 from olt_closed_loop.benchmarks.control_references import Reference, alpasim_references
 from olt_closed_loop.control.tracking import ControlSettings, TrackingController
-from olt_closed_loop.vehicle.models import VehicleParameters
-from olt_closed_loop.vehicle.presets import alpasim_vehicle
+from olt_closed_loop.vehicle.parameters import VehicleParameters
 from olt_generator.poses import Array
 from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US

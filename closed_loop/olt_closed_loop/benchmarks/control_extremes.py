@@ -14,11 +14,11 @@ from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.control.plans import PlanRefused, WorldPlan
 from olt_closed_loop.control.tracking import ControlEvents, ControlMethod, ControlSettings, TrackingController
 from olt_closed_loop.vehicle.integrators import make_stepper
-from olt_closed_loop.vehicle.models import VehicleParameters, with_rolling_tyres
-from olt_closed_loop.vehicle.presets import alpasim_vehicle
+from olt_closed_loop.vehicle.parameters import VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle.tyres import GRAVITY
 from olt_generator.errors import InputError
 from olt_generator.poses import Array

@@ -8,10 +8,10 @@ from functools import lru_cache, partial
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.benchmarks.vehicle_grid import vehicle_grid
-from olt_closed_loop.vehicle.integrators import Method, make_batch_stepper, make_stepper
-from olt_closed_loop.vehicle.models import MODELS, Model, VehicleParameters, with_rolling_tyres
-from olt_closed_loop.vehicle.presets import DRY_FRICTION, alpasim_vehicle
+from olt_closed_loop.vehicle.integrators import Method, make_stepper
+from olt_closed_loop.vehicle.parameters import DRY_FRICTION, MODELS, Model, VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import Array
 from olt_toolkit.bench.benchmark import Benchmark, Setting
@@ -158,7 +158,7 @@ def _rotation(angle: float) -> Array:
 def batch_microseconds(integration: Integration) -> float:
     """Median CPU time of a step for each vehicle of a batch, all under a steering step of 0.3 rad at 20 m/s."""
     vehicle = VEHICLES[integration.model]
-    stepper = make_batch_stepper(vehicle, BATCH, integration.method, integration.substeps, integration.step)
+    stepper = make_stepper([vehicle] * BATCH, integration.method, integration.substeps, integration.step)
     states = with_rolling_tyres(np.tile([0.0, 0.0, 0.0, 20.0, 0.0, 0.0], (BATCH, 1)), vehicle)
     controls = np.tile([0.3, 0.0], (BATCH, 1))
     seconds = []

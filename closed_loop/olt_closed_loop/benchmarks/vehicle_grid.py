@@ -11,10 +11,10 @@ from dataclasses import astuple, dataclass, fields, replace
 
 import numpy as np
 
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.vehicle.implicit import cvodes_function
-from olt_closed_loop.vehicle.integrators import make_batch_stepper, make_stepper
-from olt_closed_loop.vehicle.models import VehicleParameters
-from olt_closed_loop.vehicle.presets import DRY_FRICTION, alpasim_vehicle
+from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.parameters import DRY_FRICTION, VehicleParameters
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -86,7 +86,7 @@ def reference_states(cells: Sequence[Cell]) -> Array:
 
 
 def _drive(cells: Sequence[Cell], step: float) -> Array:
-    stepper = make_batch_stepper([cell.vehicle for cell in cells], len(cells), step=step)
+    stepper = make_stepper([cell.vehicle for cell in cells], step=step)
     states, controls = _start(cells)
     for _ in range(round(SECONDS / step)):
         states = stepper(states, controls)

@@ -31,7 +31,7 @@ from olt_closed_loop.control.linear import LinearSolver
 from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.plans import WorldPlan
 from olt_closed_loop.control.solver import SolveFailed, Solver
-from olt_closed_loop.vehicle.models import VehicleParameters
+from olt_closed_loop.vehicle.parameters import VehicleParameters
 from olt_closed_loop.vehicle.state import STATE, steering_for
 from olt_generator.errors import InputError
 from olt_generator.poses import Array

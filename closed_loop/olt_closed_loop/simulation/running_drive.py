@@ -18,8 +18,9 @@ from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
 from olt_closed_loop.vehicle.integrators import make_stepper
-from olt_closed_loop.vehicle.models import with_rolling_tyres
+from olt_closed_loop.vehicle.parameters import with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE, STATE_SIZE
+from olt_generator.omissions import word_omission
 from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import derive_seed
 from olt_toolkit.policy.contract import (
@@ -236,8 +237,8 @@ class RunningDrive:
             events=Events(**self.events, solves_failed=solves.failed, solves_late=solves.late),
             failure=self.failure,
             rendered_images=dict.fromkeys(self._policy.cameras, self._rendered),
-            left_out=(*left_out, *integration.left_out),
-            vehicle_steps={way.partition(" (")[0]: count for way, count in integration.taken.items()},
+            left_out=(*left_out, *map(word_omission, integration.left_out)),
+            vehicle_steps=integration.taken,
             timings=dict(self._timings),
             traffic=self._settings.traffic,
             reacted=self._agents.reacted() if self._agents else (),

@@ -2,12 +2,11 @@ import numpy as np
 import pytest
 
 from olt_closed_loop.benchmarks import control_extremes
-from olt_closed_loop.benchmarks.alpasim_vehicle import drive_step
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle, drive_step
 from olt_closed_loop.benchmarks.control import BENCHMARK, WITH_TYRES, track, tracking_figures
 from olt_closed_loop.benchmarks.control_references import alpasim_references
 from olt_closed_loop.control.tracking import ControlSettings
 from olt_closed_loop.vehicle.integrators import make_stepper
-from olt_closed_loop.vehicle.presets import alpasim_vehicle
 
 CASES = {case.name: case for case in control_extremes.cases(0.9)}
 

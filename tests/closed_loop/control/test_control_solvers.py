@@ -3,6 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.control.box_quadratic import minimise_in_box
 from olt_closed_loop.control.cost import TrackingCost
 from olt_closed_loop.control.linear import LinearSolver
@@ -12,8 +13,7 @@ from olt_closed_loop.control.prediction import linearised_step, predicted_step
 from olt_closed_loop.control.solver import SolveFailed
 from olt_closed_loop.control.tracking import ControlSettings, TrackingController
 from olt_closed_loop.vehicle.integrators import make_stepper
-from olt_closed_loop.vehicle.models import VehicleParameters, with_rolling_tyres
-from olt_closed_loop.vehicle.presets import alpasim_vehicle
+from olt_closed_loop.vehicle.parameters import VehicleParameters, with_rolling_tyres
 from olt_generator.errors import InputError
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 

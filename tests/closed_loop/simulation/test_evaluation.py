@@ -84,7 +84,7 @@ def test_the_plan_says_what_moved_the_vehicle_and_what_that_left_out(straight_sc
     assert sum(taken.values()) == steps
     rolling = sum(count for way, count in taken.items() if way.startswith("kinematic"))
     assert rolling > 0
-    assert count_left_out(results)[f"tyre slip in {rolling} of {steps} steps: below 3e-07 m in 0.1 s"] == 2
+    assert count_left_out(results)[f"{rolling} of {steps} steps of tyre slip: below 3e-07 m in 0.1 s"] == 2
 
 
 def test_scores_are_refused_while_the_gate_fails(straight_scene, moving_agent):
