@@ -221,7 +221,7 @@ class RunningDrive:
         """What has been driven."""
         count = self._driven + 1
         plans = [plan.poses for plan in self._plans]
-        solves, integration = self._controller.events, self._stepper.report()
+        solves, integration = self._controller.counts, self._stepper.report()
         return Rollout(
             scene=self._scene.name,
             category=self._scene.category,
