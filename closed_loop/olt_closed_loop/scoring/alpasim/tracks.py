@@ -121,8 +121,8 @@ class BoxTracks:
         if not exists.all():
             first, last = (np.broadcast_to(ends, exists.shape)[np.argmin(exists)] for ends in self._spans(tracks))
             raise UnmeasuredError(f"a time outside {first} to {last} us is asked for")
-        # Tracks are put one behind the other on one axis of time, so that one search finds the samples of all. The sample
-        # of a track of one is both before and after.
+        # Tracks are put one behind the other on one axis of time, so that one search finds the samples of all. The only
+        # sample of a track is both before and after.
         start, owners = self.times_us[:1], np.repeat(np.arange(len(self)), np.diff(self.firsts))
         length = 2 * np.abs(self.times_us - start).max(initial=0) + 1
         known, asked = self.times_us - start + length * owners, times_us - start + length * np.asarray(tracks)
