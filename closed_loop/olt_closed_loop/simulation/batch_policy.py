@@ -50,7 +50,7 @@ class ObservationBatch:
 
 @dataclass(frozen=True)
 class PlannedTrajectoryBatch:
-    """The plans of n rollouts: xyz (n, 64, 3) and rotation (n, 64, 3, 3), as in `PlannedTrajectory`."""
+    """What is planned in n rollouts: xyz (n, 64, 3) and rotation (n, 64, 3, 3), as in `PlannedTrajectory`."""
 
     xyz: Array
     rotation: Array

@@ -85,4 +85,5 @@ def test_points_ahead_end_with_the_path():
 
 def test_a_path_of_one_point_is_as_far_as_that_point():
     tracker = PathTracker(np.array([[1.0, 2.0], [1.0, 2.0]]))
+    assert (tracker.arc_length, tracker.distance) == (0.0, 0.0)
     assert (tracker.advance(np.array([4.0, 6.0])), tracker.distance, tracker.length) == (0.0, 5.0, 0.0)
