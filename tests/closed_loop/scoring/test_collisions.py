@@ -90,6 +90,14 @@ def test_a_turning_ego_closes_with_the_speed_of_its_point():
     assert (hit.side, hit.ego_closing) == ("lateral", pytest.approx(1.0, rel=0.02))
 
 
+def test_whether_the_ego_moves_is_said_of_the_point_that_touches():
+    # Its corner comes round at 0.06 rad/s and 2.236 m, 0.134 m/s, of which 0.06 m/s towards the wall.
+    yaw = np.arcsin(2.0 / np.hypot(2.0, 1.0)) - np.arctan2(1.0, 2.0)
+    turning = make_box((0, 0, 0, yaw - 0.03), (0, 0, 0, 0.06))
+    ((hit,), _) = collide(turning, make_agent((0.0, 3.0, 0, 0), (0, 0, 0, 0), (20.0, 2.0, 2.0)))
+    assert (hit.ego_closing, hit.at_fault) == (pytest.approx(0.06, rel=0.02), True)
+
+
 def test_a_turning_agent_closes_with_the_speed_of_its_point():
     turning = make_agent((0.0, 3.0, 0, 0), (0, 0, 0, -1.0))
     ((hit,), _) = collide(make_box((3.0, 0, 0, 0), (0, 0, 0, 0), size=(20.0, 2.0, 2.0)), turning)
