@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.actors import agent_poses
-from olt_closed_loop.scenes.looks import Looks, generate_looks, sun_vector
+from olt_closed_loop.scenes.looks import Looks, generate_looks
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.sensors.boxes import FACE_ACROSS, FACE_UP, Boxes, body_boxes, scenery_boxes
 from olt_closed_loop.sensors.casting import CHUNK, Hits, boxes_in_view, cast
@@ -58,7 +58,7 @@ class SceneRenderer:
 
     def __init__(self, scene: Scene) -> None:
         self.looks = _load_looks(scene)
-        self._sun = sun_vector(self.looks)
+        self._sun = np.array(self.looks.sun_direction)
         self._ground = Ground(scene, self.looks)
         self._sky = Sky(self.looks)
         self._horizon = np.array(self.looks.horizon, dtype=np.float32)
