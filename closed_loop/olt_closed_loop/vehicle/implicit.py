@@ -1,8 +1,9 @@
 """Implicit steps of the vehicle models: Radau collocation and CVODES, both from CasADi's wheel.
 
-Radau IIA with three collocation points (order 5, stiffly accurate; Hairer, Wanner, Solving Ordinary Differential Equations II,
-section IV.5) on equal elements, and Sundials' CVODES, which chooses order and sub-steps to a tolerance. Both integrate
-the whole equations, lags included, over the time scaled to 0..1, so one function serves every step and vehicle.
+Radau IIA with three collocation points (order 5, stiffly accurate; Hairer, Wanner, Solving Ordinary Differential
+Equations II, section IV.5) on equal elements, and Sundials' CVODES, which chooses order and sub-steps to a tolerance.
+Both integrate the whole equations, lags included, over the time scaled to 0..1, so one function serves every step and
+vehicle.
 """
 
 from functools import lru_cache
