@@ -21,6 +21,10 @@ _PATH_STEP = 0.25
 _SPEED_SMOOTHING = 4.0
 
 
+Knots = tuple[tuple[float, float], ...]
+Limits = tuple[tuple[float, float, float], ...]
+
+
 @dataclass(frozen=True)
 class Intention:
     """What the driver means to do.
@@ -32,15 +36,15 @@ class Intention:
         limits: (from station, to station, speed) stretches with a lower speed.
     """
 
-    offsets: tuple[tuple[float, float], ...]
+    offsets: Knots
     start_slope: float
     cruise: float
-    limits: tuple[tuple[float, float, float], ...] = ()
+    limits: Limits = ()
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A driven trajectory and the stations (n,) of its rig origin."""
+class EgoMotion:
+    """How the ego drove: its trajectory, and the stations (n,) of its rig origin in metres."""
 
     trajectory: Trajectory
     stations: Array
@@ -67,7 +71,7 @@ def offset_profile(intention: Intention) -> BPoly:
     return BPoly.from_derivatives(stations, np.stack([offsets, slopes, np.zeros_like(offsets)], axis=-1))
 
 
-def drive(road: Road, intention: Intention, duration_us: int) -> Drive:
+def drive(road: Road, intention: Intention, duration_us: int) -> EgoMotion:
     """Drive for `duration_us` from the first knot of the intention; the rig origin follows the path, tangent to it."""
     profile = offset_profile(intention)
     stations = np.arange(profile.x[0], profile.x[-1], _PATH_STEP)
@@ -81,7 +85,7 @@ def drive(road: Road, intention: Intention, duration_us: int) -> Drive:
     driven = CubicSpline(elapsed, arc)(timestamps_us * 1e-6)
     (x, y), tangent = path(driven).T, path(driven, 1)
     poses = planar_pose(x, y, np.arctan2(tangent[:, 1], tangent[:, 0]))
-    return Drive(Trajectory(timestamps_us, poses), np.interp(driven, arc, stations))
+    return EgoMotion(Trajectory(timestamps_us, poses), np.interp(driven, arc, stations))
 
 
 def _plan_speed(path: CubicSpline, arc: Array, stations: Array, intention: Intention) -> Array:

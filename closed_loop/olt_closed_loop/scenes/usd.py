@@ -1,4 +1,4 @@
-"""The few things that are read from and written to OpenUSD stages, typed, and checked where they are read.
+"""The few things that are read from and written to scene files in OpenUSD, typed, and checked where they are read.
 
 Values of ours are custom attributes in the namespace `olt:` and keep double precision; USD's own schemas hold points in
 single precision, so those are written for viewers and never read back.
@@ -44,33 +44,27 @@ def save_stage(stage: Stage, path: Path) -> None:
         stage.GetRootLayer().Export(str(temporary))
 
 
-def open_stage(path: Path, with_payloads: bool) -> Stage:
-    """Open a stage that `new_stage` could have begun.
+class Reader:
+    """Reads prims of one scene file; every complaint names the file and the prim.
 
     Raises:
-        InputError: the file is missing, is not a stage, or has other units.
+        InputError: the file is missing, is not a stage, or not one that `new_stage` could have begun.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: no such file; give the .usda or .usdc file of a scene")
-    try:
-        stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll if with_payloads else Usd.Stage.LoadNone)
-    except Tf.ErrorException as error:
-        raise InputError(f"{path}: not a USD stage; give the .usda or .usdc file of a scene") from error
-    found = (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage), stage.GetTimeCodesPerSecond())
-    if found != (1.0, UsdGeom.Tokens.z, TIME_CODES_PER_SECOND):
-        raise InputError(
-            f"{path}: metersPerUnit, upAxis and timeCodesPerSecond are {found[0]:g}, {found[1]}, {found[2]:g}; "
-            f"a scene has 1, Z, {TIME_CODES_PER_SECOND:.0f}"
-        )
-    return stage
-
-
-class Reader:
-    """Reads prims of one stage; every complaint names the file and the prim."""
 
     def __init__(self, path: Path, with_payloads: bool = False) -> None:
-        self.path = path
-        self.stage = open_stage(path, with_payloads)
+        if not path.is_file():
+            raise InputError(f"{path}: no such file; give the .usda or .usdc file of a scene")
+        try:
+            stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll if with_payloads else Usd.Stage.LoadNone)
+        except Tf.ErrorException as error:
+            raise InputError(f"{path}: not a USD stage; give the .usda or .usdc file of a scene") from error
+        found = (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage), stage.GetTimeCodesPerSecond())
+        if found != (1.0, UsdGeom.Tokens.z, TIME_CODES_PER_SECOND):
+            raise InputError(
+                f"{path}: metersPerUnit, upAxis and timeCodesPerSecond are {found[0]:g}, {found[1]}, {found[2]:g}; "
+                f"a scene has 1, Z, {TIME_CODES_PER_SECOND:.0f}"
+            )
+        self.path, self.stage = path, stage
 
     def prim(self, place: str) -> Prim:
         """The prim at an absolute path.
@@ -98,13 +92,14 @@ class Reader:
             raise InputError(f"{self.path}: prim {prim.GetPath()} lacks attribute {name}; write the scene again")
         return attribute
 
-    def value(self, prim: Prim, name: str) -> Any:
-        """The value of one of our attributes."""
-        return self.attribute(prim, f"olt:{name}").Get()
+    def values(self, prim: Prim, *names: str) -> list[Any]:
+        """The values of some of our attributes."""
+        return [self.attribute(prim, f"olt:{name}").Get() for name in names]
 
     def texts(self, prim: Prim, name: str) -> tuple[str, ...]:
         """A list of texts."""
-        return tuple(str(text) for text in self.value(prim, name))
+        (value,) = self.values(prim, name)
+        return tuple(str(text) for text in value)
 
     def trajectory(self, prim: Prim) -> tuple[NDArray[np.int64], Array]:
         """Times (n,) and poses (n, 4, 4) of what `write_trajectory` wrote."""
@@ -123,9 +118,9 @@ class Reader:
             raise InputError(f"{self.path}: prim {prim.GetPath()} has position and turn at different times")
         return timestamps_us, np.concatenate([positions, np.radians(turns)[:, None]], axis=1)
 
-    def array(self, prim: Prim, name: str) -> Array:
-        """An array (n,) or (n, 3) of doubles."""
-        return np.array(self.value(prim, name), dtype=np.float64)
+    def arrays(self, prim: Prim, *names: str) -> list[Array]:
+        """Arrays (n,) or (n, 3) of doubles."""
+        return [np.array(value, dtype=np.float64) for value in self.values(prim, *names)]
 
     def samples(self, prim: Prim, name: str) -> tuple[NDArray[np.int64], Array]:
         """Times (n,) in microseconds and values (n, ...) of an animated attribute.
@@ -140,25 +135,21 @@ class Reader:
         return np.array(times, dtype=np.int64), np.array([attribute.Get(time) for time in times], dtype=np.float64)
 
 
-def write_value(prim: Prim, name: str, value: str | int | float) -> None:
-    """Write a text or a number as one of our attributes."""
-    types = {str: Sdf.ValueTypeNames.String, int: Sdf.ValueTypeNames.Int64, float: Sdf.ValueTypeNames.Double}
-    prim.CreateAttribute(f"olt:{name}", types[type(value)], custom=True).Set(value)
-
-
-def write_texts(prim: Prim, name: str, texts: tuple[str, ...]) -> None:
-    """Write a list of texts as one of our attributes."""
-    prim.CreateAttribute(f"olt:{name}", Sdf.ValueTypeNames.StringArray, custom=True).Set(Vt.StringArray(list(texts)))
-
-
-def write_array(prim: Prim, name: str, values: Array) -> None:
-    """Write an array (n,) or (n, 3) of doubles as one of our attributes."""
-    values = np.ascontiguousarray(values, dtype=np.float64)
-    if values.ndim == 1:
-        kind, content = Sdf.ValueTypeNames.DoubleArray, Vt.DoubleArray.FromNumpy(values)
-    else:
-        kind, content = Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(values)
-    prim.CreateAttribute(f"olt:{name}", kind, custom=True).Set(content)
+def write_values(prim: Prim, **values: str | int | float | tuple[str, ...] | Array) -> None:
+    """Write texts, numbers, lists of texts, and arrays (n,) or (n, 3) of doubles as attributes of ours."""
+    kinds = {str: Sdf.ValueTypeNames.String, int: Sdf.ValueTypeNames.Int64, float: Sdf.ValueTypeNames.Double}
+    for name, value in values.items():
+        if isinstance(value, tuple):
+            kind, content = Sdf.ValueTypeNames.StringArray, Vt.StringArray(list(value))
+        elif isinstance(value, np.ndarray):
+            rows = np.ascontiguousarray(value, dtype=np.float64)
+            if rows.ndim == 1:
+                kind, content = Sdf.ValueTypeNames.DoubleArray, Vt.DoubleArray.FromNumpy(rows)
+            else:
+                kind, content = Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(rows)
+        else:
+            kind, content = kinds[type(value)], value
+        prim.CreateAttribute(f"olt:{name}", kind, custom=True).Set(content)
 
 
 def write_group(stage: Stage, place: str) -> None:
@@ -167,7 +158,7 @@ def write_group(stage: Stage, place: str) -> None:
 
 
 def write_payload(stage: Stage, place: str, file_name: str) -> None:
-    """Define a prim whose content is the default prim of a file beside the stage."""
+    """Define a prim whose content is the default prim of a file in the same folder."""
     stage.DefinePrim(place).GetPayloads().AddPayload(f"./{file_name}")
 
 

@@ -75,8 +75,12 @@ class Ground:
     def __init__(self, scene: Scene, looks: Looks) -> None:
         self._raster = draw_materials(scene)
         self._mips, self._left, self._top = _mip_atlas(self._raster.image)
-        self._palette = _palette(looks)
-        self._contrast = _contrast()
+        values, known = np.arange(256), [GRASS, GRAVEL, ASPHALT, PAINT]
+        colors = np.array([looks.grass, looks.gravel, looks.asphalt, looks.paint])
+        palette = [np.interp(values, known, channel) for channel in colors.T]
+        self._palette = np.stack(palette, axis=-1).astype(np.float32)
+        # How strongly the noise shows on each material.
+        self._contrast = np.interp(values, known, [0.16, 0.16, 0.12, 0.04]).astype(np.float32)
         generator = make_generator("ground", looks.texture_seed)
         self._noise_offsets = generator.uniform(0.0, 1000.0, size=(len(NOISE_LAYERS), 2))
 
@@ -190,18 +194,6 @@ def _mip_atlas(image: Image) -> tuple[Image, FloatImage, FloatImage]:
         level = cv2.resize(level, (level.shape[1] // 2, level.shape[0] // 2), interpolation=cv2.INTER_AREA)
     lefts, tops = np.array(corners, dtype=np.float32).T
     return atlas, lefts, tops
-
-
-def _palette(looks: Looks) -> FloatImage:
-    """Colours (256, 3) of the material values."""
-    values = [GRASS, GRAVEL, ASPHALT, PAINT]
-    colors = np.array([looks.grass, looks.gravel, looks.asphalt, looks.paint])
-    return np.stack([np.interp(np.arange(256), values, channel) for channel in colors.T], axis=-1).astype(np.float32)
-
-
-def _contrast() -> FloatImage:
-    """How strongly the noise shows (256,) on the material values."""
-    return np.interp(np.arange(256), [GRASS, GRAVEL, ASPHALT, PAINT], [0.16, 0.16, 0.12, 0.04]).astype(np.float32)
 
 
 def _inside(pixels: FloatImage, size: int) -> FloatImage:

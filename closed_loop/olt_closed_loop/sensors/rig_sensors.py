@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.sensors.ray_casting import SceneRenderer
+from olt_closed_loop.sensors.ray_casting import SceneRenderer, render_rig
 from olt_generator.poses import Array
 from olt_toolkit.rigs.rig import Rig, pav_rig
 
@@ -26,12 +26,8 @@ class RigSensors:
     ) -> NDArray[np.uint8]:
         """See `simulation.closed_loop.Sensors`."""
         height, width = size
-        rig = _fitted_rig(width, height)
-        views = [
-            self._renderer.render(rig[name].camera, T_world_rig @ rig[name].T_rig_camera, time_us).rgb
-            for name in cameras
-        ]
-        return np.ascontiguousarray(np.stack(views).transpose(0, 3, 1, 2))
+        pictures = render_rig(self._renderer, _fitted_rig(width, height), cameras, T_world_rig, time_us)
+        return np.ascontiguousarray(np.stack([pictures[name].rgb for name in cameras]).transpose(0, 3, 1, 2))
 
 
 @lru_cache(maxsize=4)

@@ -1,7 +1,7 @@
 """Explicit sub-steps of the vehicle models: the midpoint rule and the classical Runge-Kutta method of fourth order.
 
 Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I, section II.1. The actuators are not integrated:
-their closed form gives steering and acceleration at every stage (`vehicle.actuators`).
+their closed form gives steering and acceleration wherever the equations are evaluated (`vehicle.actuators`).
 """
 
 from collections.abc import Callable
@@ -38,13 +38,13 @@ def substep_function(model: Model, method: ExplicitMethod, state_size: int) -> c
             actuator_after(time, state[STATE.acceleration], acceleration, vehicle.acceleration_lag, vehicle.max_jerk),
         )
 
-    stages = {share: actuators(share * length) for share in (0.5, 1.0)}
-    stages[0.0] = state[STATE.steering], state[STATE.acceleration]
+    held = {share: actuators(share * length) for share in (0.5, 1.0)}
+    held[0.0] = state[STATE.steering], state[STATE.acceleration]
     advance = {"midpoint": _midpoint, "rk4": _rk4}[method]
     motion = advance(
-        lambda motion, share: motion_derivative(model, motion, *stages[share], vehicle), motion_of(state), length
+        lambda motion, share: motion_derivative(model, motion, *held[share], vehicle), motion_of(state), length
     )
-    following = ca.vertcat(motion[: STATE.steering], *stages[1.0], motion[STATE.steering :])
+    following = ca.vertcat(motion[: STATE.steering], *held[1.0], motion[STATE.steering :])
     if following.numel() < state_size:
         yaw_rate = following[STATE.speed] * ca.tan(following[STATE.steering]) / vehicle.wheelbase
         following = ca.vertcat(following, 0.0, yaw_rate)

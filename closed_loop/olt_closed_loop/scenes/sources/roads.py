@@ -102,7 +102,11 @@ def route_along(path: Array, yaw: float, lanes: Sequence[Lane]) -> Array:
         yaw: recorded heading at the last of them.
         lanes: lanes of the map.
     """
-    recorded = _thinned(path)
+    kept = [path[0]]
+    for point in path[1:]:
+        if np.linalg.norm(point[:2] - kept[-1][:2]) >= _ROUTE_SPACING:
+            kept.append(point)
+    recorded = np.stack(kept)
     beyond = _lanes_ahead(path[-1], yaw, lanes)
     line = without_repeats(np.concatenate([recorded, beyond])) if len(beyond) else recorded
     heading, missing = yaw, ROUTE_BEYOND
@@ -127,14 +131,6 @@ def wrap(angle: Array) -> Array:
     return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
 
 
-def _thinned(path: Array) -> Array:
-    kept = [path[0]]
-    for point in path[1:]:
-        if np.linalg.norm(point[:2] - kept[-1][:2]) >= _ROUTE_SPACING:
-            kept.append(point)
-    return np.stack(kept)
-
-
 def _lanes_ahead(position: Array, yaw: float, lanes: Sequence[Lane]) -> Array:
     """Centre line (n, 3) from the lane at a pose on, at most ROUTE_BEYOND long; (0, 3) where there is no lane."""
     lane, along = _lane_at(position, yaw, lanes)
@@ -145,7 +141,11 @@ def _lanes_ahead(position: Array, yaw: float, lanes: Sequence[Lane]) -> Array:
         seen.add(lane.id)
         points = np.concatenate([points, lane.center[arc_lengths(lane.center) >= start]])
         length, start = length_of(points) if len(points) else 0.0, 0.0
-        lane = _straightest(lane, [by_id[name] for name in lane.successors if name in by_id])
+        heading = heading_at(lane.center, length_of(lane.center))
+        following = [by_id[name] for name in lane.successors if name in by_id]
+        lane = min(
+            following, key=lambda other: abs(wrap(np.array(heading_at(other.center, 0.0) - heading))), default=None
+        )
     return points[arc_lengths(points) <= ROUTE_BEYOND] if len(points) else points
 
 
@@ -159,8 +159,3 @@ def _lane_at(position: Array, yaw: float, lanes: Sequence[Lane]) -> tuple[Lane |
         if distance < nearest and abs(wrap(np.array(heading_at(lane.center, at) - yaw))) < _LANE_TURN:
             best, nearest, along = lane, distance, at
     return best, along
-
-
-def _straightest(lane: Lane, successors: Sequence[Lane]) -> Lane | None:
-    heading = heading_at(lane.center, length_of(lane.center))
-    return min(successors, key=lambda other: abs(wrap(np.array(heading_at(other.center, 0.0) - heading))), default=None)
