@@ -50,6 +50,7 @@ def rolling_at(speed):
 def test_no_substep_amplifies_what_decays(cell, method):
     rates = lateral_rates(cell.vehicle, cell.speed)
     count = substeps(cell.vehicle, method, rolling_at(cell.speed), step=cell.step)
+    assert np.abs(rates).max() * cell.step / count <= 2.0
     decaying = rates[rates.real <= 0.0]
     if method == "midpoint":  # stable on the real axis and around it; swaying is what the error asks about
         decaying = decaying[np.abs(decaying.imag) <= np.abs(decaying.real)]
@@ -63,6 +64,15 @@ def test_stability_takes_about_as_many_substeps_as_it_needs(method, limit):
     needed = np.abs(lateral_rates(cell.vehicle, cell.speed)).max() * cell.step / limit
     count = substeps(cell.vehicle, method, rolling_at(cell.speed), step=cell.step)
     assert needed <= count <= 2.5 * needed
+
+
+@pytest.mark.parametrize("method", ["midpoint", "rk4"])
+def test_fast_cars_that_sway_more_than_they_damp_are_followed(method):
+    """Heavy, on weak tyres, with slow steering: neither damping nor the actuators are as fast as the swaying."""
+    vehicle = replace(Cell(60.0, np.inf, 0.2, 3.0, 1.0, 0.0).vehicle, steering_lag=1.0)
+    rates = lateral_rates(vehicle, 60.0)
+    assert np.abs(rates.imag).max() > 5.0 * np.abs(rates.real).max()
+    assert np.abs(rates).max() / substeps(vehicle, method, rolling_at(60.0), step=1.0) <= 2.0
 
 
 @pytest.mark.parametrize("method", ["midpoint", "rk4"])
