@@ -24,7 +24,7 @@ class RigSensors:
     def render_rig(
         self, cameras: tuple[str, ...], size: tuple[int, int], T_world_rig: Array, time_us: int
     ) -> NDArray[np.uint8]:
-        """See `simulation.closed_loop.Sensors`."""
+        """Images (cameras, 3, H, W) uint8 of size (H, W), the rig being at pose (4, 4)."""
         height, width = size
         pictures = render_rig(self._renderer, _fitted_rig(width, height), cameras, T_world_rig, time_us)
         return np.ascontiguousarray(np.stack([pictures[name].rgb for name in cameras]).transpose(0, 3, 1, 2))

@@ -16,15 +16,14 @@ import shapely
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.actors import footprints
+from olt_closed_loop.scenes.polylines import length_of, without_repeats
 from olt_closed_loop.scenes.scene import Agent, Lane, Scene
 from olt_closed_loop.scenes.sources.roads import (
     edges,
     lane_around,
-    length_of,
     link_by_place,
     outlines,
     route_along,
-    without_repeats,
 )
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
