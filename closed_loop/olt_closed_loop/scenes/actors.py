@@ -31,6 +31,14 @@ def standing(name: str, label: str, road: Road, s: float, d: float, duration_us:
     return Agent(name, label, *SIZES[label], np.array([0, duration_us], dtype=np.int64), poses)
 
 
+def standing_row(
+    name: str, label: str, road: Road, stations: Array, offsets: Array | float, duration_us: int
+) -> list[Agent]:
+    """Agents `name`_0, `name`_1, ... that stand at road coordinates (n,); one offset may serve them all."""
+    places = zip(stations.tolist(), np.broadcast_to(offsets, stations.shape).tolist(), strict=True)
+    return [standing(f"{name}_{index}", label, road, s, d, duration_us) for index, (s, d) in enumerate(places)]
+
+
 def moving(
     name: str, label: str, road: Road, times: Array, stations: Array, offsets: Array, turn: float = 0.0
 ) -> list[Agent]:

@@ -7,6 +7,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import BPoly, CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
+from olt_closed_loop.scenes.polylines import arc_lengths
 from olt_closed_loop.scenes.roads import Road
 from olt_generator.poses import Array, planar_pose
 from olt_generator.trajectory import Trajectory
@@ -76,7 +77,7 @@ def drive(road: Road, intention: Intention, duration_us: int) -> EgoMotion:
     profile = offset_profile(intention)
     stations = np.arange(profile.x[0], profile.x[-1], _PATH_STEP)
     points = road.locate(stations, profile(stations))
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    arc = arc_lengths(points)
     path = CubicSpline(arc, points)
     speed = _plan_speed(path, arc, stations, intention)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from olt_closed_loop.scenes.actors import SIZES, moving, sample_times, standing
+from olt_closed_loop.scenes.actors import SIZES, moving, sample_times, standing, standing_row
 from olt_closed_loop.scenes.driving import EgoMotion, Intention, Knots, Limits, offset_profile
 from olt_closed_loop.scenes.roads import LANE_WIDTH, Road
 from olt_closed_loop.scenes.scene import Agent
@@ -55,7 +55,7 @@ def nominal(road: Road, approach: Approach, generator: np.random.Generator) -> E
 
     def place_agents(ego: EgoMotion) -> list[Agent]:
         offset = -road.half_width + SIZES["automobile"][1] / 2 + 0.1
-        agents = [standing(f"parked_{i}", "automobile", road, s, offset, ego.duration_us) for i, s in enumerate(parked)]
+        agents = standing_row("parked", "automobile", road, parked, offset, ego.duration_us)
         if leads:
             times = sample_times(ego.duration_us)
             stations = ego.station_at(times) + gap
@@ -78,12 +78,9 @@ def work_zone(road: Road, approach: Approach, generator: np.random.Generator) ->
         duration, border = ego.duration_us, -road.lane_edge + 0.1
         taper = np.linspace(start - 20.0, start, 6)
         exit_taper = np.linspace(end, end + 8.0, 4)
-        agents = _cone_row("cone", road, taper, np.linspace(border, closed, 6), duration)
-        agents += _cone_row("exit_cone", road, exit_taper, np.linspace(closed, border, 4), duration)
-        agents += [
-            standing(f"barrier_{i}", "barrier", road, s, closed, duration)
-            for i, s in enumerate(np.arange(start + 2.5, end - 2.0, 3.0))
-        ]
+        agents = standing_row("cone", "cone", road, taper, np.linspace(border, closed, 6), duration)
+        agents += standing_row("exit_cone", "cone", road, exit_taper, np.linspace(closed, border, 4), duration)
+        agents += standing_row("barrier", "barrier", road, np.arange(start + 2.5, end - 2.0, 3.0), closed, duration)
         shoulder = -road.lane_edge - road.shoulder / 2
         if with_truck:
             agents.append(standing("work_truck", "heavy_truck", road, start + 9.0, shoulder, duration))
@@ -108,7 +105,7 @@ def path_reassignment(road: Road, approach: Approach, generator: np.random.Gener
         agents: list[Agent] = []
         for side, sign in (("left", 1.0), ("right", -1.0)):
             row = path(stations) + sign * half_channel
-            agents += _cone_row(f"cone_{side}", road, stations, row, ego.duration_us)
+            agents += standing_row(f"cone_{side}", "cone", road, stations, row, ego.duration_us)
         return agents
 
     factors = ("temporary_path_reassignment", "cone_delineated")
@@ -234,10 +231,3 @@ def _sidestep(approach: Approach, passing: float, shifted: float, returning: flo
     """Leave the lane centre at the onset, be at offset `passing` from `shifted` to `returning`, and come back."""
     center = approach.center
     return (approach.onset, center), (shifted, passing), (returning, passing), (returning + length, center)
-
-
-def _cone_row(name: str, road: Road, stations: Array, offsets: Array, duration_us: int) -> list[Agent]:
-    return [
-        standing(f"{name}_{i}", "cone", road, float(s), float(d), duration_us)
-        for i, (s, d) in enumerate(zip(stations, offsets, strict=True))
-    ]

@@ -73,7 +73,7 @@ class Road:
 
     @cached_property
     def edges(self) -> tuple[Array, Array]:
-        """Right and left edge; the drivable area lies to the left of each."""
+        """Right and left edge, polylines (n, 3) in metres; the drivable area lies to the left of each."""
         return self.polyline(-self.half_width), self.polyline(self.half_width)[::-1].copy()
 
     @cached_property

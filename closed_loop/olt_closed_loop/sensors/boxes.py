@@ -41,7 +41,7 @@ class Boxes:
         return len(self.center)
 
     def select(self, chosen: NDArray[np.bool_]) -> "Boxes":
-        """Some of the boxes."""
+        """The boxes that a mask (n,) chooses."""
         return Boxes(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     @classmethod

@@ -1,5 +1,6 @@
 """The ground of a scene as the renderer sees it: a map of materials, grain on top, and the shadows of boxes."""
 
+from collections import Counter
 from dataclasses import dataclass
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.looks import Looks
+from olt_closed_loop.scenes.polylines import length_of, points_along
 from olt_closed_loop.scenes.scene import Lane, Scene
 from olt_closed_loop.sensors.textures import NOISE_LAYERS, FloatImage, Image, ground_noise, noise_spread, sample
 from olt_generator.poses import Array
@@ -130,31 +132,23 @@ def draw_materials(scene: Scene) -> Raster:
     for outline in surfaces:
         raster.fill(outline, ASPHALT)
     for line, dashed in lane_markings(scene.lanes):
-        for stroke in _dashes(line) if dashed else [line]:
+        length = length_of(line)
+        starts = np.arange(0.0, length, _DASH + _GAP)
+        dashes = [points_along(line, np.linspace(start, min(start + _DASH, length), 4)) for start in starts]
+        for stroke in dashes if dashed else [line]:
             raster.draw(stroke, _LINE_WIDTH, PAINT)
     return raster
 
 
 def lane_markings(lanes: tuple[Lane, ...]) -> list[tuple[Array, bool]]:
-    """Lane borders, each once, and whether they are dashed: those between two lanes are, the others are not."""
-    borders: dict[tuple[tuple[float, ...], ...], Array] = {}
-    uses: dict[tuple[tuple[float, ...], ...], int] = {}
-    for lane in lanes:
-        for border in (lane.left, lane.right):
-            ends = sorted(tuple(np.round(point[:2], 1).tolist()) for point in (border[0], border[-1]))
-            key = tuple(ends)
-            borders.setdefault(key, border)
-            uses[key] = uses.get(key, 0) + 1
-    return [(border, uses[key] > 1) for key, border in borders.items()]
-
-
-def _dashes(line: Array) -> list[Array]:
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1))])
-    strokes = []
-    for start in np.arange(0.0, arc[-1], _DASH + _GAP):
-        at = np.linspace(start, min(start + _DASH, arc[-1]), 4)
-        strokes.append(np.stack([np.interp(at, arc, line[:, 0]), np.interp(at, arc, line[:, 1])], axis=-1))
-    return strokes
+    """Lane borders (n, 3), each once, and whether they are dashed: those between two lanes are, the others are not."""
+    borders: dict[object, Array] = {}
+    uses = Counter[object]()
+    for border in (side for lane in lanes for side in (lane.left, lane.right)):
+        ends = tuple(sorted(tuple(np.round(point[:2], 1).tolist()) for point in (border[0], border[-1])))
+        borders.setdefault(ends, border)
+        uses[ends] += 1
+    return [(border, uses[ends] > 1) for ends, border in borders.items()]
 
 
 def empty_shadows(scene: Scene) -> Raster:

@@ -129,7 +129,7 @@ class SceneRenderer:
 def render_rig(
     renderer: SceneRenderer, rig: Rig, names: tuple[str, ...], T_world_rig: Array, time_us: int
 ) -> dict[str, Rendering]:
-    """The pictures of some cameras of a rig, by name, taken at the same time."""
+    """The pictures of some cameras of a rig at pose (4, 4), by name, taken at the same time."""
     return {name: renderer.render(rig[name].camera, T_world_rig @ rig[name].T_rig_camera, time_us) for name in names}
 
 

@@ -126,20 +126,8 @@ def skin(tile: FloatImage, generator: np.random.Generator) -> None:
     tile[: TILE // 3] = (50.0, 40.0, 35.0, 0.0)
 
 
-SURFACES: tuple[Paint, ...] = (
-    plain,
-    building,
-    foliage,
-    stripes,
-    cone,
-    car_side,
-    car_front,
-    car_rear,
-    glass,
-    panels,
-    wheel,
-    skin,
-)
+SURFACES: tuple[Paint, ...]
+SURFACES = (plain, building, foliage, stripes, cone, car_side, car_front, car_rear, glass, panels, wheel, skin)
 SURFACE_INDEX: dict[str, int] = {paint.__name__: index for index, paint in enumerate(SURFACES)}
 
 _ROW_HEIGHT = TILE + 2 * _PADDING

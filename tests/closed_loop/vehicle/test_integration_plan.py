@@ -1,5 +1,6 @@
 """How many sub-steps a moment asks for: enough for stability, no more than that, and by the order of the method."""
 
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -9,6 +10,8 @@ from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.benchmarks.vehicle_grid import Cell
 from olt_closed_loop.vehicle.integration_plan import automatic_plan, candidates, stiffness_plan
 from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.parameters import VehicleParameters
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 EVERYTHING_IS_ACCURATE = 1e12
 POLYNOMIALS = {"midpoint": [0.5, 1.0, 1.0], "rk4": [1 / 24, 1 / 6, 0.5, 1.0, 1.0]}
@@ -47,6 +50,7 @@ def rolling_at(speed):
 def test_no_substep_amplifies_what_decays(cell, method):
     rates = lateral_rates(cell.vehicle, cell.speed)
     count = substeps(cell.vehicle, method, rolling_at(cell.speed), step=cell.step)
+    assert np.abs(rates).max() * cell.step / count <= 2.0
     decaying = rates[rates.real <= 0.0]
     if method == "midpoint":  # stable on the real axis and around it; swaying is what the error asks about
         decaying = decaying[np.abs(decaying.imag) <= np.abs(decaying.real)]
@@ -60,6 +64,15 @@ def test_stability_takes_about_as_many_substeps_as_it_needs(method, limit):
     needed = np.abs(lateral_rates(cell.vehicle, cell.speed)).max() * cell.step / limit
     count = substeps(cell.vehicle, method, rolling_at(cell.speed), step=cell.step)
     assert needed <= count <= 2.5 * needed
+
+
+@pytest.mark.parametrize("method", ["midpoint", "rk4"])
+def test_fast_cars_that_sway_more_than_they_damp_are_followed(method):
+    """Heavy, on weak tyres, with slow steering: neither damping nor the actuators are as fast as the swaying."""
+    vehicle = replace(Cell(60.0, np.inf, 0.2, 3.0, 1.0, 0.0).vehicle, steering_lag=1.0)
+    rates = lateral_rates(vehicle, 60.0)
+    assert np.abs(rates.imag).max() > 5.0 * np.abs(rates.real).max()
+    assert np.abs(rates).max() / substeps(vehicle, method, rolling_at(60.0), step=1.0) <= 2.0
 
 
 @pytest.mark.parametrize("method", ["midpoint", "rk4"])
@@ -91,6 +104,33 @@ def test_twice_the_substeps_meet_a_tolerance_smaller_by_the_order(state, control
     )
     assert 20.0 < coarse < 2000.0
     assert fine == pytest.approx(2.0 * coarse, abs=1.0)
+
+
+@pytest.mark.parametrize(("method", "tolerance"), [("midpoint", 1e-6), ("rk4", 1e-10)])
+def test_a_bend_uses_the_same_share_of_the_tolerance_at_every_speed(method, tolerance):
+    """Along a circle the error of order q is in proportion to v w^q h^q a second; the exact end is that of the arc."""
+    vehicle, steering, shares = VehicleParameters.from_dimensions(DEFAULT_VEHICLE), 0.3, []
+    for speed in (5.0, 10.0, 20.0):
+        stepper = make_stepper(vehicle, method, tolerance=tolerance)
+        end = stepper(np.array([0.0, 0.0, 0.0, speed, steering, 0.0]), np.array([steering, 0.0]))
+        radius, angle = vehicle.wheelbase / np.tan(steering), 0.1 * speed * np.tan(steering) / vehicle.wheelbase
+        error = np.hypot(end[0] - radius * np.sin(angle), end[1] - radius * (1.0 - np.cos(angle)))
+        shares.append(error / tolerance)
+        (count,) = stepper.report().substeps.values()
+        assert count > 3
+    assert max(shares) < 1.0
+    assert max(shares) < 2.0 * min(shares)
+
+
+@pytest.mark.parametrize(("method", "order", "tolerance"), [("midpoint", 2, 1e-6), ("rk4", 4, 1e-10)])
+def test_the_lag_of_the_brakes_counts_by_the_order(method, order, tolerance):
+    counts = []
+    for lag in (0.05, 0.2):
+        vehicle = replace(VehicleParameters.from_dimensions(DEFAULT_VEHICLE), acceleration_lag=lag)
+        state = np.array([0.0, 0.0, 0.0, 30.0, 0.0, 0.0])
+        counts.append(substeps(vehicle, method, state, (0.0, -8.0), tolerance=tolerance))
+    assert 20.0 < counts[1] <= counts[0] < 2000.0
+    assert counts[0] / counts[1] == pytest.approx(4.0 ** ((order - 2) / order), rel=0.02)
 
 
 @pytest.mark.parametrize(("method", "tolerance"), [("midpoint", 1e-5), ("rk4", 1e-9)])

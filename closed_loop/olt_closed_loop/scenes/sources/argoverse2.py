@@ -34,36 +34,24 @@ _NORM_TOLERANCE = 1e-3
 _EGO_TRACK = "AV"
 _VEHICLE_LANES = ("VEHICLE", "BUS")
 _SENSOR_LABELS = {
-    "ANIMAL": "animal",
-    "ARTICULATED_BUS": "bus",
-    "BICYCLE": "bicycle",
-    "BICYCLIST": "rider",
-    "BOLLARD": "protruding_object",
-    "BOX_TRUCK": "heavy_truck",
-    "BUS": "bus",
-    "CONSTRUCTION_BARREL": "barrier",
-    "CONSTRUCTION_CONE": "cone",
-    "DOG": "animal",
-    "LARGE_VEHICLE": "other_vehicle",
-    "MESSAGE_BOARD_TRAILER": "trailer",
-    "MOBILE_PEDESTRIAN_CROSSING_SIGN": "protruding_object",
-    "MOTORCYCLE": "rider",
-    "MOTORCYCLIST": "rider",
-    "OFFICIAL_SIGNALER": "person",
-    "PEDESTRIAN": "person",
-    "RAILED_VEHICLE": "train_or_tram_car",
-    "REGULAR_VEHICLE": "automobile",
-    "SCHOOL_BUS": "bus",
-    "SIGN": "protruding_object",
-    "STOP_SIGN": "protruding_object",
-    "STROLLER": "stroller",
-    "TRAFFIC_LIGHT_TRAILER": "trailer",
-    "TRUCK": "heavy_truck",
-    "TRUCK_CAB": "heavy_truck",
-    "VEHICULAR_TRAILER": "trailer",
-    "WHEELCHAIR": "person",
-    "WHEELED_DEVICE": "rider",
-    "WHEELED_RIDER": "rider",
+    kind: label
+    for label, kinds in {
+        "animal": "ANIMAL DOG",
+        "automobile": "REGULAR_VEHICLE",
+        "barrier": "CONSTRUCTION_BARREL",
+        "bicycle": "BICYCLE",
+        "bus": "ARTICULATED_BUS BUS SCHOOL_BUS",
+        "cone": "CONSTRUCTION_CONE",
+        "heavy_truck": "BOX_TRUCK TRUCK TRUCK_CAB",
+        "other_vehicle": "LARGE_VEHICLE",
+        "person": "OFFICIAL_SIGNALER PEDESTRIAN WHEELCHAIR",
+        "protruding_object": "BOLLARD MOBILE_PEDESTRIAN_CROSSING_SIGN SIGN STOP_SIGN",
+        "rider": "BICYCLIST MOTORCYCLE MOTORCYCLIST WHEELED_DEVICE WHEELED_RIDER",
+        "stroller": "STROLLER",
+        "trailer": "MESSAGE_BOARD_TRAILER TRAFFIC_LIGHT_TRAILER VEHICULAR_TRAILER",
+        "train_or_tram_car": "RAILED_VEHICLE",
+    }.items()
+    for kind in kinds.split()
 }
 # Label, length, width, height: motion scenarios hold no sizes.
 _MOTION_CLASSES = {

@@ -16,15 +16,14 @@ import shapely
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.actors import footprints
+from olt_closed_loop.scenes.polylines import length_of, without_repeats
 from olt_closed_loop.scenes.scene import Agent, Lane, Scene
 from olt_closed_loop.scenes.sources.roads import (
     edges,
     lane_around,
-    length_of,
     link_by_place,
     outlines,
     route_along,
-    without_repeats,
 )
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
@@ -39,21 +38,22 @@ LANE_WIDTH = 3.7
 """Metres, for lanes of which only the centre line is recorded (AlpaSim's: docs/formats/alpasim.md)."""
 
 _LABELS = {
-    "animal": "animal",
-    "human.pedestrian": "person",
-    "human.pedestrian.stroller": "stroller",
-    "movable_object": "protruding_object",
-    "movable_object.barrier": "barrier",
-    "movable_object.trafficcone": "cone",
-    "static_object": "protruding_object",
-    "vehicle.bicycle": "rider",
-    "vehicle.bus": "bus",
-    "vehicle.car": "automobile",
-    "vehicle.construction": "other_vehicle",
-    "vehicle.emergency": "other_vehicle",
-    "vehicle.motorcycle": "rider",
-    "vehicle.trailer": "trailer",
-    "vehicle.truck": "heavy_truck",
+    kind: label
+    for label, kinds in {
+        "animal": "animal",
+        "automobile": "vehicle.car",
+        "barrier": "movable_object.barrier",
+        "bus": "vehicle.bus",
+        "cone": "movable_object.trafficcone",
+        "heavy_truck": "vehicle.truck",
+        "other_vehicle": "vehicle.construction vehicle.emergency",
+        "person": "human.pedestrian",
+        "protruding_object": "movable_object static_object",
+        "rider": "vehicle.bicycle vehicle.motorcycle",
+        "stroller": "human.pedestrian.stroller",
+        "trailer": "vehicle.trailer",
+    }.items()
+    for kind in kinds.split()
 }
 
 
