@@ -5,14 +5,11 @@ from collections.abc import Callable
 from importlib.metadata import entry_points
 
 import numpy as np
-from numpy.typing import NDArray
 
-from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.batch_policy import ObservationBatch, PlanBatch
+from olt_closed_loop.simulation.batch_policy import ObservationBatch, PlannedTrajectoryBatch
 from olt_generator.errors import InputError
-from olt_generator.poses import Array, invert, planar_pose
-from olt_generator.trajectory import Trajectory
-from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, PlannedTrajectory, Policy
+from olt_generator.poses import Array, planar_pose
+from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, Observation, PlannedTrajectory, Policy
 
 FUTURE_TIMES: Array = STEP_SECONDS * np.arange(1, FUTURE_STEPS + 1, dtype=np.float64)
 PolicyLoader = Callable[[str | None], Policy]
@@ -46,7 +43,7 @@ class _BatchPolicy(ABC):
         return PlannedTrajectory(plans.xyz[0], plans.rotation[0])
 
     @abstractmethod
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`."""
 
 
@@ -55,7 +52,7 @@ class ConstantVelocityPolicy(_BatchPolicy):
 
     name = "constant_velocity"
 
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`."""
         return _straight(_speed(observations)[:, None] * FUTURE_TIMES)
 
@@ -67,7 +64,7 @@ class StandingPolicy(_BatchPolicy):
     braking = 4.0
     """Deceleration, m/s^2."""
 
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`."""
         speed = np.maximum(_speed(observations), 0.0)[:, None]
         time = np.minimum(FUTURE_TIMES, speed / self.braking)
@@ -82,7 +79,7 @@ class RouteFollowingPolicy(_BatchPolicy):
     return_distance = 8.0
     """Metres over which an offset from the route fades to 1/e."""
 
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`.
 
         Raises:
@@ -93,57 +90,31 @@ class RouteFollowingPolicy(_BatchPolicy):
             raise InputError("policy route: the scene gives no route ahead; choose another policy or scene")
         travelled = np.maximum(_speed(observations), 0.0)[:, None] * FUTURE_TIMES
         offset = np.exp(-travelled / self.return_distance)[..., None] * -route[:, :1]
-        return _facing_forward(_along(route, travelled) + offset)
+        points = _along(route, travelled) + offset
+        # The plans face where they go; while they do not move they face as before.
+        moves = np.diff(points, axis=1, prepend=0.0)
+        moving = np.hypot(moves[..., 0], moves[..., 1]) > 1e-3
+        headings = np.where(moving, np.arctan2(moves[..., 1], moves[..., 0]), 0.0)
+        latest = np.maximum.accumulate(np.where(moving, np.arange(moves.shape[1]), -1), axis=1)
+        held = np.take_along_axis(headings, np.maximum(latest, 0), axis=1)
+        poses = planar_pose(points[..., 0], points[..., 1], np.where(latest >= 0, held, 0.0))
+        return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])
 
 
-class ReplayPolicy:
-    """Drives back to and along the recording of the scene.
+def _loader(make: Callable[[], Policy]) -> PolicyLoader:
+    def load(argument: str | None) -> Policy:
+        policy = make()
+        if argument is not None:
+            raise InputError(f"policy {policy.name} takes nothing after its name; leave out {argument!r}")
+        return policy
 
-    It keeps track of its pose in the world by the observed history, from the recorded pose at which it is first asked;
-    so it serves one rollout after the other, not two at once.
-    """
-
-    name = "replay"
-    cameras: tuple[str, ...] = ()
-    image_size: tuple[int, int] = (0, 0)
-
-    def __init__(self, scene: Scene) -> None:
-        self._recording = scene.ego
-        self._T_world_rig = np.eye(4)
-        self._time_us: int | None = None
-
-    def plan(self, observation: Observation) -> PlannedTrajectory:
-        """See `Policy.plan`; after the recording's end the plan goes straight on at the last recorded speed."""
-        now = observation.time_us
-        if self._time_us is not None and now == self._time_us + STEP_US:
-            self._T_world_rig = self._T_world_rig @ invert(_previous_pose(observation))
-        else:
-            self._T_world_rig = self._recording.interpolate(np.array([now]))[0]
-        self._time_us = now
-        future_us = now + STEP_US * np.arange(1, FUTURE_STEPS + 1, dtype=np.int64)
-        in_rig = invert(self._T_world_rig) @ _going_on(self._recording, future_us)
-        return PlannedTrajectory(in_rig[:, :3, 3], in_rig[:, :3, :3])
+    return load
 
 
-def load_constant_velocity(argument: str | None) -> Policy:
-    """Entry point of `ConstantVelocityPolicy`."""
-    return _without_argument(ConstantVelocityPolicy(), argument)
-
-
-def load_route(argument: str | None) -> Policy:
-    """Entry point of `RouteFollowingPolicy`."""
-    return _without_argument(RouteFollowingPolicy(), argument)
-
-
-def load_standing(argument: str | None) -> Policy:
-    """Entry point of `StandingPolicy`."""
-    return _without_argument(StandingPolicy(), argument)
-
-
-def _without_argument(policy: Policy, argument: str | None) -> Policy:
-    if argument is not None:
-        raise InputError(f"policy {policy.name} takes nothing after its name; leave out {argument!r}")
-    return policy
+load_constant_velocity = _loader(ConstantVelocityPolicy)
+load_route = _loader(RouteFollowingPolicy)
+load_standing = _loader(StandingPolicy)
+"""Entry points of these policies."""
 
 
 def _speed(observations: ObservationBatch) -> Array:
@@ -152,26 +123,10 @@ def _speed(observations: ObservationBatch) -> Array:
     return (3.0 * now - 4.0 * last + before) / (2.0 * STEP_SECONDS)
 
 
-def _previous_pose(observation: Observation) -> Array:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = observation.history_rotation[-2], observation.history_xyz[-2]
-    return pose
-
-
-def _going_on(recording: Trajectory, timestamps_us: NDArray[np.int64]) -> Array:
-    """Recorded poses (n, 4, 4) at the given times; beyond the end the last two poses are carried on."""
-    end = int(recording.timestamps_us[-1])
-    before, last = recording.T_world_rig[-2:, :3, 3]
-    velocity = (last - before) / (end - recording.timestamps_us[-2])
-    poses = recording.interpolate(np.minimum(timestamps_us, end))
-    poses[:, :3, 3] += np.maximum(timestamps_us - end, 0)[:, None] * velocity
-    return poses
-
-
-def _straight(distances: Array) -> PlanBatch:
+def _straight(distances: Array) -> PlannedTrajectoryBatch:
     """Plans straight ahead by distances (n, 64)."""
     poses = planar_pose(distances, 0.0, 0.0)
-    return PlanBatch(poses[..., :3, 3], poses[..., :3, :3])
+    return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])
 
 
 def _along(paths: Array, distances: Array) -> Array:
@@ -185,14 +140,3 @@ def _along(paths: Array, distances: Array) -> Array:
     share = (distances - starts[row, segment]) / lengths[row, segment]
     begin, end = paths[row, segment], paths[row, segment + 1]
     return begin + share[..., None] * (end - begin)
-
-
-def _facing_forward(points: Array) -> PlanBatch:
-    """The plans through points (n, 64, 2) that face where they go; while they do not move they face as before."""
-    moves = np.diff(points, axis=1, prepend=0.0)
-    moving = np.hypot(moves[..., 0], moves[..., 1]) > 1e-3
-    headings = np.where(moving, np.arctan2(moves[..., 1], moves[..., 0]), 0.0)
-    latest = np.maximum.accumulate(np.where(moving, np.arange(moves.shape[1]), -1), axis=1)
-    held = np.take_along_axis(headings, np.maximum(latest, 0), axis=1)
-    poses = planar_pose(points[..., 0], points[..., 1], np.where(latest >= 0, held, 0.0))
-    return PlanBatch(poses[..., :3, 3], poses[..., :3, :3])

@@ -1,9 +1,11 @@
 """Stage: the trained policies in the closed loop, on held-out long-tail scenes."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from olt_closed_loop.evaluation.evaluation import pass_gate, run_closed_loop, save_results
 from olt_closed_loop.evaluation.score_table import summarize_scores
+from olt_generator.omissions import Omission, word_omission
 from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.mixtures import RECIPES
 
@@ -31,8 +33,12 @@ def score_policies(job: Job) -> dict[str, Any]:
         scores = [score for _, score in results]
         policies[name] = {
             "table": summarize_scores(scores).to_dict(),
-            "scores": [score.to_dict() for score in scores],
-            "events": [{"scene": rollout.scene, **vars(rollout.events)} for rollout, _ in results],
-            "left_out": sorted({reason for rollout, _ in results for reason in rollout.left_out}),
+            "scores": [{**score.to_dict(), "left_out": _worded(score.left_out)} for score in scores],
+            "incidents": [{"scene": rollout.scene, **vars(rollout.incidents)} for rollout, _ in results],
+            "left_out": sorted({reason for rollout, _ in results for reason in _worded(rollout.left_out)}),
         }
     return {"gate": gate, "policies": policies}
+
+
+def _worded(omissions: Sequence[Omission]) -> list[str]:
+    return [word_omission(omission) for omission in omissions]

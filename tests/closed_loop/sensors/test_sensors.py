@@ -162,7 +162,7 @@ def test_tele_and_wide_show_the_same_world(renderer: SceneRenderer, scene: Scene
     assert np.corrcoef(got.mean(axis=-1).ravel(), expected.mean(axis=-1).ravel())[0, 1] > 0.9
 
 
-def test_same_bytes_twice_and_from_a_written_stage(scene: Scene, renderer: SceneRenderer, tmp_path: Path) -> None:
+def test_same_bytes_twice_and_from_a_scene_file(scene: Scene, renderer: SceneRenderer, tmp_path: Path) -> None:
     rig = pav_rig().fitted(112, 64)
     pose = scene.ego.interpolate(np.array([6_000_000]))[0]
     first = render_rig(renderer, rig, tuple(CAMERA_INDEX), pose, 6_000_000)
