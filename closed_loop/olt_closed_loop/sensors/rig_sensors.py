@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.sensors.ray_casting import SceneRenderer
 from olt_generator.poses import Array
-from olt_toolkit.rigs.rig import Rig, pav_rig
+from olt_toolkit.rigs.rig import Rig
+from olt_toolkit.rigs.rig_files import pav_rig
 
 
 class RigSensors:

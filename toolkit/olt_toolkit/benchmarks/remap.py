@@ -13,7 +13,8 @@ from olt_generator.lenses.remap import Remapper
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 from olt_toolkit.bench.benchmark import Benchmark, Setting
-from olt_toolkit.rigs.rig import FRONT_WIDE, pav_rig
+from olt_toolkit.rigs.rig import FRONT_WIDE
+from olt_toolkit.rigs.rig_files import pav_rig
 
 WIDTH, HEIGHT = 576, 320
 REFERENCE_SAMPLES = 8
@@ -86,7 +87,8 @@ def measure_error(images: Images) -> float:
     return float(np.sqrt(np.mean(np.concatenate(differences) ** 2)))
 
 
-def _settings() -> Sequence[Setting]:
+def list_settings() -> Sequence[Setting]:
+    """What is measured."""
     prepared: dict[str, Callable[[], Callable[[], Images]]] = {
         "nearest": partial(prepare_plain, cv2.INTER_NEAREST),
         "bilinear": partial(prepare_plain, cv2.INTER_LINEAR),
@@ -104,6 +106,6 @@ BENCHMARK = Benchmark(
     error_name="rms error",
     error_unit="grey levels",
     reference=f"{REFERENCE_SAMPLES**2} bilinear samples of the full image averaged in every pixel",
-    settings=_settings,
+    settings=list_settings,
     measure_error=measure_error,
 )

@@ -14,7 +14,7 @@ from olt_generator.motion.kalman import LinearSystem, filter_forward, smooth_sta
 from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.twists import exponential
-from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting, after
 
 Floats = NDArray[np.floating]
 
@@ -125,7 +125,8 @@ def measure_error(states: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum((states[:, :3] - exact_states()[:, :3]) ** 2, axis=1))))
 
 
-def _settings() -> Sequence[Setting]:
+def list_settings() -> Sequence[Setting]:
+    """What is measured."""
     calls: dict[str, Callable[[], Floats]] = {
         "forward filter only": filter_only,
         **{f"fixed-lag RTS, {lag} poses": partial(fixed_lag, lag) for lag in LAGS},
@@ -133,12 +134,7 @@ def _settings() -> Sequence[Setting]:
         "full RTS, float32": partial(full, np.float32),
         "batch, sparse normal equations": batch_sparse,
     }
-    return [Setting(name, partial(_prepared, call), name == "full RTS") for name, call in calls.items()]
-
-
-def _prepared(call: Callable[[], Floats]) -> Callable[[], Floats]:
-    make_system()
-    return call
+    return [Setting(name, after(make_system, call), name == "full RTS") for name, call in calls.items()]
 
 
 BENCHMARK = Benchmark(
@@ -147,6 +143,6 @@ BENCHMARK = Benchmark(
     error_name="rms position difference",
     error_unit="m",
     reference="the dense batch least-squares solution of the same model and measurements",
-    settings=_settings,
+    settings=list_settings,
     measure_error=measure_error,
 )
