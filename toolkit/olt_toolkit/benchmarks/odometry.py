@@ -23,7 +23,7 @@ DEFAULT = OdometrySettings()
 
 @lru_cache(maxsize=1)
 def make_drive() -> tuple[NDArray[np.uint8], Trajectory]:
-    """Frames with the noise of a sensor, and the true path: 17 m at 8.5 m/s along a gentle bend."""
+    """Frames (n, H, W, 3) with the noise of a sensor, and the true path: 17 m at 8.5 m/s along a gentle bend."""
     seconds = SECONDS_APART * np.arange(FRAMES)
     yaw = 0.03 * seconds
     T_world_rig = planar_pose(8.5 * seconds - 8.0, 0.5 * 8.5 * 0.03 * seconds**2 - 0.4, yaw)
@@ -43,7 +43,7 @@ def follow(settings: OdometrySettings) -> Array:
 
 
 def measure_error(poses: Array) -> float:
-    """Mean error of a step in percent of its length after Sim(3) alignment: the scale, which the road gives, is out."""
+    """Mean error of a step of poses (n, 4, 4) in percent of its length, after Sim(3) alignment: the scale is out."""
     _, true = make_drive()
     aligned = compare_trajectories(Trajectory(true.timestamps_us, poses), true).sim3
     assert aligned is not None and aligned.step_translation_percent is not None  # the drive moves

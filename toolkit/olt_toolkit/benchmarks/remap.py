@@ -24,7 +24,7 @@ Images = NDArray[np.uint8]
 
 @lru_cache(maxsize=1)
 def scene() -> tuple[Images, Camera, list[tuple[Camera, Array]]]:
-    """Image, its camera, and the wanted cameras with R_source_target.
+    """Image (H, W, 3), its camera, and the wanted cameras with R_source_target (3, 3).
 
     One keeps the lens, one enlarges, one turns aside, and one of 150 degrees shrinks 13-fold in the middle and hardly
     at its edge.
@@ -52,7 +52,7 @@ def make_image(width: int, height: int) -> Images:
 
 @lru_cache(maxsize=1)
 def reference() -> list[tuple[NDArray[np.float32], NDArray[np.bool_]]]:
-    """Every view as the mean of 144 samples a pixel, and which pixels the source sees whole."""
+    """Every view (h, w, 3) as the mean of 64 samples a pixel, and which pixels (h, w) the source sees whole."""
     image, source, views = scene()
     result = []
     for target, R_source_target in views:

@@ -86,12 +86,12 @@ def exact_states() -> Array:
 
 
 def filter_only() -> Floats:
-    """What is known of each state from the past alone."""
+    """What is known of each state (n, states) from the past alone."""
     return filter_forward(make_system()).filtered[:, 0, :, 0]
 
 
 def fixed_lag(lag: int) -> Floats:
-    """States that use the past and the next `lag` measurements."""
+    """States (n, states) that use the past and the next `lag` measurements."""
     system = make_system()
     forward = filter_forward(system)
     gains = smoothing_gains(system, forward)
@@ -106,7 +106,7 @@ def fixed_lag(lag: int) -> Floats:
 
 
 def full(kind: type[np.floating]) -> Floats:
-    """States that use all measurements, computed in the given floating-point type."""
+    """States (n, states) that use all measurements, computed in the given floating-point type."""
     system = make_system()
     arrays = {name: value.astype(kind) for name, value in vars(system).items() if name != "lengths"}
     system = LinearSystem(lengths=system.lengths, **arrays)
@@ -115,13 +115,13 @@ def full(kind: type[np.floating]) -> Floats:
 
 
 def batch_sparse() -> Array:
-    """The batch problem by sparse normal equations."""
+    """States (n, states) of the batch problem by sparse normal equations."""
     A, b = batch_problem(make_system())
     return np.asarray(spsolve((A.T @ A).tocsc(), A.T @ b), dtype=np.float64).reshape(POSES, -1)
 
 
 def measure_error(states: Floats) -> float:
-    """Root mean square distance in metres of the positions from the exact solution."""
+    """Root mean square distance in metres of the positions of states (n, states) from the exact solution."""
     return float(np.sqrt(np.mean(np.sum((states[:, :3] - exact_states()[:, :3]) ** 2, axis=1))))
 
 

@@ -23,7 +23,7 @@ Splat = Callable[[NDArray[np.uint8], NDArray[np.float32], Camera, Camera, Array]
 def overwrite(
     image: NDArray[np.uint8], distance: NDArray[np.float32], source: Camera, target: Camera, T_target_source: Array
 ) -> Warp:
-    """The method of the released generator (docs/formats/generator.md), without a depth test.
+    """Warp an image (H, W, 3) as the released generator does (docs/formats/generator.md), without a depth test.
 
     Points are sorted from far to near and written once for each of the nine offsets of the footprint, so that a
     later offset of a far point overwrites an earlier one of a near point.
@@ -58,7 +58,7 @@ def at_reduced_size(
     target: Camera,
     T_target_source: Array,
 ) -> Warp:
-    """Splat every `factor`-th pixel into an image smaller by `factor` and enlarge the result."""
+    """Splat every `factor`-th pixel of an image (H, W, 3) into one smaller by `factor` and enlarge the result."""
     height, width = distance.shape
     small = splat(
         np.ascontiguousarray(image[::factor, ::factor]),

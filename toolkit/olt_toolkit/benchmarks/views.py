@@ -41,7 +41,7 @@ def make_views(front: FrontView, other_frames: int) -> NDArray[np.uint8]:
 
 
 def measure_error(images: NDArray[np.uint8]) -> float:
-    """Root mean square difference from the true views, invented pixels counted."""
+    """Root mean square difference of images (2, h, w, 3) from the true views, invented pixels counted."""
     true = np.stack([render_street(CROSS, T_rig_camera)[0] for T_rig_camera in T_RIG_CROSS]).astype(np.float64)
     return float(np.sqrt(np.mean((images.astype(np.float64) - true) ** 2)))
 

@@ -74,6 +74,8 @@ class EgoMotion:
     def anchored(cls, trajectory: Trajectory, velocity: Array, acceleration: Array, curvature: Array) -> "EgoMotion":
         """Take a motion from any frame whose z is up to the anchor frame of its clip.
 
+        Velocity (n, 3) m/s and acceleration (n, 3) m/s^2 are turned; curvature (n,) 1/m stays.
+
         Raises:
             InputError: the trajectory does not cover clip time 0.
         """

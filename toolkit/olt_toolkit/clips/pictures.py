@@ -46,7 +46,7 @@ def write_clip_pictures(
     observed: Mapping[str, NDArray[np.bool_]],
     timestamps_us: NDArray[np.int64],
 ) -> dict[str, str]:
-    """Write a contact sheet and then an animated preview; see `contact_sheet` for what is drawn.
+    """Write a contact sheet and then an animated preview of images (n, H, W, 3); see `contact_sheet` for the rest.
 
     Returns:
         The paths of both, "contact_sheet" and "animation".
