@@ -10,7 +10,8 @@ from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.recording import Recording
-from olt_toolkit.rigs.rig import FRONT_WIDE, pav_rig
+from olt_toolkit.rigs.rig import FRONT_WIDE
+from olt_toolkit.rigs.rig_files import pav_rig
 
 
 def record_drive(

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.sensors.ray_casting import SceneRenderer, render_rig
 from olt_generator.poses import Array
-from olt_toolkit.rigs.rig import pav_rig
+from olt_toolkit.rigs.rig_files import pav_rig
 
 
 class RigSensors:

@@ -14,7 +14,8 @@ from olt_closed_loop.sensors.ray_casting import SceneRenderer, render_rig
 from olt_generator.cameras import FthetaCamera, PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
 from olt_generator.poses import R_FORWARD_CAMERA, camera_pose_in_rig
-from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_TELE, FRONT_WIDE, pav_rig
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_TELE, FRONT_WIDE
+from olt_toolkit.rigs.rig_files import pav_rig
 
 PINHOLE = PinholeCamera.from_field_of_view(80, 60, np.radians(80.0))
 FISHEYE = FthetaCamera.equidistant(80, 60, 39.5, 29.5, 40.0)
