@@ -9,6 +9,7 @@ from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.view_plan import METHODS
 from olt_toolkit.clips.builder import BuildOptions, build_clip
 from olt_toolkit.clips.files import describe_clip
 from olt_toolkit.recordings.recording import Recording
@@ -220,9 +221,23 @@ def test_what_is_not_wanted_is_left_out_and_changes_nothing(built, recording):
     front = build_clip(recording, replace(OPTIONS, use_reference_motion=True, cameras=(FRONT_WIDE, FRONT_TELE)))
     assert front.clip.kind == "front_only"
     assert front.distance is None
-    assert set(front.plan.left_out) >= set(SIDES)
+    assert {omission.what for omission in front.plan.left_out} >= set(SIDES)
     for name, stream in front.clip.streams.items():
         np.testing.assert_array_equal(stream.frames, built.clip.streams[name].frames)
+
+
+@pytest.mark.parametrize("alone", ["camera_rear_tele_30fov", CROSS_LEFT])
+def test_a_view_is_the_same_alone_as_with_all_others(recording, alone):
+    """The recording played at 30 Hz, where views look back to frames that are not made."""
+    times = recording.timestamps_us // 3
+    fast = replace(recording, timestamps_us=times, reference=Trajectory(times, recording.reference.T_world_rig))
+    single, all_ = (
+        build_clip(fast, replace(OPTIONS, use_reference_motion=True, cameras=cameras)).clip
+        for cameras in ((alone,), tuple(METHODS))
+    )
+    assert list(single.streams) == [alone]
+    np.testing.assert_array_equal(single.streams[alone].frames, all_.streams[alone].frames)
+    assert single.provenance[alone] == all_.provenance[alone]
 
 
 def test_frames_that_no_sample_shows_are_left_out_and_change_nothing(recording):
@@ -305,8 +320,10 @@ def test_rear_views_are_made_by_looking_back(recording):
     rear = "camera_rear_left_70fov"
     options = replace(OPTIONS, use_reference_motion=True, cameras=(FRONT_WIDE, rear))
     built = build_clip(recording, options)
-    assert built.plan.needed == (FRONT_WIDE, CROSS_LEFT, rear)
-    assert set(built.plan.left_out) == {CROSS_RIGHT, FRONT_TELE, "camera_rear_right_70fov", "camera_rear_tele_30fov"}
+    assert built.plan.methods == {FRONT_WIDE: "given", rear: "synthesized"}
+    assert {omission.what for omission in built.plan.left_out} == {
+        *(CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, "camera_rear_right_70fov", "camera_rear_tele_30fov")
+    }
     view = built.clip.provenance[rear]
     assert view.observed_share == view.other_times_share > 0.02
     assert not built.observed[rear][0].any()  # at first there is nothing to look back to

@@ -129,7 +129,7 @@ def build_clip(
     return BuiltClip(
         clip=_assemble(shown, options, plan, views, motion.ego),
         plan=plan,
-        left_out=plan.left_out
+        left_out={omission.what: omission.why for omission in plan.left_out}
         | _frames_left_out(len(recording.frames), len(kept))
         | _distances_left_out(len(recording.frames), len(needed))
         | _sources_left_out(len(needed), views),
@@ -174,7 +174,7 @@ def _estimate_distance(
 
 def _frames_with_distance(plan: ViewPlan, kept: NDArray[np.int64], sources: NDArray[np.int64]) -> NDArray[np.int64]:
     """The frames that are made, those that views draw on, and those to which rear views look back."""
-    offsets = [LOOKBACK_LATENTS[name] for name in plan.needed if name in LOOKBACK_LATENTS]
+    offsets = [LOOKBACK_LATENTS[name] for name in plan.methods if name in LOOKBACK_LATENTS]
     looked_back_to = [lookback_frame(frame, offset) for offset in offsets for frame in kept.tolist()]
     return np.unique(np.concatenate([kept, sources, np.array(looked_back_to, np.int64)]))
 
@@ -251,8 +251,8 @@ def _sources_left_out(count: int, views: dict[str, View]) -> dict[str, str]:
 def _make_views(maker: ViewMaker, plan: ViewPlan, steps: Steps) -> dict[str, View]:
     views = {}
     with steps.step("views") as on_progress:
-        for done, name in enumerate(plan.needed):
-            views[name] = maker.make(name, lambda part, done=done: on_progress((done + part) / len(plan.needed)))
+        for done, name in enumerate(plan.methods):
+            views[name] = maker.make(name, lambda part, done=done: on_progress((done + part) / len(plan.methods)))
     return views
 
 
@@ -294,7 +294,7 @@ def nominal_frame_rate(timestamps_us: NDArray[np.int64]) -> float:
 
 
 def _clip_kind(options: BuildOptions, plan: ViewPlan) -> ClipKind:
-    if "synthesized" not in plan.methods.values():
+    if not plan.synthesizes:
         return "front_only"
     return "GT" if options.use_reference_views else "Syn"
 

@@ -12,7 +12,7 @@ from olt_generator.files import make_folder, write_whole
 from olt_generator.motion.pose_sources import KnownPoses
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import write_video
-from olt_generator.views.view_plan import ViewPlan, plan_views
+from olt_generator.views.view_plan import plan_views
 from olt_toolkit.clips.builder import BuiltClip
 from olt_toolkit.clips.pictures import write_clip_pictures
 from olt_toolkit.clips.store import ClipStore
@@ -66,7 +66,7 @@ def reopen_clip(store: ClipStore, clip_id: str) -> Recording:
 
 def leave_out_motion(recording: Recording, options: BuildOptions) -> BuildOptions:
     """The options without measuring the motion, where the wanted views are all cut out of the front view."""
-    if _needs_motion(plan_views(options.cameras)):
+    if plan_views(options.cameras).synthesizes:
         return options
     standing = Trajectory(recording.timestamps_us[[0, -1]], np.stack([np.eye(4), np.eye(4)]))
     return replace(options, use_reference_motion=False, poses=KnownPoses(standing))
@@ -102,17 +102,13 @@ def _describe_plan(built: BuiltClip, folder: Path) -> dict[str, Any]:
         for name, view in built.clip.provenance.items()
     }
     left_out = dict(built.left_out)
-    if not _needs_motion(built.plan):
+    if not built.plan.synthesizes:
         left_out["motion of the vehicle"] = "no wanted view needs it"
     return {
         "recording": built.clip.name,
         "views": views,
-        "order": list(built.plan.needed),
+        "order": list(built.plan.methods),
         "left_out": left_out,
         "assumptions": list(built.assumptions),
         "seconds": dict(built.seconds),
     }
-
-
-def _needs_motion(plan: ViewPlan) -> bool:
-    return "synthesized" in plan.methods.values()
