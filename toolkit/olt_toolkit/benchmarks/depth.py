@@ -83,7 +83,7 @@ def _triangulate_flow(
 
 def _sweep(settings: SweepSettings) -> NDArray[np.float32]:
     frames, _, trajectory = _drive()
-    return estimate_distance(frames, CAMERA, trajectory, T_RIG_CAMERA, shown=SHOWN, settings=settings).distance
+    return estimate_distance(frames, CAMERA, trajectory, T_RIG_CAMERA, frame_indices=SHOWN, settings=settings).distance
 
 
 def _prepare(method: Callable[[], NDArray[np.float32]]) -> Callable[[], NDArray[np.float32]]:

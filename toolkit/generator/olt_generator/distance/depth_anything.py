@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
 from olt_generator.distance.depth import DistanceEstimate
-from olt_generator.distance.depth_source import Shown, make_metric
+from olt_generator.distance.depth_source import FrameIndices, make_metric
 from olt_generator.distance.model_folder import check_model_folder, load_network
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -47,14 +47,14 @@ class DepthAnything:
         trajectory: Trajectory,
         T_rig_camera: Array,
         on_progress: Progress = silent,
-        shown: Shown = None,
+        frame_indices: FrameIndices = None,
     ) -> DistanceEstimate:
         """See `DepthSource.estimate`."""
 
         def relative(wanted: NDArray[np.int64]) -> list[NDArray[np.float32]]:
             return [self.relative_inverse_depth(frames[index]) for index in wanted]
 
-        return make_metric(relative, frames, camera, trajectory, T_rig_camera, on_progress, shown)
+        return make_metric(relative, frames, camera, trajectory, T_rig_camera, on_progress, frame_indices)
 
     def relative_inverse_depth(self, frame: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The network's map (h, w) of an image (H, W, 3); nearer is larger."""

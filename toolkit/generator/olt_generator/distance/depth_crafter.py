@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
 from olt_generator.distance.depth import DistanceEstimate
-from olt_generator.distance.depth_source import Shown, make_metric
+from olt_generator.distance.depth_source import FrameIndices, make_metric
 from olt_generator.distance.model_folder import check_model_folder, load_network
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -97,14 +97,14 @@ class DepthCrafter:
         trajectory: Trajectory,
         T_rig_camera: Array,
         on_progress: Progress = silent,
-        shown: Shown = None,
+        frame_indices: FrameIndices = None,
     ) -> DistanceEstimate:
-        """See `DepthSource.estimate`; the network sees all frames, whichever are shown."""
+        """See `DepthSource.estimate`; the network sees all frames, whichever are asked for."""
 
         def relative(wanted: NDArray[np.int64]) -> list[NDArray[np.float32]]:
             return list(self.relative_inverse_depth(frames)[wanted])
 
-        return make_metric(relative, frames, camera, trajectory, T_rig_camera, on_progress, shown)
+        return make_metric(relative, frames, camera, trajectory, T_rig_camera, on_progress, frame_indices)
 
     def relative_inverse_depth(self, frames: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The network's inverse depth (n, h, w) of frames (n, H, W, 3), 0 to 1 over the clip; nearer is larger."""

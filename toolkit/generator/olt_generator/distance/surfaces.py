@@ -16,13 +16,13 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
 from olt_generator.distance.background import FAR_DISTANCE, background_distance, road_distance
+from olt_generator.distance.ground_contact import contact_distance
 from olt_generator.distance.plane_sweep import Match, PlaneSweep, local_contrast
-from olt_generator.distance.sky import Lesson, SkyColours
-from olt_generator.distance.standing import foot_distance
+from olt_generator.distance.sky import LabelledImage, SkyColours
 from olt_generator.poses import Array
 
 # Frames, spread over the clip, that teach the colours of the sky.
-MOST_LESSONS = 3
+MOST_EXAMPLES = 3
 
 # Grey levels of contrast without which a pixel has nothing to compare, and the window over which it is taken.
 LEAST_CONTRAST = 2.0
@@ -64,7 +64,7 @@ LEAST_RATIO = 1.12
 # well by itself. Farther feet are too close to the horizon to be told.
 FLOATING = 1.6
 STILL_ADVANTAGE, STILL_MISMATCH = 6.0, 15.0
-FARTHEST_FOOT = 40.0
+FARTHEST_CONTACT = 40.0
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,7 @@ class SurfaceFinder:
         self._road = road_distance(camera, T_rig_camera)
         self._background = background_distance(camera, T_rig_camera)
         self._above = self._road >= FAR_DISTANCE
-        self._sky = SkyColours(self._lessons())
+        self._sky = SkyColours(self._examples())
 
     def find(self, index: int) -> Surfaces:
         """The surfaces of frame `index`; all background, unknown, where the camera hardly moved."""
@@ -131,10 +131,10 @@ class SurfaceFinder:
         ratio, moving = self._stand_on_road(ratio, still & textured & ~self._above)
         return Surfaces(ratio, knowledge, near & ~certain & (evidence > MEASURED), moving)
 
-    def _lessons(self) -> Iterator[Lesson]:
+    def _examples(self) -> Iterator[LabelledImage]:
         """What parallax says about the colours of some frames; frames in which it says nothing are left out."""
         count = len(self._images)
-        for index in np.unique(np.linspace(0, count - 1, min(count, MOST_LESSONS)).round().astype(int)):
+        for index in np.unique(np.linspace(0, count - 1, min(count, MOST_EXAMPLES)).round().astype(int)):
             match = self._sweep.match(index, 0, self._camera.height)
             if match is None:
                 continue
@@ -167,9 +167,9 @@ class SurfaceFinder:
         """The ratio (h, w) with what moves put where its foot is, and what moves (h, w)."""
         goes_along = _without_specks(still, 3)
         stands = (ratio > 1.0) | goes_along
-        foot = foot_distance(stands, self._road, self._camera, self._T_rig_camera)
-        floats = (ratio > 1.0) & (FLOATING * self._background / ratio < foot) & (foot < FARTHEST_FOOT)
-        moving = (goes_along & (foot < FARTHEST_FOOT)) | _without_specks(floats, 5)
+        foot = contact_distance(stands, self._road, self._camera, self._T_rig_camera)
+        floats = (ratio > 1.0) & (FLOATING * self._background / ratio < foot) & (foot < FARTHEST_CONTACT)
+        moving = (goes_along & (foot < FARTHEST_CONTACT)) | _without_specks(floats, 5)
         return np.where(moving, np.maximum(self._background / foot, 1.0), ratio).astype(np.float32), moving
 
 

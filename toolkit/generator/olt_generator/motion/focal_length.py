@@ -35,7 +35,7 @@ CORNERS_PER_CELL = 4
 # A window that turns less, as the middle candidate sees it, says next to nothing.
 MIN_TURN = np.radians(1.5)
 # Points that stay while the camera turns belong to the vehicle.
-CARRIED_PIXELS = 1.0
+STATIC_PIXELS = 1.0
 TRACK_SIGMA_PIXELS = 0.3
 # The windows must agree to this share of the estimate.
 WIDEST_SPREAD = 0.15
@@ -137,7 +137,7 @@ def _follow(grays: Sequence[NDArray[np.uint8]]) -> _Window:
     for previous, current in pairwise(grays):
         last, found = track_corners(previous, current, last)
         first, last = first[found], last[found]
-    moved = np.linalg.norm(last - first, axis=1) > CARRIED_PIXELS
+    moved = np.linalg.norm(last - first, axis=1) > STATIC_PIXELS
     return _Window(first[moved].astype(np.float64), last[moved].astype(np.float64))
 
 

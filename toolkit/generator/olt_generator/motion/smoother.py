@@ -17,7 +17,7 @@ from olt_generator.errors import InputError
 from olt_generator.motion.car_motion import POSE, STATES, CarMotion
 from olt_generator.motion.iterated_smoother import STANDSTILL_SPEED, MeasuredPoses, SmoothedPoses, smooth_poses
 from olt_generator.motion.noise_levels import POSITION_GRID, ROTATION_GRID, LevelGrid, estimate_levels
-from olt_generator.motion.stray_poses import replace_strays
+from olt_generator.motion.outlier_rejection import replace_outliers
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_generator.twists import vector_from_rotation
@@ -138,7 +138,7 @@ def smooth_trajectories(
 ) -> list[SmoothedMotion]:
     """What `smooth_trajectory` gives for each of the trajectories, to the last bit, in less time."""
     settings = settings or SmootherSettings()
-    starts = [replace_strays(trajectory) for trajectory in trajectories]
+    starts = [replace_outliers(trajectory) for trajectory in trajectories]
     levels = _find_levels(trajectories, starts, settings)
     windows = [_cut(index, len(trajectory)) for index, trajectory in enumerate(trajectories)]
     parts: dict[_Window, _Part] = {}

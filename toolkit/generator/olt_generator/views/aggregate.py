@@ -31,7 +31,7 @@ _NOTHING = np.int64(2**63 - 1)
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceFrame:
     """One frame to gather from.
 
     Attributes:
@@ -61,7 +61,7 @@ class Gathered:
     far: NDArray[np.bool_]
 
 
-def gather(sources: Sequence[Source], camera: Camera, target: Camera, radius: int = 1) -> Gathered:
+def gather(sources: Sequence[SourceFrame], camera: Camera, target: Camera, radius: int = 1) -> Gathered:
     """Gather what `sources`, at least one frame of `camera`, show of the view of `target`.
 
     Every source pixel covers (2 radius + 1)^2 target pixels. Arguments as in `olt_generator.views.splat.splat`.
@@ -83,7 +83,7 @@ def _level(distance: NDArray[np.float32], step: float) -> NDArray[np.int64]:
     return (np.log(distance / np.float32(NEAREST)) * np.float32(1.0 / np.log1p(step))).astype(np.int64)
 
 
-def _look_up(winner: NDArray[np.int64], sources: Sequence[Source]) -> Gathered:
+def _look_up(winner: NDArray[np.int64], sources: Sequence[SourceFrame]) -> Gathered:
     landed = winner != _NOTHING
     pixels = sources[0].distance.size
     number = np.where(landed, winner >> _SOURCE_BIT & 0xFF, len(sources))

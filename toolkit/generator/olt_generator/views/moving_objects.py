@@ -26,7 +26,7 @@ _BLOCK = 4
 def find_moving(front: FrontView) -> NDArray[np.bool_]:
     """Pixels (n, H, W) of `front` that show something that moves, with a margin; `front.moving` is not read."""
     blocks = np.minimum(front.distance[:, _BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK], np.float32(FAR_DISTANCE))
-    # An edge may lie a block aside: only what lies behind all neighbours is surely looked at. On the own vehicle
+    # An edge may lie a block aside: only what lies behind all neighbours is surely looked at. On the ego vehicle
     # nothing is looked through.
     kernel = np.ones((3, 3), np.uint8)
     nearest = np.stack([cv2.erode(np.nan_to_num(each, nan=0.0), kernel) for each in blocks])

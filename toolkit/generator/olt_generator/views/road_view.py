@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera, pixel_rays
 from olt_generator.poses import Array
-from olt_generator.views.aggregate import Source
+from olt_generator.views.aggregate import SourceFrame
 
 # Metres along the ray from which on road is dense enough to be splatted.
 _FARTHEST = 40.0
@@ -35,7 +35,7 @@ class RoadView:
         # In the axes of the target, in which the sources tell where they stand.
         self._points = rays[self._road] * (T_rig_target[2, 3] / descent[self._road])[:, None]
 
-    def look_up(self, sources: Sequence[Source]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def look_up(self, sources: Sequence[SourceFrame]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Image (h, w, 3), black where no source shows road, and where one does (h, w); the nearest source wins."""
         nearest = np.full(len(self._points), np.inf)
         colours = np.zeros((len(self._points), 3), np.uint8)
@@ -49,7 +49,7 @@ class RoadView:
         image[self._road], seen[self._road] = colours, np.isfinite(nearest)
         return image, seen
 
-    def _find(self, source: Source) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32], Array]:
+    def _find(self, source: SourceFrame) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32], Array]:
         """Numbers (k,) of the points that a source shows, at which columns and rows (k,), and from how far (k,)."""
         rotation, translation = source.T_target_camera[:3, :3], source.T_target_camera[:3, 3]
         points = (self._points - translation) @ rotation

@@ -16,7 +16,7 @@ from olt_generator.cameras import Camera
 from olt_generator.distance.depth import FAR_DISTANCE
 from olt_generator.poses import Array, invert
 from olt_generator.progress import Progress, silent
-from olt_generator.views.aggregate import Source, gather
+from olt_generator.views.aggregate import SourceFrame, gather
 from olt_generator.views.brightness import brightened, relative_brightness
 from olt_generator.views.fill import fill_holes
 from olt_generator.views.front_view import FrontView
@@ -160,16 +160,16 @@ class _Synthesis:
         )
         return _averaged_down(warp.image, warp.visible, warp.distance > 0.9 * FAR_DISTANCE, SUPERSAMPLING)
 
-    def _look_up_road(self, sources: Sequence[Source]) -> _Layer:
+    def _look_up_road(self, sources: Sequence[SourceFrame]) -> _Layer:
         image, visible = self._road.look_up(sources)
         return _Layer(image, visible, np.zeros_like(visible))
 
-    def _gather(self, sources: Sequence[Source]) -> _Layer:
+    def _gather(self, sources: Sequence[SourceFrame]) -> _Layer:
         gathered = gather(sources, self._front.camera, self._other_frames_target)
         visible = gathered.source < len(sources)
         return _averaged_down(gathered.image, visible, gathered.far, OTHER_FRAMES_SUPERSAMPLING)
 
-    def _source(self, index: int, other: int) -> Source:
+    def _source(self, index: int, other: int) -> SourceFrame:
         """What may be taken from another frame."""
         front = self._front
         T_target_world = self._T_target_rig @ invert(front.trajectory.T_world_rig[index])
@@ -182,7 +182,7 @@ class _Synthesis:
         if front.confidence is not None:
             usable &= front.confidence[other] >= self._settings.least_confidence
         image = brightened(front.frames[other], relative_brightness(front, index, other))
-        return Source(image, np.where(usable, distance, np.float32(np.nan)), T_target_camera)
+        return SourceFrame(image, np.where(usable, distance, np.float32(np.nan)), T_target_camera)
 
     def _fill(self, index: int, layer: _Layer) -> NDArray[np.uint8]:
         distance = self._front.distance[index]

@@ -1,4 +1,4 @@
-"""Which pixels show the own vehicle: the bonnet at the bottom of the image, which is not road."""
+"""Which pixels show the ego vehicle: the bonnet at the bottom of the image, which is not road."""
 
 import cv2
 import numpy as np
@@ -26,10 +26,10 @@ LEAST_SHARE = 0.1
 WIDEST_GAP_SHARE = 16
 
 
-def find_own_vehicle(
+def find_ego_vehicle(
     frames: NDArray[np.uint8], camera: Camera, T_rig_camera: Array, positions: Array, road: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
-    """Pixels (H, W) that show the own vehicle throughout the clip.
+    """Pixels (H, W) that show the ego vehicle throughout the clip.
 
     Road runs through a pixel, so that the slopes of its grey levels along the direction in which it runs cancel over
     the frames; on a bonnet they stay. Lane markings run along themselves and show no such slope. What lies below a

@@ -1,4 +1,4 @@
-"""Pixels that show what the vehicle carries along instead of the road."""
+"""The static mask: pixels that show what moves with the vehicle instead of the road."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -20,7 +20,7 @@ DETAIL_PIXELS = 15
 BELOW_HORIZON = np.radians(5.0)
 
 
-def find_carried(
+def find_static_mask(
     grays: Sequence[Gray], keyframes: Sequence[int], camera: Camera, T_rig_camera: Array
 ) -> NDArray[np.bool_]:
     """Pixels (H, W) below the horizon whose detail stays while the scene moves.

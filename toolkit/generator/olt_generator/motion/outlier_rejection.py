@@ -14,7 +14,7 @@ REACH, SPEED = 1.0, 80.0
 ANGLE, TURN_RATE = 0.2, 1.5
 
 
-def find_strays(trajectory: Trajectory) -> NDArray[np.bool_]:
+def find_outliers(trajectory: Trajectory) -> NDArray[np.bool_]:
     """Poses (n,) from which most of the neighbours cannot be reached."""
     n = len(trajectory)
     reached, compared = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
@@ -26,15 +26,17 @@ def find_strays(trajectory: Trajectory) -> NDArray[np.bool_]:
     return 2 * reached < compared
 
 
-def replace_strays(trajectory: Trajectory) -> Array:
-    """Poses (n, 4, 4) with the strays interpolated between those that are none; at the ends, the nearest such pose."""
-    strays = find_strays(trajectory)
-    if not strays.any() or strays.all():
+def replace_outliers(trajectory: Trajectory) -> Array:
+    """Poses (n, 4, 4) with the outliers interpolated between the others; at the ends, the nearest of these."""
+    outliers = find_outliers(trajectory)
+    if not outliers.any() or outliers.all():
         return trajectory.T_world_rig
     times = trajectory.timestamps_us
-    credible = Trajectory(times[~strays], trajectory.T_world_rig[~strays])
+    credible = Trajectory(times[~outliers], trajectory.T_world_rig[~outliers])
     poses = trajectory.T_world_rig.copy()
-    poses[strays] = credible.interpolate(np.clip(times[strays], credible.timestamps_us[0], credible.timestamps_us[-1]))
+    poses[outliers] = credible.interpolate(
+        np.clip(times[outliers], credible.timestamps_us[0], credible.timestamps_us[-1])
+    )
     return poses
 
 
