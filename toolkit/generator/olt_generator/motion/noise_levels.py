@@ -7,7 +7,7 @@ outlier anywhere about is left out, so that it spoils neither state nor level. T
 time, and the one that finds the measurements more likely counts.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,17 +39,17 @@ class LevelGrid:
     initial_sigmas: tuple[float, ...]
     outlier_range: float
 
-    def pairs(self) -> tuple[Array, Array]:
-        """All pairs of a jitter (g,) and a density (g,)."""
-        jitter, density = np.meshgrid(self.jitters, self.densities, indexing="ij")
-        return jitter.ravel(), density.ravel()
+    def where_known(self, jitter: float | None, density: float | None) -> "LevelGrid":
+        """The grid with what is known as its only value."""
+        jitters = self.jitters if jitter is None else np.array([jitter])
+        return replace(self, jitters=jitters, densities=self.densities if density is None else np.array([density]))
 
-    def prior(self) -> Array:
-        """-2 log probability (g,) of the pairs before anything is measured, up to a constant."""
-        jitter, density = self.pairs()
+    def pairs(self) -> tuple[Array, Array, Array]:
+        """All pairs of a jitter (g,) and a density (g,), and their -2 log probability (g,) up to a constant."""
+        jitter, density = (values.ravel() for values in np.meshgrid(self.jitters, self.densities, indexing="ij"))
         unusual_jitter = np.log(jitter / self.usual[0]) / self.spreads[0]
         unusual_density = np.log(density / self.usual[1]) / self.spreads[1]
-        return unusual_jitter**2 + unusual_density**2
+        return jitter, density, unusual_jitter**2 + unusual_density**2
 
 
 _SPREADS = (float(np.log(10.0)), float(np.log(2.0)))
@@ -82,25 +82,22 @@ def estimate_levels(
         measurements: (n, b, 3).
         grid: what is tried.
     """
-    jitter, density = grid.pairs()
-    forward = _deviance(lengths, seconds, measurements, grid) + grid.prior()
-    backward = _deviance(lengths, *_reverse(lengths, seconds, measurements), grid) + grid.prior()
-    # A filter that starts among outliers may lose its way; it has no reason to in the other direction.
-    deviance = np.where((forward.min(axis=1) <= backward.min(axis=1))[:, None], forward, backward)
-    best = np.argmin(deviance, axis=1)
-    return jitter[best], density[best]
-
-
-def _reverse(lengths: NDArray[np.int64], seconds: Array, measurements: Array) -> tuple[Array, Array]:
-    """Time steps and measurements in the opposite order, still from the first row on."""
-    back = np.maximum(lengths - 1 - np.arange(len(measurements))[:, None], 0)
+    jitter, density, prior = grid.pairs()
+    forward = _deviance(lengths, seconds, measurements, grid) + prior
+    # Time steps and measurements in the opposite order, still from the first row on.
     steps = np.maximum(lengths - 2 - np.arange(len(seconds))[:, None], 0)
-    return np.take_along_axis(seconds, steps, axis=0), np.take_along_axis(measurements, back[..., None], axis=0)
+    back = np.maximum(lengths - 1 - np.arange(len(measurements))[:, None], 0)[..., None]
+    seconds, measurements = np.take_along_axis(seconds, steps, 0), np.take_along_axis(measurements, back, 0)
+    backward = _deviance(lengths, seconds, measurements, grid) + prior
+    # A filter that starts among outliers may lose its way; it has no reason to in the other direction.
+    better = np.where((forward.min(axis=1) <= backward.min(axis=1))[:, None], forward, backward)
+    best = np.argmin(better, axis=1)
+    return jitter[best], density[best]
 
 
 def _deviance(lengths: NDArray[np.int64], seconds: Array, measurements: Array, grid: LevelGrid) -> Array:
     """-2 log likelihood (b, g) of sequences (n, b, 3) for every pair of levels (g,), up to a constant."""
-    jitter, density = grid.pairs()
+    jitter, density, _ = grid.pairs()
     states = 1 + len(grid.initial_sigmas)
     shape = (len(lengths), len(jitter))
     covariance = np.zeros((*shape, states, states))
