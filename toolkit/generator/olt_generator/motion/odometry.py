@@ -194,7 +194,7 @@ def _estimate_step(pair: TrackedPair, camera: Camera, up: Array) -> _Step:
     return _Step(pair.key, pair.current, True, motion, points[agrees], key[agrees], current[agrees])
 
 
-def _too_few(pair: TrackedPair, count: int) -> InputError:
+def _too_few(pair: TrackedPair, count: np.integer | int) -> InputError:
     return InputError(
         f"odometry: frame {pair.current} shares only {count} usable points with frame {pair.key}, {MIN_POINTS} are "
         "needed; cut away dark, blurred or blank frames"
