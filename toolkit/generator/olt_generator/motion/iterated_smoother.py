@@ -122,15 +122,11 @@ def find_standstills(measured: MeasuredPoses, motion: BodyMotion, covariances: A
             spread = np.linalg.norm(places - places.mean(axis=0), axis=1)
             stays = np.all(spread < STANDSTILL_GATE * sigmas[span, sequence, :3].max(axis=1))
             if stays and times[last] - times[first] >= STANDSTILL_SECONDS:
-                standing[:length, sequence] |= _inner(times, first, last)
+                # Margins are where the run does not reach the end of the sequence.
+                before = STANDSTILL_MARGIN_SECONDS if first > 0 else 0.0
+                behind = STANDSTILL_MARGIN_SECONDS if last < length - 1 else 0.0
+                standing[:length, sequence] |= (times >= times[first] + before) & (times <= times[last] - behind)
     return standing
-
-
-def _inner(times: Array, first: int, last: int) -> Flags:
-    """Times (n,) of a run without its margins, which it has where it does not reach the end of the sequence."""
-    margin_before = STANDSTILL_MARGIN_SECONDS if first > 0 else 0.0
-    margin_behind = STANDSTILL_MARGIN_SECONDS if last < len(times) - 1 else 0.0
-    return (times >= times[first] + margin_before) & (times <= times[last] - margin_behind)
 
 
 def _iterate(measured: MeasuredPoses, motion: BodyMotion, standing: Flags, car: CarMotion, convex: int) -> BodyMotion:
