@@ -118,31 +118,21 @@ def estimate_distance(
     T_world_camera = trajectory.T_world_rig @ T_rig_camera
     road = road_distance(camera, T_rig_camera)
     vehicle = find_ego_vehicle(frames, camera, T_rig_camera, T_world_camera[:, :3, 3], road)
-    small = _reduced(camera, settings.width)
+    factor = min(1.0, settings.width / camera.width)
+    small = camera.resized(round(factor * camera.width), round(factor * camera.height))
     images = [cv2.resize(frame, (small.width, small.height), interpolation=cv2.INTER_AREA) for frame in frames]
     finder = SurfaceFinder(images, small, T_world_camera, T_rig_camera, settings.planes, settings.neighbours)
     small_background = background_distance(small, T_rig_camera)
-    estimate = _empty_estimate(len(wanted), camera)
+    shape = (len(wanted), camera.height, camera.width)
+    estimate = DistanceEstimate(
+        np.empty(shape, np.float32), np.empty(shape, np.uint8), np.empty(shape, np.float32), np.empty(shape, np.bool_)
+    )
     for place, index in enumerate(wanted):
         _insert(estimate, place, finder.find(int(index)), small_background, road)
         on_progress((place + 1) / len(wanted))
-    _leave_out(estimate, vehicle)
+    estimate.distance[:, vehicle], estimate.origin[:, vehicle] = np.nan, DistanceOrigin.VEHICLE
+    estimate.confidence[:, vehicle], estimate.moving[:, vehicle] = 0.0, False
     return estimate
-
-
-def _reduced(camera: Camera, width: int) -> Camera:
-    factor = min(1.0, width / camera.width)
-    return camera.resized(round(factor * camera.width), round(factor * camera.height))
-
-
-def _empty_estimate(count: int, camera: Camera) -> DistanceEstimate:
-    shape = (count, camera.height, camera.width)
-    return DistanceEstimate(
-        distance=np.empty(shape, np.float32),
-        origin=np.empty(shape, np.uint8),
-        confidence=np.empty(shape, np.float32),
-        moving=np.empty(shape, np.bool_),
-    )
 
 
 def _insert(
@@ -176,13 +166,6 @@ def _insert(
         is_surface, origin, np.where(road < FAR_DISTANCE, DistanceOrigin.PLANE, DistanceOrigin.FAR)
     )
     estimate.moving[place] = moving > 0
-
-
-def _leave_out(estimate: DistanceEstimate, vehicle: NDArray[np.bool_]) -> None:
-    estimate.distance[:, vehicle] = np.nan
-    estimate.origin[:, vehicle] = DistanceOrigin.VEHICLE
-    estimate.confidence[:, vehicle] = 0.0
-    estimate.moving[:, vehicle] = False
 
 
 def check_frame_indices(frame_indices: Sequence[int] | NDArray[np.integer] | None, count: int) -> NDArray[np.int64]:

@@ -44,13 +44,16 @@ def find_ego_vehicle(
     """
     vehicle = np.zeros(road.shape, np.bool_)
     near = road < BONNET_REACH
-    moving = _frames_apart(positions)
+    moving = [0]
+    for index, position in enumerate(positions):
+        if np.linalg.norm(position - positions[moving[-1]]) >= LEAST_TRAVEL:
+            moving.append(index)
     if not near.any() or len(moving) < FEWEST_FRAMES:
         return vehicle
     top = int(np.argmax(near.any(axis=1)))
     near = near[top:]
     direction = _direction_of_road(camera, T_rig_camera, np.minimum(road, BONNET_REACH))[top:]
-    slopes = np.stack([_slope(frames[index][top:], direction) for index in _spread_over(moving, MOST_FRAMES)])
+    slopes = np.stack([_slope(frames[index][top:], direction) for index in moving[:: -(-len(moving) // MOST_FRAMES)]])
     left, mean_size = np.abs(slopes.mean(axis=0)), np.abs(slopes).mean(axis=0)
     certain = near & (left > LEAST_SLOPE) & (left > LEAST_PERSISTENCE * mean_size)
     if certain.sum() < LEAST_SHARE * near.sum():
@@ -61,19 +64,6 @@ def find_ego_vehicle(
     gap = np.ones((1, 2 * (camera.width // WIDEST_GAP_SHARE // 2) + 1), np.uint8)
     vehicle[top:] = cv2.morphologyEx(below.astype(np.uint8), cv2.MORPH_CLOSE, gap) > 0
     return vehicle
-
-
-def _frames_apart(positions: Array) -> list[int]:
-    """Indices of frames at least `LEAST_TRAVEL` from the one chosen before."""
-    chosen = [0]
-    for index, position in enumerate(positions):
-        if np.linalg.norm(position - positions[chosen[-1]]) >= LEAST_TRAVEL:
-            chosen.append(index)
-    return chosen
-
-
-def _spread_over(indices: list[int], most: int) -> list[int]:
-    return indices[:: -(-len(indices) // most)]
 
 
 def _direction_of_road(camera: Camera, T_rig_camera: Array, road: NDArray[np.float32]) -> Array:

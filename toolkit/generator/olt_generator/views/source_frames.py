@@ -34,7 +34,16 @@ class SourceChooser:
         """At most `most` frames of `front` are chosen for the camera `target` mounted at `T_rig_target` (4, 4)."""
         self._front = front
         self._most = most
-        self._probes_rig, self._probe_distance = _probes(target, T_rig_target)
+        # Points (m, 3) in the rig that the target may see, and their distances (m,) from it.
+        u, v = (
+            (np.arange(count) + 0.5) * side / count - 0.5
+            for count, side in ((_PROBE_COLUMNS, target.width), (_PROBE_ROWS, target.height))
+        )
+        rays = target.rays(np.stack(np.meshgrid(u, v), axis=-1)).reshape(-1, 3)
+        points = transform(T_rig_target, (rays * _PROBE_DISTANCES[:, None, None]).reshape(-1, 3))
+        above_ground = points[:, 2] > _UNDERGROUND
+        self._probes_rig = points[above_ground]
+        self._probe_distance = np.repeat(_PROBE_DISTANCES, len(rays))[above_ground]
 
     def choose(self, index: int, given: tuple[int, ...] = ()) -> tuple[int, ...]:
         """Frames for the view at frame `index`, without that frame: the `given` ones, then the most useful first."""
@@ -66,18 +75,6 @@ class SourceChooser:
         points = transform(T_camera_rig, self._probes_rig)
         inside = self._front.camera.project(points)[1]
         return inside * np.minimum(self._probe_distance / np.linalg.norm(points, axis=-1), 1.0)
-
-
-def _probes(target: Camera, T_rig_target: Array) -> tuple[Array, Array]:
-    """Points (m, 3) in the rig that the target may see, and their distances (m,) from it."""
-    u, v = (
-        (np.arange(count) + 0.5) * side / count - 0.5
-        for count, side in ((_PROBE_COLUMNS, target.width), (_PROBE_ROWS, target.height))
-    )
-    rays = target.rays(np.stack(np.meshgrid(u, v), axis=-1)).reshape(-1, 3)
-    points = transform(T_rig_target, (rays * _PROBE_DISTANCES[:, None, None]).reshape(-1, 3))
-    above_ground = points[:, 2] > _UNDERGROUND
-    return points[above_ground], np.repeat(_PROBE_DISTANCES, len(rays))[above_ground]
 
 
 def may_be_seen(
