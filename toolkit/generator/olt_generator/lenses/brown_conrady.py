@@ -103,10 +103,6 @@ class BrownConradyCamera(CameraModel):
         turn, pole = (smallest_positive_root(tuple(part.coef.tolist())) for part in (slope, denominator))
         return min(float(np.sqrt(min(turn, pole))), float(np.tan(0.5 * WIDEST_FIELD_OF_VIEW)))
 
-    def _gain(self, s: Array) -> Array:
-        numerator, denominator = self._gain_polynomials
-        return evaluate(numerator, s) / evaluate(denominator, s)
-
     def _gain_and_slope(self, s: Array) -> tuple[Array, Array]:
         """g(s) and its derivative."""
         numerator, denominator = self._gain_polynomials
@@ -116,7 +112,8 @@ class BrownConradyCamera(CameraModel):
 
     def _distort(self, x: Array, y: Array) -> tuple[Array, Array]:
         s, xy = x * x + y * y, x * y
-        gain = self._gain(s)
+        numerator, denominator = self._gain_polynomials
+        gain = evaluate(numerator, s) / evaluate(denominator, s)
         return (
             x * gain + 2.0 * self.p1 * xy + self.p2 * (s + 2.0 * x * x),
             y * gain + self.p1 * (s + 2.0 * y * y) + 2.0 * self.p2 * xy,

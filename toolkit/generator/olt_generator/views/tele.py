@@ -37,9 +37,10 @@ def tele_camera(front: Front, width: int, height: int, field_of_view: float = TE
     if not np.allclose(front.rays(edges), edge_rays, rtol=0.0, atol=1e-9):
         raise InputError(f"the lens of the front camera does not reach {np.degrees(0.5 * field_of_view):.0f} degrees")
     first, last = edges[:, 0].tolist()
-    scale, aspect = width / (last - first), np.divide(*front.pixels_per_radian)
+    scale = width / (last - first)
+    across_pixels, down_pixels = front.pixels_per_radian
     centre = ((front.cx - first) * scale - 0.5, 0.5 * (height - 1))
-    tele = front.redrawn(width, height, (scale, scale * aspect), centre)
+    tele = front.redrawn(width, height, (scale, scale * across_pixels / down_pixels), centre)
     corners = np.array([[-0.5, -0.5, 1.0], [width - 0.5, height - 0.5, 1.0]])
     (left, top), (right, bottom) = (corners @ _to_front(tele, front).T).tolist()
     if left < -0.5 or top < -0.5 or right > front.width - 0.5 or bottom > front.height - 0.5:
