@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from olt_generator.errors import InputError
-from olt_generator.lenses.camera_model import CameraModel, Mask, inside_image
+from olt_generator.lenses.camera_model import Camera, Mask, inside_image
 from olt_generator.lenses.lens_curves import (
     Polynomial,
     curve_of,
@@ -25,7 +25,7 @@ _FIT_NODES = 400
 
 
 @dataclass(frozen=True)
-class FthetaCamera(CameraModel):
+class FthetaCamera(Camera):
     """A fisheye camera whose image radius is a polynomial of the angle from the optical axis.
 
     Calibrations come with a polynomial for each direction, and the two undo each other to a hundredth of a pixel or

@@ -136,7 +136,7 @@ def _turning_windows(grays: Sequence[NDArray[np.uint8]], camera: Camera) -> list
 def _first_motion(window: _Window, camera: Camera) -> tuple[Array, Array] | None:
     """R_last_first (3, 3) and the translation (3,) of p_last = R p_first + t."""
     sigma = 2.0 * TRACK_SIGMA_PIXELS / camera.pixels_per_radian[0]
-    motion = estimate_motion(*(camera.rays(pixels) for pixels in window), sigma)
+    motion = estimate_motion(camera.rays(window[0]), camera.rays(window[1]), sigma)
     return None if motion is None else (motion.R_b_a, -motion.R_b_a @ motion.direction_a)
 
 
