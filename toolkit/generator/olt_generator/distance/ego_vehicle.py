@@ -53,8 +53,12 @@ def find_ego_vehicle(
     top = int(np.argmax(near.any(axis=1)))
     near = near[top:]
     direction = _direction_of_road(camera, T_rig_camera, np.minimum(road, BONNET_REACH))[top:]
-    slopes = np.stack([_slope(frames[index][top:], direction) for index in moving[:: -(-len(moving) // MOST_FRAMES)]])
-    left, mean_size = np.abs(slopes.mean(axis=0)), np.abs(slopes).mean(axis=0)
+    slopes = []
+    for index in moving[:: -(-len(moving) // MOST_FRAMES)]:
+        grey = cv2.cvtColor(frames[index][top:], cv2.COLOR_RGB2GRAY).astype(np.float32)
+        down, right = np.gradient(cv2.GaussianBlur(grey, (5, 5), 1.0))
+        slopes.append((direction[..., 0] * right + direction[..., 1] * down).astype(np.float32))
+    left, mean_size = np.abs(np.mean(slopes, axis=0)), np.mean(np.abs(slopes), axis=0)
     certain = near & (left > LEAST_SLOPE) & (left > LEAST_PERSISTENCE * mean_size)
     if certain.sum() < LEAST_SHARE * near.sum():
         return vehicle
@@ -74,10 +78,3 @@ def _direction_of_road(camera: Camera, T_rig_camera: Array, road: NDArray[np.flo
     later_pixels, _ = camera.project(points - 0.01 * forward)
     motion = later_pixels - pixels
     return motion / np.maximum(np.linalg.norm(motion, axis=-1, keepdims=True), 1e-12)
-
-
-def _slope(frame: NDArray[np.uint8], direction: Array) -> NDArray[np.float32]:
-    """Grey levels per pixel (h, w) along the direction (h, w, 2)."""
-    grey = cv2.GaussianBlur(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY).astype(np.float32), (5, 5), 1.0)
-    down, right = np.gradient(grey)
-    return (direction[..., 0] * right + direction[..., 1] * down).astype(np.float32)

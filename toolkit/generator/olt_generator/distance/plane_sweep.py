@@ -136,7 +136,13 @@ class PlaneSweep:
         costs[0] -= np.minimum(costs[0], bonus)
         best, label = _least(costs)
         step = np.log(self._distances[0] / self._distances[1])
-        distance = self._distances[np.maximum(label, 1) - 1] * np.exp(-step * _sub_label(costs, label))
+        # Between the labels beside it the least cost lies where a parabola through the three costs has it.
+        inner = np.clip(label, 2, len(costs) - 2)[None].astype(np.intp)
+        before, here, after = (np.take_along_axis(costs, inner + k, axis=0)[0].astype(np.float32) for k in (-1, 0, 1))
+        bend = before - 2.0 * here + after
+        offset = np.divide(before - after, 2.0 * bend, out=np.zeros_like(bend), where=bend > 0.0)
+        offset = np.where(inner[0] == label, np.clip(offset, -0.5, 0.5), 0.0).astype(np.float32)
+        distance = self._distances[np.maximum(label, 1) - 1] * np.exp(-step * offset)
         background = self._background[top:bottom]
         return Match(
             distance=np.where(label == 0, background, np.minimum(distance, background)).astype(np.float32),
@@ -274,12 +280,3 @@ def _runner_up(costs: NDArray[np.uint16], label: NDArray[np.uint8]) -> NDArray[n
         elsewhere = np.abs(signed - index) > 2
         np.minimum(runner_up, cost, out=runner_up, where=elsewhere)
     return runner_up
-
-
-def _sub_label(costs: NDArray[np.uint16], label: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Where between the labels beside it the least cost lies, -0.5 to 0.5, by a parabola through the three costs."""
-    inner = np.clip(label, 2, len(costs) - 2)[None].astype(np.intp)
-    before, here, after = (np.take_along_axis(costs, inner + step, axis=0)[0].astype(np.float32) for step in (-1, 0, 1))
-    bend = before - 2.0 * here + after
-    offset = np.divide(before - after, 2.0 * bend, out=np.zeros_like(bend), where=bend > 0.0)
-    return np.where(inner[0] == label, np.clip(offset, -0.5, 0.5), 0.0).astype(np.float32)

@@ -60,13 +60,13 @@ class InceptionFeatures:
         Raises:
             InputError: the weights are those of another network.
         """
+        features = []
         with torch.inference_mode():
-            return np.concatenate([self._features(image) for image in images])
-
-    def _features(self, image: NDArray[np.uint8]) -> Array:
-        x = torch.from_numpy(np.ascontiguousarray(image)).to(self._device).permute(2, 0, 1)[None] / 255.0
-        x = functional.interpolate(x, (INPUT_SIDE, INPUT_SIDE), mode="bilinear", align_corners=False)
-        return _pooled(self._weights, 2.0 * x - 1.0).double().cpu().numpy()
+            for image in images:
+                x = torch.from_numpy(np.ascontiguousarray(image)).to(self._device).permute(2, 0, 1)[None] / 255.0
+                x = functional.interpolate(x, (INPUT_SIDE, INPUT_SIDE), mode="bilinear", align_corners=False)
+                features.append(_pooled(self._weights, 2.0 * x - 1.0).double().cpu().numpy())
+        return np.concatenate(features)
 
 
 def _pooled(weights: Weights, x: Tensor) -> Tensor:

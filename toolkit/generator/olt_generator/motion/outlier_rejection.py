@@ -16,10 +16,14 @@ ANGLE, TURN_RATE = 0.2, 1.5
 
 def find_outliers(trajectory: Trajectory) -> NDArray[np.bool_]:
     """Poses (n,) from which most of the neighbours cannot be reached."""
-    n = len(trajectory)
+    n, rotations = len(trajectory), trajectory.T_world_rig[:, :3, :3]
     reached, compared = np.zeros(n, dtype=np.int64), np.zeros(n, dtype=np.int64)
     for offset in range(1, min(NEIGHBOURS, n - 1) + 1):
-        reachable = _reachable(trajectory, offset)
+        seconds = trajectory.times[offset:] - trajectory.times[:-offset]
+        distance = np.linalg.norm(trajectory.positions[offset:] - trajectory.positions[:-offset], axis=1)
+        turn = vector_from_rotation(np.swapaxes(rotations[:-offset], -1, -2) @ rotations[offset:])
+        angle = np.linalg.norm(turn, axis=1)
+        reachable = (distance <= REACH + SPEED * seconds) & (angle <= ANGLE + TURN_RATE * seconds)
         for side in (slice(offset, n), slice(0, n - offset)):
             reached[side] += reachable
             compared[side] += 1
@@ -38,12 +42,3 @@ def replace_outliers(trajectory: Trajectory) -> Array:
         np.clip(times[outliers], credible.timestamps_us[0], credible.timestamps_us[-1])
     )
     return poses
-
-
-def _reachable(trajectory: Trajectory, offset: int) -> NDArray[np.bool_]:
-    seconds = trajectory.times[offset:] - trajectory.times[:-offset]
-    distance = np.linalg.norm(trajectory.positions[offset:] - trajectory.positions[:-offset], axis=1)
-    rotations = trajectory.T_world_rig[:, :3, :3]
-    turn = vector_from_rotation(np.swapaxes(rotations[:-offset], -1, -2) @ rotations[offset:])
-    angle = np.linalg.norm(turn, axis=1)
-    return (distance <= REACH + SPEED * seconds) & (angle <= ANGLE + TURN_RATE * seconds)

@@ -119,7 +119,14 @@ def compare_trajectories(estimate: Trajectory, reference: Trajectory) -> PoseErr
         )
     found = Trajectory(times[common], estimate.T_world_rig[common]).in_first_frame()
     true = Trajectory(times[common], reference.interpolate(times[common])).in_first_frame()
-    return PoseErrors(len(found), _metric_errors(found, true), _aligned_errors(found, true))
+    last_error = float(np.linalg.norm(found.positions[-1] - true.positions[-1]))
+    metric = MetricErrors(
+        _root_mean_square(found.positions - true.positions),
+        *_relative_errors(found, true),
+        100.0 * last_error / true.path_length if true.path_length > MIN_STEP_METRES else None,
+        measure_smoothness(found),
+    )
+    return PoseErrors(len(found), metric, _aligned_errors(found, true))
 
 
 def measure_smoothness(trajectory: Trajectory) -> Smoothness:
@@ -153,16 +160,6 @@ def align_similarity(points: Array, reference: Array) -> tuple[float, Array, Arr
     rotation = (U * signs) @ Vt
     scale = float(singular @ signs) / variance
     return scale, rotation, centre_reference - scale * rotation @ centre
-
-
-def _metric_errors(found: Trajectory, true: Trajectory) -> MetricErrors:
-    last_error = float(np.linalg.norm(found.positions[-1] - true.positions[-1]))
-    return MetricErrors(
-        _root_mean_square(found.positions - true.positions),
-        *_relative_errors(found, true),
-        100.0 * last_error / true.path_length if true.path_length > MIN_STEP_METRES else None,
-        measure_smoothness(found),
-    )
 
 
 def _aligned_errors(found: Trajectory, true: Trajectory) -> AlignedErrors | None:

@@ -44,7 +44,11 @@ class RoadView:
             better = distance < nearest[point]
             point = point[better]
             nearest[point] = distance[better]
-            colours[point] = _sample(source.image, column[better], row[better])
+            # OpenCV takes no maps of more than 32,767 rows, so the list is folded into a picture.
+            maps = np.zeros((2, -(-len(point) // _FOLD) or 1, _FOLD), np.float32)
+            maps.reshape(2, -1)[:, : len(point)] = column[better], row[better]
+            found = cv2.remap(source.image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            colours[point] = np.asarray(found, np.uint8).reshape(-1, 3)[: len(point)]
         image, seen = np.zeros((*self._road.shape, 3), np.uint8), np.zeros(self._road.shape, np.bool_)
         image[self._road], seen[self._road] = colours, np.isfinite(nearest)
         return image, seen
@@ -62,14 +66,3 @@ class RoadView:
         with np.errstate(invalid="ignore"):
             agrees = np.abs(surface - distance) < _TOLERANCE * distance
         return point[agrees], column[agrees], row[agrees], distance[agrees]
-
-
-def _sample(image: NDArray[np.uint8], column: NDArray[np.float32], row: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Colours (k, 3) of an image at columns and rows (k,)."""
-    # OpenCV takes no maps of more than 32,767 rows, so the list is folded into a picture.
-    lines = -(-len(column) // _FOLD) or 1
-    maps = np.zeros((2, lines * _FOLD), np.float32)
-    maps[:, : len(column)] = column, row
-    places = maps.reshape(2, lines, _FOLD)
-    found = cv2.remap(image, places[0], places[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found, np.uint8).reshape(-1, 3)[: len(column)]

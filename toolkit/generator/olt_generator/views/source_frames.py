@@ -49,7 +49,12 @@ class SourceChooser:
         """Frames for the view at frame `index`, without that frame: the `given` ones, then the most useful first."""
         chosen = list(given)
         candidates = self._candidates(index)
-        sharpness = self._sharpness(index, np.array([index, *given, *candidates]))
+        # How finely each of k frames shows each of m points (k, m): 1 as fine as the target could, 0 not at all.
+        frames = np.array([index, *given, *candidates])
+        T_camera_rig = invert(self._front.camera_poses[frames]) @ self._front.trajectory.T_world_rig[index]
+        points = transform(T_camera_rig, self._probes_rig)
+        inside = self._front.camera.project(points)[1]
+        sharpness = inside * np.minimum(self._probe_distance / np.linalg.norm(points, axis=-1), 1.0)
         seen, offered = sharpness[: 1 + len(given)].max(axis=0), sharpness[1 + len(given) :]
         while len(chosen) < self._most and candidates:
             gain = np.maximum(offered - seen, 0.0).mean(axis=1)
@@ -68,13 +73,6 @@ class SourceChooser:
         within = wanted[(wanted >= offered[0]) & (wanted <= offered[-1])]
         frames = set(sources[np.searchsorted(offered, within)].tolist()) - {index}
         return sorted(frames, key=lambda frame: (abs(frame - index), frame))
-
-    def _sharpness(self, index: int, frames: NDArray[np.int64]) -> Array:
-        """How finely each of k frames shows each of m points (k, m): 1 as fine as the target could, 0 not at all."""
-        T_camera_rig = invert(self._front.camera_poses[frames]) @ self._front.trajectory.T_world_rig[index]
-        points = transform(T_camera_rig, self._probes_rig)
-        inside = self._front.camera.project(points)[1]
-        return inside * np.minimum(self._probe_distance / np.linalg.norm(points, axis=-1), 1.0)
 
 
 def may_be_seen(

@@ -141,7 +141,12 @@ class _Synthesis:
     def make(self, index: int, others: tuple[int, ...]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """The image (h, w, 3) of one frame, and a `PixelOrigin` for each of its pixels (h, w)."""
         front = self._front
-        known = self._warp_same_frame(index)
+        distance = front.distance[index]
+        within_reach = np.minimum(distance, np.float32(FAR_DISTANCE))
+        T_target_camera = self._T_target_rig @ front.T_rig_camera
+        warp = splat(front.frames[index], within_reach, front.camera, self._same_frame_target, T_target_camera)
+        is_far = warp.distance > 0.9 * FAR_DISTANCE
+        known = _averaged_down(warp.image, warp.visible, is_far, SUPERSAMPLING)
         origin = np.where(known.visible, PixelOrigin.SAME_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
         if others:
             sources = [self._source(index, other) for other in others]
@@ -152,19 +157,10 @@ class _Synthesis:
             other = _laid_over(warped, _Layer(image, visible, np.zeros_like(visible)))
             origin[other.visible & ~known.visible] = PixelOrigin.OTHER_FRAME
             known = _laid_over(known, other)
-        distance = front.distance[index]
         background = self._panorama.background(
             *known, front.frames[index], ~np.isnan(distance), distance >= FAR_DISTANCE
         )
         return fill_holes(known.image, known.visible, background), origin
-
-    def _warp_same_frame(self, index: int) -> _Layer:
-        within_reach = np.minimum(self._front.distance[index], np.float32(FAR_DISTANCE))
-        T_target_camera = self._T_target_rig @ self._front.T_rig_camera
-        warp = splat(
-            self._front.frames[index], within_reach, self._front.camera, self._same_frame_target, T_target_camera
-        )
-        return _averaged_down(warp.image, warp.visible, warp.distance > 0.9 * FAR_DISTANCE, SUPERSAMPLING)
 
     def _source(self, index: int, other: int) -> SourceFrame:
         """What may be taken from another frame."""
