@@ -1,6 +1,84 @@
-"""The view engine: one front-camera video to an ego trajectory, depth, warps and the views of a target rig.
+"""The view engine: one front-camera video to an ego trajectory, distances, warps and the views of a target rig.
 
-The package stands alone and imports nothing else of the project.
+The package stands alone and imports nothing else of the project. The names in `__all__` are imported when they are
+first asked for.
 """
 
-__version__ = "0.1.0"
+from importlib import import_module, metadata
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from olt_generator.cameras import BrownConradyCamera, Camera, FthetaCamera, KannalaBrandtCamera, PinholeCamera
+    from olt_generator.distance.depth import estimate_distance
+    from olt_generator.errors import InputError
+    from olt_generator.metrics.image_metrics import psnr, ssim
+    from olt_generator.motion.focal_length import estimate_field_of_view
+    from olt_generator.motion.odometry import estimate_odometry
+    from olt_generator.motion.pose_metrics import compare_trajectories
+    from olt_generator.motion.smoother import smooth_trajectory
+    from olt_generator.poses import camera_pose_in_rig
+    from olt_generator.trajectory import Trajectory
+    from olt_generator.video import read_video, write_video
+    from olt_generator.views.front_view import FrontView
+    from olt_generator.views.moving_objects import find_moving
+    from olt_generator.views.synthesis import synthesize_view
+    from olt_generator.views.tele import crop_tele, tele_camera
+
+__version__ = metadata.version("olt-generator")
+
+_MODULE_OF = {
+    "BrownConradyCamera": "olt_generator.cameras",
+    "Camera": "olt_generator.cameras",
+    "FthetaCamera": "olt_generator.cameras",
+    "KannalaBrandtCamera": "olt_generator.cameras",
+    "PinholeCamera": "olt_generator.cameras",
+    "estimate_distance": "olt_generator.distance.depth",
+    "InputError": "olt_generator.errors",
+    "psnr": "olt_generator.metrics.image_metrics",
+    "ssim": "olt_generator.metrics.image_metrics",
+    "estimate_field_of_view": "olt_generator.motion.focal_length",
+    "estimate_odometry": "olt_generator.motion.odometry",
+    "compare_trajectories": "olt_generator.motion.pose_metrics",
+    "smooth_trajectory": "olt_generator.motion.smoother",
+    "camera_pose_in_rig": "olt_generator.poses",
+    "Trajectory": "olt_generator.trajectory",
+    "read_video": "olt_generator.video",
+    "write_video": "olt_generator.video",
+    "FrontView": "olt_generator.views.front_view",
+    "find_moving": "olt_generator.views.moving_objects",
+    "synthesize_view": "olt_generator.views.synthesis",
+    "crop_tele": "olt_generator.views.tele",
+    "tele_camera": "olt_generator.views.tele",
+}
+
+__all__ = [
+    "BrownConradyCamera",
+    "Camera",
+    "FrontView",
+    "FthetaCamera",
+    "InputError",
+    "KannalaBrandtCamera",
+    "PinholeCamera",
+    "Trajectory",
+    "camera_pose_in_rig",
+    "compare_trajectories",
+    "crop_tele",
+    "estimate_distance",
+    "estimate_field_of_view",
+    "estimate_odometry",
+    "find_moving",
+    "psnr",
+    "read_video",
+    "smooth_trajectory",
+    "ssim",
+    "synthesize_view",
+    "tele_camera",
+    "write_video",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """The public names, each imported from its module when it is first asked for."""
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULE_OF[name]), name)
