@@ -4,8 +4,10 @@ The package stands alone and imports nothing else of the project. The names in `
 first asked for.
 """
 
-from importlib import import_module, metadata
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
+
+from olt_generator.version import __version__ as __version__
 
 if TYPE_CHECKING:
     from olt_generator.cameras import BrownConradyCamera, Camera, FthetaCamera, KannalaBrandtCamera, PinholeCamera
@@ -23,8 +25,6 @@ if TYPE_CHECKING:
     from olt_generator.views.moving_objects import find_moving
     from olt_generator.views.synthesis import synthesize_view
     from olt_generator.views.tele import crop_tele, tele_camera
-
-__version__ = metadata.version("olt-generator")
 
 _MODULE_OF = {
     "BrownConradyCamera": "olt_generator.cameras",
