@@ -26,29 +26,22 @@ if TYPE_CHECKING:
     from olt_generator.views.synthesis import synthesize_view
     from olt_generator.views.tele import crop_tele, tele_camera
 
-_MODULE_OF = {
-    "BrownConradyCamera": "olt_generator.cameras",
-    "Camera": "olt_generator.cameras",
-    "FthetaCamera": "olt_generator.cameras",
-    "KannalaBrandtCamera": "olt_generator.cameras",
-    "PinholeCamera": "olt_generator.cameras",
-    "estimate_distance": "olt_generator.distance.depth",
-    "InputError": "olt_generator.errors",
-    "psnr": "olt_generator.metrics.image_metrics",
-    "ssim": "olt_generator.metrics.image_metrics",
-    "estimate_field_of_view": "olt_generator.motion.focal_length",
-    "estimate_odometry": "olt_generator.motion.odometry",
-    "compare_trajectories": "olt_generator.motion.pose_metrics",
-    "smooth_trajectory": "olt_generator.motion.smoother",
-    "camera_pose_in_rig": "olt_generator.poses",
-    "Trajectory": "olt_generator.trajectory",
-    "read_video": "olt_generator.video",
-    "write_video": "olt_generator.video",
-    "FrontView": "olt_generator.views.front_view",
-    "find_moving": "olt_generator.views.moving_objects",
-    "synthesize_view": "olt_generator.views.synthesis",
-    "crop_tele": "olt_generator.views.tele",
-    "tele_camera": "olt_generator.views.tele",
+_NAMES_OF = {
+    "cameras": ("BrownConradyCamera", "Camera", "FthetaCamera", "KannalaBrandtCamera", "PinholeCamera"),
+    "distance.depth": ("estimate_distance",),
+    "errors": ("InputError",),
+    "metrics.image_metrics": ("psnr", "ssim"),
+    "motion.focal_length": ("estimate_field_of_view",),
+    "motion.odometry": ("estimate_odometry",),
+    "motion.pose_metrics": ("compare_trajectories",),
+    "motion.smoother": ("smooth_trajectory",),
+    "poses": ("camera_pose_in_rig",),
+    "trajectory": ("Trajectory",),
+    "video": ("read_video", "write_video"),
+    "views.front_view": ("FrontView",),
+    "views.moving_objects": ("find_moving",),
+    "views.synthesis": ("synthesize_view",),
+    "views.tele": ("crop_tele", "tele_camera"),
 }
 
 __all__ = [
@@ -79,6 +72,7 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """The public names, each imported from its module when it is first asked for."""
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
+    for module, names in _NAMES_OF.items():
+        if name in names:
+            return getattr(import_module(f"olt_generator.{module}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
