@@ -82,7 +82,7 @@ def _triangulate_flow(
 
 def _sweep(settings: SweepSettings) -> NDArray[np.float32]:
     frames, _, trajectory = _drive()
-    return estimate_distance(frames, CAMERA, trajectory, T_RIG_CAMERA, shown=SHOWN, settings=settings).distance
+    return estimate_distance(frames, CAMERA, trajectory, T_RIG_CAMERA, frame_indices=SHOWN, settings=settings).distance
 
 
 def measure_error(distance: NDArray[np.float32]) -> float:
