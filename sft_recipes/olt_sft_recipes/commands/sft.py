@@ -14,7 +14,7 @@ Stores = Annotated[list[Path], typer.Option(help="Clip store; may be given sever
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
-@app.command(help="Train both stages on a mixture; an interrupted training keeps its finished stage.")
+@app.command(help="Train both stages on a mixture; a stage that this code finished with equal settings is kept.")
 def train(
     out: Annotated[Path, typer.Option(help="Folder of the training; OUT/policy is what drives.")],
     mixture: Annotated[Path | None, typer.Option(help="A mixture that `olt mix compose` wrote.")] = None,
@@ -26,8 +26,8 @@ def train(
     as_json: JsonOption = False,
 ) -> None:
     """Train, and print the losses."""
-    from olt_sft_recipes.stage_config import builtin_stage_config, read_stage_config
-    from olt_sft_recipes.training import train_on_mixture
+    from olt_sft_recipes.training.stage_config import builtin_stage_config, read_stage_config
+    from olt_sft_recipes.training.two_stages import train_on_mixture
     from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
     from olt_toolkit.runtime.workers import use_one_thread
 

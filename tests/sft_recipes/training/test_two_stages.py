@@ -6,9 +6,10 @@ import torch
 
 from olt_generator.errors import InputError
 from olt_sft_recipes.open_loop import evaluate_open_loop
-from olt_sft_recipes.stage_config import StageConfig
-from olt_sft_recipes.toy_policy import ToyPolicy, read_model, read_tensors, save_model
-from olt_sft_recipes.training import train_stage, train_two_stages
+from olt_sft_recipes.toy.checkpoint import read_model, read_tensors, save_model
+from olt_sft_recipes.toy.policy import ToyPolicy
+from olt_sft_recipes.training.stage_config import StageConfig
+from olt_sft_recipes.training.two_stages import train_stage, train_two_stages
 
 STAGE_1 = StageConfig(
     stage=1, num_train_epochs=4, per_device_train_batch_size=4, learning_rate=3e-3, warmup_steps=2, seed=5
@@ -38,7 +39,7 @@ def train(drives, tiny_config, tmp_path):
 def test_equal_trainings_give_equal_bytes(train):
     augmented = {"mirror_probability": 0.5, "turn_degrees": 4.0, "move_metres": 0.5}
     stages = [
-        STAGE_1.model_copy(update={**augmented, "hidden_token_probability": 0.5, "looking_epochs": 1}),
+        STAGE_1.model_copy(update={**augmented, "hidden_token_probability": 0.5, "regression_warmup_epochs": 1}),
         STAGE_2.model_copy(update=augmented),
     ]
     (_, one), (_, two) = train(*stages, name="one"), train(*stages, name="two")
