@@ -1,1 +1,58 @@
-"""Scenes, vehicle, control, sensors, simulation and scoring of the closed loop."""
+"""The closed loop: scenes, sensors, control, vehicle, rollouts, and what they are worth.
+
+What a user of the package needs is here by name, and loaded when it is first asked for: importing the package is cheap,
+and who only scores loads no vehicle model.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from olt_closed_loop.control.tracking import ControlSettings as ControlSettings
+    from olt_closed_loop.evaluation.evaluation import load_scene as load_scene
+    from olt_closed_loop.evaluation.evaluation import run_closed_loop as run_closed_loop
+    from olt_closed_loop.evaluation.evaluation import save_results as save_results
+    from olt_closed_loop.evaluation.gate import check_gate as check_gate
+    from olt_closed_loop.evaluation.score_table import summarize_scores as summarize_scores
+    from olt_closed_loop.rollouts.rollout import Rollout as Rollout
+    from olt_closed_loop.rollouts.rollout import load_rollouts as load_rollouts
+    from olt_closed_loop.rollouts.rollout import save_rollouts as save_rollouts
+    from olt_closed_loop.rollouts.rollout_files import read_rollout_file as read_rollout_file
+    from olt_closed_loop.scenes.procedural import generate_scene as generate_scene
+    from olt_closed_loop.scenes.scene import Scene as Scene
+    from olt_closed_loop.scenes.scene_file import read_scene as read_scene
+    from olt_closed_loop.scenes.scene_file import write_scene as write_scene
+    from olt_closed_loop.scoring.definitions import RolloutScore as RolloutScore
+    from olt_closed_loop.scoring.definitions import score_record as score_record
+    from olt_closed_loop.scoring.definitions import score_rollout as score_rollout
+    from olt_closed_loop.simulation.closed_loop import replay as replay
+    from olt_closed_loop.simulation.closed_loop import simulate as simulate
+    from olt_closed_loop.simulation.policies import make_policy as make_policy
+    from olt_closed_loop.simulation.settings import SimulationSettings as SimulationSettings
+
+_MODULES = {
+    "control.tracking": ("ControlSettings",),
+    "evaluation.evaluation": ("load_scene", "run_closed_loop", "save_results"),
+    "evaluation.gate": ("check_gate",),
+    "evaluation.score_table": ("summarize_scores",),
+    "rollouts.rollout": ("Rollout", "load_rollouts", "save_rollouts"),
+    "rollouts.rollout_files": ("read_rollout_file",),
+    "scenes.procedural": ("generate_scene",),
+    "scenes.scene": ("Scene",),
+    "scenes.scene_file": ("read_scene", "write_scene"),
+    "scoring.definitions": ("RolloutScore", "score_record", "score_rollout"),
+    "simulation.closed_loop": ("replay", "simulate"),
+    "simulation.policies": ("make_policy",),
+    "simulation.settings": ("SimulationSettings",),
+}
+_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_MODULE_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_MODULE_OF]

@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from olt_closed_loop.evaluation.score_table import ScoreRow, ScoreTable
+    from olt_closed_loop.evaluation.score_table import ScoreTable
+    from olt_closed_loop.scoring.definitions import RolloutScore
+    from olt_generator.omissions import Omission
 
-EVENT_WORDS = {
+INCIDENT_WORDS = {
     "policy_errors": "the policy raised an error",
     "plans_refused": "a plan was refused and the last one held",
     "saturations": "a command reached a limit of the vehicle",
     "solves_failed": "the controller found no command and held the last ones",
     "solves_late": "the controller was late and held the last commands",
 }
-"""What the counts of `simulation.rollout.Events` are called in print."""
+"""What the counts of `rollouts.rollout.Incidents` are called in print."""
 
 app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and score them.")
 
@@ -42,11 +44,29 @@ class VehicleModel(StrEnum):
     tyres = "tyres"
 
 
+class Controller(StrEnum):
+    """What follows the planned trajectory (`control.tracking`)."""
+
+    lqr = "lqr"
+    linear = "linear"
+    nonlinear = "nonlinear"
+
+
+class Integrator(StrEnum):
+    """How the vehicle is integrated (`vehicle.integrators`)."""
+
+    auto = "auto"
+    midpoint = "midpoint"
+    rk4 = "rk4"
+    radau = "radau"
+    cvodes = "cvodes"
+
+
 @app.command()
 def run(
     policy: Annotated[str, typer.Option(help="NAME or NAME:PATH, for example route or toy:CHECKPOINT.")],
     scenes: Annotated[
-        list[str] | None, typer.Argument(help="USD stages, recorded drives (file or folder), or CATEGORY:SEED.")
+        list[str] | None, typer.Argument(help="Scene files, recorded drives (file or folder), or CATEGORY:SEED.")
     ] = None,
     scene: Annotated[list[str] | None, typer.Option(help="The same as an argument.")] = None,
     rollouts: Annotated[int, typer.Option(help="Drives of each scene.")] = 2,
@@ -55,6 +75,12 @@ def run(
     planner_delay: Annotated[float, typer.Option(help="Seconds from asking for a plan until it is in force.")] = 0.0,
     traffic: Annotated[TrafficModel, typer.Option(help="How agents move.")] = TrafficModel.recorded,
     vehicle: Annotated[VehicleModel, typer.Option(help="How the ego moves.")] = VehicleModel.kinematic,
+    controller: Annotated[
+        Controller, typer.Option(help="What follows the plan: LQR, linear or nonlinear MPC.")
+    ] = Controller.linear,
+    integrator: Annotated[
+        Integrator, typer.Option(help="How the vehicle is integrated; auto: the cheapest within 3e-7 m a step.")
+    ] = Integrator.auto,
     definition: Annotated[ScoreDefinition, typer.Option(help="How the score is defined.")] = ScoreDefinition.strict,
     skip: Annotated[bool, typer.Option(help="Leave out what cannot change the result.")] = True,
     workers: Annotated[int | None, typer.Option(help="Processes; by default one for each processor.")] = None,
@@ -62,6 +88,7 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Drive scenes with a policy and print AS and CR by category; the gate must hold on every scene."""
+    from olt_closed_loop.control.tracking import ControlSettings
     from olt_closed_loop.evaluation.evaluation import (
         count_left_out,
         count_vehicle_steps,
@@ -71,7 +98,7 @@ def run(
     )
     from olt_closed_loop.evaluation.score_table import summarize_scores
     from olt_closed_loop.simulation.settings import SimulationSettings
-    from olt_toolkit.runtime.console import make_progress, print_json, print_line
+    from olt_toolkit.runtime.console import make_progress, print_json
     from olt_toolkit.runtime.workers import default_workers
 
     settings = SimulationSettings(
@@ -79,11 +106,13 @@ def run(
         planner_delay_us=round(planner_delay * 1e6),
         traffic=traffic.value,
         vehicle=vehicle.value,
+        integrator=integrator.value,
+        control=ControlSettings(method=controller.value),
         skip=skip,
     )
     sources = find_scenes([*(scenes or []), *(scene or [])])
     if not sources:
-        raise typer.BadParameter("give a scene: a USD stage, a recorded drive, or CATEGORY:SEED")
+        raise typer.BadParameter("give a scene: a scene file, a recorded drive, or CATEGORY:SEED")
     with make_progress() as progress:
         total = len(sources) * rollouts
         task = progress.add_task("closed loop", total=total)
@@ -99,7 +128,7 @@ def run(
         )
     scores = [score for _, score in results]
     table = summarize_scores(scores)
-    left_out = count_left_out(results)
+    left_out, vehicle_steps = count_left_out(results), count_vehicle_steps(results)
     if out:
         save_results(out, results)
     if as_json:
@@ -108,30 +137,24 @@ def run(
                 "policy": policy,
                 "traffic": traffic.value,
                 "vehicle": vehicle.value,
+                "controller": controller.value,
+                "integrator": integrator.value,
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],
-                "left_out": left_out,
-                "vehicle_steps": count_vehicle_steps(results),
+                "left_out": [{**omission.to_dict(), "rollouts": count} for omission, count in left_out.items()],
+                "vehicle_steps": vehicle_steps,
             }
         )
     else:
         _print_scores(f"{policy}, {traffic.value} traffic", table)
-        for line in sorted({f"{score.scene}: not valid: {score.reason}" for score in scores if not score.valid}):
-            print_line(line)
-        for name, count in table.overall.events.items():
-            if count:
-                print_line(f"{EVENT_WORDS[name]}: {count} times")
-        for way, count in count_vehicle_steps(results).items():
-            print_line(f"vehicle moved by {way} in {count} steps")
-        for note, count in left_out.items():
-            print_line(f"left out in {count} of {len(results)} rollouts: {note}")
+        _print_notes(scores, table.overall.rollout_incidents, vehicle_steps, left_out)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
 
 
 @app.command()
 def gate(
-    scenes: Annotated[list[str], typer.Argument(help="USD stages, recorded drives, or CATEGORY:SEED.")],
+    scenes: Annotated[list[str], typer.Argument(help="Scene files, recorded drives, or CATEGORY:SEED.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Check on scenes that drives of known worth get what they are worth."""
@@ -155,7 +178,7 @@ def gate(
 @app.command(name="scene")
 def convert_scene(
     recording: Annotated[str, typer.Argument(help="A recorded drive (file or folder), or CATEGORY:SEED.")],
-    out: Annotated[Path, typer.Option(help="Stage to write, .usda or .usdc; its looks are written beside it.")],
+    out: Annotated[Path, typer.Option(help="Scene file to write, .usda or .usdc; its looks are written beside it.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write a recorded drive as a scene, and say what was assumed and whether the gate holds on it."""
@@ -182,7 +205,9 @@ def convert_scene(
         "lanes": len(loaded.lanes),
     }
     if as_json:
-        print_json({**figures, "assumptions": list(loaded.assumptions), "gate": result.to_dict(), "stage": str(out)})
+        print_json(
+            {**figures, "assumptions": list(loaded.assumptions), "gate": result.to_dict(), "scene_file": str(out)}
+        )
     else:
         rows = [*figures.items(), *(("assumed", text) for text in loaded.assumptions)]
         rows += [(f"gate: {check.name}", check.finding) for check in result.checks]
@@ -219,23 +244,44 @@ def score_rollout(
         print_table(f"{file.name}, definition {definition.value}", ["figure", "value"], list(figures.items()))
 
 
-def _print_scores(policy: str, table: "ScoreTable") -> None:
+def _print_scores(title: str, table: "ScoreTable") -> None:
     from olt_toolkit.runtime.console import print_table
 
-    columns = ["category", "valid / rollouts", "AS", "95 %", "CR", "95 %", "solves failed / late"]
-    print_table(f"{policy}, definition {table.definition}", columns, [_cells(row) for row in table.rows])
-
-
-def _cells(row: "ScoreRow") -> list[object]:
     def interval(limits: tuple[float, float] | None) -> str | None:
         return f"{limits[0]:.3f} to {limits[1]:.3f}" if limits else None
 
-    return [
-        row.category,
-        f"{row.valid} / {row.rollouts}",
-        row.alpasim_score,
-        interval(row.alpasim_score_interval),
-        row.collision_rate,
-        interval(row.collision_rate_interval),
-        f"{row.events['solves_failed']} / {row.events['solves_late']}" if row.events else None,
+    rows = [
+        [
+            row.category,
+            f"{row.valid} / {row.rollouts}",
+            row.alpasim_score,
+            interval(row.alpasim_score_interval),
+            row.collision_rate,
+            interval(row.collision_rate_interval),
+            f"{counts['solves_failed']} / {counts['solves_late']}" if (counts := row.rollout_incidents) else None,
+        ]
+        for row in table.rows
     ]
+    columns = ["category", "valid / rollouts", "AS", "95 %", "CR", "95 %", "solves failed / late"]
+    print_table(f"{title}, definition {table.definition}", columns, rows)
+
+
+def _print_notes(
+    scores: "list[RolloutScore]",
+    incidents: dict[str, int],
+    vehicle_steps: dict[str, int],
+    left_out: "dict[Omission, int]",
+) -> None:
+    """What was not valid, went wrong, was taken and was left out, a line each."""
+    from olt_generator.omissions import word_omission
+    from olt_toolkit.runtime.console import print_line
+
+    for line in sorted({f"{score.scene}: not valid: {score.reason}" for score in scores if not score.valid}):
+        print_line(line)
+    for name, count in incidents.items():
+        if count:
+            print_line(f"{INCIDENT_WORDS[name]}: {count} times")
+    for way, count in vehicle_steps.items():
+        print_line(f"vehicle moved by {way} in {count} steps")
+    for omission, count in left_out.items():
+        print_line(f"left out in {count} of {len(scores)} rollouts: {word_omission(omission)}")

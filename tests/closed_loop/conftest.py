@@ -1,6 +1,8 @@
-"""Small hand-made scenes for the tests of the closed loop."""
+"""Small hand-made scenes, and rollouts in the JSON format made by hand or at random."""
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,6 +11,9 @@ from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_generator.poses import planar_pose, transform
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
+
+STEP_US = 100_000
+LENGTH, WIDTH, AHEAD = 5.393, 2.109, 1.3965
 
 
 def _straight_scene(
@@ -101,3 +106,148 @@ def moving_agent() -> Callable[..., Agent]:
 def moved_scene() -> Callable[..., Scene]:
     """Rigid motion of a scene."""
     return _moved_scene
+
+
+def straight_road(y: float = 0.0, start: float = -60.0, end: float = 300.0) -> dict[str, Any]:
+    """Two lanes of 3.7 m, the right one along x and the left one against it, between two edges."""
+    x = np.arange(start, end, 2.0)
+
+    def line(offset: float, backwards: bool = False) -> list[list[float]]:
+        points = [[float(value), y + offset] for value in x]
+        return points[::-1] if backwards else points
+
+    return {
+        "lanes": [
+            {"id": "with", "center": line(0.0), "left": line(1.85), "right": line(-1.85)},
+            {"id": "against", "center": line(3.7, True), "left": line(1.85, True), "right": line(5.55, True)},
+        ],
+        "road_edges": [line(-2.45), line(6.15)],
+    }
+
+
+def rollout_text(poses: np.ndarray, recorded: np.ndarray | None = None, **changes: Any) -> dict[str, Any]:
+    """A drive along rig poses (n, 3) every 0.1 s, handed over at 1.7 s, on the straight road."""
+    recorded = poses if recorded is None else recorded
+    return {
+        "timestamps_us": [STEP_US * index for index in range(len(poses))],
+        "render_start_us": 0,
+        "force_gt_duration_us": 1_700_000,
+        "ego": {
+            "length": LENGTH,
+            "width": WIDTH,
+            "height": 1.503,
+            "rear_axle_to_center": AHEAD,
+            "poses": poses.tolist(),
+        },
+        "agents": {},
+        "gt": {
+            "timestamps_us": [STEP_US * index for index in range(len(recorded))],
+            "poses": recorded.tolist(),
+        },
+        "map": straight_road(),
+        "plans": [],
+    } | changes
+
+
+def along_x(speed: float = 10.0, count: int = 81, y: float = 0.0) -> np.ndarray:
+    """Poses (count, 3) at constant speed."""
+    poses = np.zeros((count, 3))
+    poses[:, 0], poses[:, 1] = 0.1 * speed * np.arange(count), y
+    return poses
+
+
+def agent_text(poses: np.ndarray, start: int = 0, size: tuple[float, float, float] = (4.6, 1.9, 1.5)) -> dict[str, Any]:
+    """An agent at box poses (n, 3 or 4) from sample `start` on."""
+    return {
+        "length": size[0],
+        "width": size[1],
+        "height": size[2],
+        "timestamps_us": [STEP_US * (start + index) for index in range(len(poses))],
+        "poses": poses.tolist(),
+    }
+
+
+def turned(values: dict[str, Any], yaw: float, x: float = 0.0, y: float = 0.0) -> dict[str, Any]:
+    """The same rollout, turned about the origin and then shifted as a whole."""
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    rotation = np.array([[cos, sin], [-sin, cos]])
+
+    def move(rows: list[list[float]], has_yaw: bool) -> list[list[float]]:
+        moved = np.array(rows, dtype=np.float64).reshape(len(rows), -1 if rows else 3)
+        moved[:, :2] = moved[:, :2] @ rotation + [x, y]
+        if has_yaw:
+            moved[:, 2] = np.angle(np.exp(1j * (moved[:, 2] + yaw)))
+        return moved.tolist()
+
+    def move_poses(track: dict[str, Any]) -> dict[str, Any]:
+        return track | {"poses": move(track["poses"], True)}
+
+    road = values["map"] and {
+        "lanes": [
+            {key: line if key == "id" else move(line, False) for key, line in lane.items()}
+            for lane in values["map"]["lanes"]
+        ],
+        "road_edges": [move(edge, False) for edge in values["map"]["road_edges"]],
+    }
+    return values | {
+        "ego": move_poses(values["ego"]),
+        "gt": move_poses(values["gt"]),
+        "agents": {name: move_poses(agent) for name, agent in values["agents"].items()},
+        "map": road,
+        "plans": [move_poses(plan) for plan in values["plans"]],
+    }
+
+
+def random_rollout(seed: int) -> dict[str, Any]:
+    """A drive with a wandering ego, agents that come late and go early, and perhaps a map and plans."""
+    generator = np.random.default_rng(seed)
+    count = int(generator.integers(25, 60))
+    ego = _wander(generator, count, np.zeros(3), 10.0)
+    agents = {}
+    for index in range(int(generator.integers(0, 8))):
+        first = int(generator.integers(0, count))
+        samples = int(generator.integers(0, count - first + 1))
+        place = np.array([generator.uniform(-10, 60), generator.uniform(-8, 8), generator.uniform(-np.pi, np.pi)])
+        poses = _wander(generator, samples, place, generator.uniform(0, 15))
+        if generator.random() < 0.3:
+            poses = np.column_stack([poses, np.full(len(poses), generator.uniform(0.5, 6.0))])
+        agents[f"agent {index}"] = agent_text(poses, first)
+    recorded = _wander(generator, count + int(generator.integers(0, 20)), np.zeros(3), 10.0)
+    plans = [_plan(generator, 4 * index, ego[4 * index]) for index in range(int(generator.integers(0, 4)))]
+    road = straight_road() | {"resample_m": float(generator.choice([0.0, 0.7, 2.0]))}
+    return rollout_text(
+        ego,
+        recorded,
+        agents=agents,
+        plans=plans,
+        map=None if generator.random() < 0.3 else road,
+        force_gt_duration_us=500_000,
+    )
+
+
+def _wander(generator: np.random.Generator, count: int, start: np.ndarray, speed: float) -> np.ndarray:
+    yaw = start[2] + np.cumsum(generator.uniform(-0.05, 0.05, count))
+    steps = 0.1 * speed * np.stack([np.cos(yaw), np.sin(yaw)], axis=-1)
+    return np.column_stack([start[:2] + np.cumsum(steps, axis=0), np.angle(np.exp(1j * yaw))]).reshape(count, 3)
+
+
+def _plan(generator: np.random.Generator, index: int, pose: np.ndarray) -> dict[str, Any]:
+    poses = np.vstack([pose, _wander(generator, int(generator.integers(20, 64)), pose, 10.0)])
+    times = [STEP_US * (index + step) for step in range(len(poses))]
+    samples = [
+        np.add(poses, [0.0, offset, 0.0]).tolist() for offset in generator.uniform(-1, 1, int(generator.integers(0, 3)))
+    ]
+    return {"now_us": times[0], "timestamps_us": times, "poses": poses.tolist(), "samples": samples}
+
+
+@pytest.fixture(scope="session")
+def texts() -> SimpleNamespace:
+    """Builders of rollouts in the JSON format."""
+    return SimpleNamespace(
+        road=straight_road,
+        rollout=rollout_text,
+        along_x=along_x,
+        agent=agent_text,
+        turned=turned,
+        random=random_rollout,
+    )

@@ -64,7 +64,7 @@ def test_baseline_policies_drive_it(scene, policy):
     rollout = simulate(scene, make_policy(policy))
     score = score_rollout(scene, rollout)
     assert score.valid and 0.0 <= score.score <= 1.0
-    assert rollout.events.plans_refused == 0
+    assert rollout.incidents.plans_refused == 0
     assert len(rollout.timestamps_us) == min(200, int(scene.ego.times[-1] * 10 + 1e-6)) + 1
 
 

@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from olt_closed_loop.benchmarks.score_drives import DURATION_US, HANDOVER_US, known_drives
-from olt_closed_loop.rollouts.drive_record import DriveRecord
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_contact
 from olt_closed_loop.scoring.contacts import first_contacts
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
@@ -18,20 +18,20 @@ STEPS_MS = (500, 200, 100, 50, 20)
 DEFAULT = "continuous, 100 ms"
 
 
-def continuous_contact(record: DriveRecord) -> float:
+def continuous_contact(record: RolloutRecord) -> float:
     """First contact in microseconds by `scoring.contacts`; infinite if there is none."""
     boxes = [agent_box(agent) for agent in record.agents]
     return HANDOVER_US + float(first_contacts(ego_box(record), boxes, HANDOVER_US, DURATION_US).min())
 
 
-def sampled_contact(record: DriveRecord) -> float:
+def sampled_contact(record: RolloutRecord) -> float:
     """The first sample in microseconds at which AlpaSim's outlines touch; infinite if there is none."""
     series = measure_contact(Surroundings(record))["collision_any"].within(HANDOVER_US, DURATION_US)
     touching = series.times_us[series.values > 0.0]
     return float(touching[0]) if len(touching) else np.inf
 
 
-_FINDERS: dict[str, Callable[[DriveRecord], float]] = {"continuous": continuous_contact, "alpasim": sampled_contact}
+_FINDERS: dict[str, Callable[[RolloutRecord], float]] = {"continuous": continuous_contact, "alpasim": sampled_contact}
 
 
 @lru_cache(maxsize=1)

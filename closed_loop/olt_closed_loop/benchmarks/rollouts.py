@@ -16,7 +16,7 @@ DURATION_US = 20_000_000
 DEFAULT = "2 processes"
 
 _EVERYTHING = SimulationSettings(skip=False)
-_REFERENCE = SimulationSettings(skip=False, method="cvodes", substeps=None)
+_REFERENCE = SimulationSettings(skip=False, integrator="cvodes")
 
 
 @lru_cache(maxsize=1)

@@ -7,7 +7,7 @@ import numpy as np
 
 from olt_closed_loop.benchmarks.score_drives import known_drives
 from olt_closed_loop.evaluation.score_table import summarize_scores
-from olt_closed_loop.rollouts.drive_record import DriveRecord
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scoring.definitions import Definition, score_record
 from olt_generator.poses import Array
 from olt_toolkit.bench.benchmark import Benchmark, Setting
@@ -19,7 +19,7 @@ DEFAULT = ("strict", 100)
 _STEPS_MS: dict[Definition, tuple[int, ...]] = {"strict": (500, 200, 100, 50, 20), "alpasim": (500, 200, 100, 50)}
 
 
-def _average(records: Sequence[DriveRecord], definition: Definition) -> Array:
+def _average(records: Sequence[RolloutRecord], definition: Definition) -> Array:
     """AS and CR (2,) of drives."""
     row = summarize_scores([score_record(record, definition) for record in records]).overall
     return np.array([row.alpasim_score, row.collision_rate], dtype=np.float64)

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from olt_closed_loop.rollouts.drive_record import PLAN_STEP_US, DriveRecord, EgoBox, LaneLines, TimedPlan
+from olt_closed_loop.rollouts.rollout_record import PLAN_STEP_US, EgoBox, LaneLines, PlanRecord, RolloutRecord
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.moving_boxes import corners
 from olt_generator.poses import Array
@@ -51,13 +51,13 @@ class KnownDrive:
     ego: Weaving
     agent: Weaving
 
-    def sampled(self, step_us: int) -> DriveRecord:
+    def sampled(self, step_us: int) -> RolloutRecord:
         """The drive as a record with a sample every `step_us`; the recording is the drive itself."""
         times = np.arange(0, DURATION_US + 1, step_us, dtype=np.int64)
         rig = _rig(self.ego, times)
         agent = Agent("other", "automobile", *self.agent.size, times, self.agent.poses(times))
         lanes, edges = _road()
-        return DriveRecord(self.name, HANDOVER_US, times, rig, EGO, (agent,), times, rig, lanes, edges)
+        return RolloutRecord(self.name, HANDOVER_US, times, rig, EGO, (agent,), times, rig, lanes, edges)
 
     def contact_us(self) -> float:
         """When the outlines first touch after the hand-over, by bisection of the exact motion; infinite if never."""
@@ -129,7 +129,7 @@ class CrowdedDrive:
     ego: Weaving
     agents: tuple[Weaving, ...]
 
-    def record(self) -> DriveRecord:
+    def record(self) -> RolloutRecord:
         """The drive with a sample and, after the hand-over, a plan every 0.1 s; the recording is the drive itself."""
         times = np.arange(0, CROWDED_US + 1, PLAN_STEP_US, dtype=np.int64)
         agents = tuple(
@@ -138,12 +138,12 @@ class CrowdedDrive:
         )
         rig, (lanes, edges) = _rig(self.ego, times), _road(CROWDED_US * 1e-6 * self.ego.speed)
         plans = tuple(self._plan(int(now_us)) for now_us in times[times >= HANDOVER_US][:-1])
-        return DriveRecord("crowded", HANDOVER_US, times, rig, EGO, agents, times, rig, lanes, edges, plans=plans)
+        return RolloutRecord("crowded", HANDOVER_US, times, rig, EGO, agents, times, rig, lanes, edges, plans=plans)
 
-    def _plan(self, now_us: int) -> TimedPlan:
+    def _plan(self, now_us: int) -> PlanRecord:
         times = now_us + PLAN_STEP_US * np.arange(FUTURE_STEPS + 1, dtype=np.int64)
         poses = _rig(self.ego, times)[:, [0, 1, 3]]
-        return TimedPlan(now_us, now_us + PLAN_STEP_US, times, poses, (poses,))
+        return PlanRecord(now_us, now_us + PLAN_STEP_US, times, poses, (poses,))
 
     def nearest_m(self, start_us: int) -> float:
         """Smallest distance in metres to an agent from a time on, of the exact outlines every millisecond."""

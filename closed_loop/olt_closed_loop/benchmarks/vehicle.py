@@ -10,8 +10,9 @@ from scipy.integrate import solve_ivp
 
 from olt_closed_loop.benchmarks.vehicle_grid import vehicle_grid
 from olt_closed_loop.vehicle.integrators import Method, make_batch_stepper, make_stepper
-from olt_closed_loop.vehicle.models import MODELS, STATE, Model, VehicleParameters, with_rolling_tyres
+from olt_closed_loop.vehicle.models import MODELS, Model, VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle.presets import DRY_FRICTION, alpasim_vehicle
+from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import Array
 from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE

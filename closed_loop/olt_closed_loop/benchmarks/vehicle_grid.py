@@ -13,8 +13,9 @@ import numpy as np
 
 from olt_closed_loop.vehicle.implicit import cvodes_function
 from olt_closed_loop.vehicle.integrators import make_batch_stepper, make_stepper
-from olt_closed_loop.vehicle.models import STATE, VehicleParameters
+from olt_closed_loop.vehicle.models import VehicleParameters
 from olt_closed_loop.vehicle.presets import DRY_FRICTION, alpasim_vehicle
+from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_toolkit.bench.benchmark import Grid

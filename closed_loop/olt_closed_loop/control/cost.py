@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from olt_closed_loop.vehicle.models import STATE
+from olt_closed_loop.vehicle.state import STATE
 
 ACTUATORS = [STATE.steering, STATE.acceleration]
 """Where a state holds what the commands act on, in the order of the commands."""

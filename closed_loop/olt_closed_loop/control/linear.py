@@ -22,7 +22,8 @@ from olt_closed_loop.control.cost import ACTUATORS, TrackingCost
 from olt_closed_loop.control.prediction import linearised_step, predicted_step
 from olt_closed_loop.control.solver import Solution, SolveFailed
 from olt_closed_loop.vehicle.buffered import BufferedFunction
-from olt_closed_loop.vehicle.models import CONTROL_SIZE, STATE, VehicleParameters
+from olt_closed_loop.vehicle.models import VehicleParameters
+from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
 from olt_generator.poses import Array
 
 _STEP_LENGTHS = (1.0, 0.5, 0.25, 0.125)

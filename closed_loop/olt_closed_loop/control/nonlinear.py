@@ -20,7 +20,8 @@ from olt_closed_loop.control.linear import LinearSolver
 from olt_closed_loop.control.prediction import predicted_step
 from olt_closed_loop.control.solver import Solution, SolveFailed
 from olt_closed_loop.vehicle.buffered import BufferedFunction
-from olt_closed_loop.vehicle.models import CONTROL_SIZE, STATE, VehicleParameters
+from olt_closed_loop.vehicle.models import VehicleParameters
+from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
 from olt_generator.poses import Array
 
 _MAX_ITERATIONS = 15

@@ -8,7 +8,8 @@ of that is used, and the derivatives of the step take the matrix as given.
 
 import casadi as ca
 
-from olt_closed_loop.vehicle.models import CONTROL_SIZE, STATE, VehicleParameters, vehicle_equations
+from olt_closed_loop.vehicle.models import VehicleParameters, vehicle_equations
+from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
 from olt_toolkit.policy.contract import STEP_SECONDS
 
 _GAMMA = 1.0 - 0.5**0.5

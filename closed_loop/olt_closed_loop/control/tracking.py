@@ -31,7 +31,8 @@ from olt_closed_loop.control.linear import LinearSolver
 from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.plans import WorldPlan
 from olt_closed_loop.control.solver import SolveFailed, Solver
-from olt_closed_loop.vehicle.models import STATE, VehicleParameters, steering_for
+from olt_closed_loop.vehicle.models import VehicleParameters
+from olt_closed_loop.vehicle.state import STATE, steering_for
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US

@@ -1,11 +1,9 @@
 """Many rollouts: policies by name, scenes by path or seed, batches of rollouts on several processes."""
 
 import json
-import re
 from collections import Counter, defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 from olt_closed_loop.evaluation.gate import GateResult, check_gate
@@ -13,23 +11,23 @@ from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout import Rollout, save_rollouts
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.definitions import Definition, RolloutScore, score_rollout
-from olt_closed_loop.simulation.closed_loop import DriveRequest, Sensors, simulate, simulate_batch
+from olt_closed_loop.simulation.closed_loop import RolloutRequest, simulate, simulate_batch
 from olt_closed_loop.simulation.policies import make_policy
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
+from olt_generator.omissions import Omission
 from olt_generator.progress import Progress, silent
 from olt_toolkit.policy.contract import Policy
 from olt_toolkit.runtime.workers import map_parallel
 
 SceneSource = str | Scene
-"""A scene, the path of its USD stage or of a recorded drive, or CATEGORY:SEED of a procedural one."""
+"""A scene, the path of a scene file or of a recorded drive, or CATEGORY:SEED of a procedural one."""
 
 Result = tuple[Rollout, RolloutScore]
 
 LARGEST_BATCH = 16
 """Rollouts that run in step: enough to share the calls of the policy, few enough to show progress."""
-_SHARE = re.compile(r"\b(\d+) of (\d+)\b")
 
 
 def run_closed_loop(
@@ -63,17 +61,41 @@ def run_closed_loop(
     if rollouts < 1:
         raise InputError(f"{rollouts} rollouts a scene: give 1 or more")
     settings = settings or SimulationSettings()
-    drives = [(scene, seed + index) for scene in find_scenes(scenes) for index in range(rollouts)]
-    size = min(LARGEST_BATCH, -(-len(drives) // (4 * workers)))
-    batches = [
-        _Batch(tuple(drives[start : start + size]), policy, settings, definition)
-        for start in range(0, len(drives), size)
+    runs = [(scene, seed + index) for scene in find_scenes(scenes) for index in range(rollouts)]
+    size = min(LARGEST_BATCH, -(-len(runs) // (4 * workers)))
+    batches = [runs[start : start + size] for start in range(0, len(runs), size)]
+    run_batch = partial(_run_batch, policy_spec=policy, settings=settings, definition=definition)
+    return [result for results in map_parallel(run_batch, batches, workers, on_progress) for result in results]
+
+
+def _run_batch(
+    runs: list[tuple[SceneSource, int]], policy_spec: str, settings: SimulationSettings, definition: Definition
+) -> list[Result]:
+    policy = _load_policy(policy_spec)
+    scenes = [load_scene(source) for source, _ in runs]
+    pass_gate(list({id(scene): scene for scene in scenes}.values()), settings)
+    requests = [RolloutRequest(scene, seed) for scene, (_, seed) in zip(scenes, runs, strict=True)]
+    if policy.cameras:  # one after another, so that one scene's textures are held at a time
+        from olt_closed_loop.sensors.rig_sensors import RigSensors
+
+        rollouts = [
+            simulate(request.scene, policy, settings, request.seed, RigSensors(request.scene)) for request in requests
+        ]
+    else:
+        rollouts = simulate_batch(requests, policy, settings)
+    return [
+        (rollout, score_rollout(scene, rollout, settings.skip, definition))
+        for scene, rollout in zip(scenes, rollouts, strict=True)
     ]
-    return [result for results in map_parallel(_drive, batches, workers, on_progress) for result in results]
+
+
+@lru_cache(maxsize=2)
+def _load_policy(spec: str) -> Policy:
+    return make_policy(spec)
 
 
 def pass_gate(scenes: Sequence[SceneSource], settings: SimulationSettings | None = None) -> list[GateResult]:
-    """Check that drives of known worth get what they are worth (`scoring.gate.check_gate`); by scene.
+    """Check that drives of known worth get what they are worth (`evaluation.gate.check_gate`); by scene.
 
     Raises:
         InputError: a scene cannot be loaded or driven, or a check fails on one, so that its scores would mean nothing.
@@ -106,39 +128,47 @@ def load_scene(source: SceneSource) -> Scene:
     Raises:
         InputError: there is no such file, or it does not hold a scene, or no such category.
     """
-    if isinstance(source, Scene):
-        return source
+    return source if isinstance(source, Scene) else _read_scene(source)
+
+
+@lru_cache(maxsize=8)
+def _read_scene(source: str) -> Scene:
     if Path(source).suffix in (".usda", ".usdc", ".usd"):
-        return _read_scene(source)
+        from olt_closed_loop.scenes.scene_file import read_scene
+
+        return read_scene(Path(source))
     if Path(source).exists():
-        return _read_recording(source)
+        from olt_closed_loop.scenes.sources import read_recording
+
+        return read_recording(Path(source))
     category, colon, number = source.rpartition(":")
     if not colon or not number.isdecimal():
         raise InputError(
-            f"scene {source!r}: give the path of a USD stage or a recorded drive, or CATEGORY:SEED such as cyclists:0"
+            f"scene {source!r}: give the path of a scene file or a recorded drive, or CATEGORY:SEED such as cyclists:0"
         )
-    return _generate_scene(category, int(number))
+    from olt_closed_loop.scenes.procedural import generate_scene
+
+    return generate_scene(category, int(number))
 
 
-def count_left_out(results: Sequence[Result]) -> dict[str, int]:
-    """What was not computed and why, and in how many of the rollouts.
-
-    Notes that differ in their "N of M" alone are put together, and their numbers added up.
-    """
-    rollouts: Counter[str] = Counter()
-    shares: defaultdict[str, list[int]] = defaultdict(lambda: [0, 0])
+def count_left_out(results: Sequence[Result]) -> dict[Omission, int]:
+    """What was not computed and why, and in how many of the rollouts; numbers of one thing are added up."""
+    rollouts: Counter[tuple[str, str]] = Counter()
+    numbers: defaultdict[tuple[str, str], list[tuple[int, int]]] = defaultdict(list)
     for rollout, score in results:
-        for note in {*rollout.left_out, *score.left_out}:
-            kind = _SHARE.sub("{} of {}", note)
-            rollouts[kind] += 1
-            for part, whole in _SHARE.findall(note):
-                shares[kind][0] += int(part)
-                shares[kind][1] += int(whole)
-    return {kind.format(*shares[kind]): count for kind, count in sorted(rollouts.items())}
+        for omission in {*rollout.left_out, *score.left_out}:
+            key = omission.what, omission.why
+            rollouts[key] += 1
+            if omission.count is not None and omission.total is not None:
+                numbers[key].append((omission.count, omission.total))
+    return {
+        Omission(*key, *(sum(parts) for parts in zip(*numbers[key], strict=True))): rollouts[key]
+        for key in sorted(rollouts)
+    }
 
 
 def count_vehicle_steps(results: Sequence[Result]) -> dict[str, int]:
-    """Steps of all vehicles by the model and method that were taken."""
+    """Steps of all vehicles by model and method, such as "kinematic midpoint"."""
     steps: Counter[str] = Counter()
     for rollout, _ in results:
         steps.update(rollout.vehicle_steps)
@@ -152,60 +182,3 @@ def save_results(folder: Path, results: Sequence[Result]) -> None:
     report = {"table": summarize_scores(scores).to_dict(), "scores": [score.to_dict() for score in scores]}
     with write_whole(folder / "scores.json") as temporary:
         temporary.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
-
-
-@dataclass(frozen=True)
-class _Batch:
-    """Scenes and seeds to drive in one process."""
-
-    drives: tuple[tuple[SceneSource, int], ...]
-    policy: str
-    settings: SimulationSettings
-    definition: Definition
-
-
-def _drive(batch: _Batch) -> list[Result]:
-    policy = _load_policy(batch.policy)
-    scenes = [load_scene(source) for source, _ in batch.drives]
-    pass_gate(list({id(scene): scene for scene in scenes}.values()), batch.settings)
-    drives = [(scene, seed) for scene, (_, seed) in zip(scenes, batch.drives, strict=True)]
-    if policy.cameras:  # one after another, so that one scene's textures are held at a time
-        rollouts = [simulate(scene, policy, batch.settings, seed, _make_sensors(scene)) for scene, seed in drives]
-    else:
-        rollouts = simulate_batch([DriveRequest(scene, seed) for scene, seed in drives], policy, batch.settings)
-    return [
-        (rollout, score_rollout(scene, rollout, batch.settings.skip, batch.definition))
-        for scene, rollout in zip(scenes, rollouts, strict=True)
-    ]
-
-
-@lru_cache(maxsize=2)
-def _load_policy(spec: str) -> Policy:
-    return make_policy(spec)
-
-
-@lru_cache(maxsize=4)
-def _read_scene(path: str) -> Scene:
-    from olt_closed_loop.scenes.scene_file import read_scene
-
-    return read_scene(Path(path))
-
-
-@lru_cache(maxsize=4)
-def _read_recording(path: str) -> Scene:
-    from olt_closed_loop.scenes.sources import read_recording
-
-    return read_recording(Path(path))
-
-
-@lru_cache(maxsize=4)
-def _generate_scene(category: str, seed: int) -> Scene:
-    from olt_closed_loop.scenes.procedural import generate_scene
-
-    return generate_scene(category, seed)
-
-
-def _make_sensors(scene: Scene) -> Sensors:
-    from olt_closed_loop.sensors.rig_sensors import RigSensors
-
-    return RigSensors(scene)

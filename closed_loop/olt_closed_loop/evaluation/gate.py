@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 
 from olt_closed_loop.rollouts.rollout import Rollout
+from olt_closed_loop.rollouts.rollout_record import record_rollout
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.scoring.definitions import SHORT_RECORDING, RolloutScore, recorded_length, score_rollout
 from olt_closed_loop.simulation.closed_loop import replay, stand
 from olt_closed_loop.simulation.settings import SimulationSettings
-from olt_closed_loop.vehicle.models import STATE
+from olt_closed_loop.vehicle.state import STATE
 
 WALL_LENGTH, WALL_WIDTH, WALL_HEIGHT = 0.5, 8.0, 2.0
 
@@ -56,34 +57,40 @@ def check_gate(scene: Scene, settings: SimulationSettings | None = None) -> Gate
         InputError: the recording is too short to be driven.
     """
     replayed = replay(scene, settings)
-    recorded_m = recorded_length(scene, replayed)
-    checks = (
-        _check_replay(scene, replayed),
-        _check_standing(scene, settings, recorded_m),
-        _check_wall(scene, replayed, recorded_m),
-    )
-    return GateResult(scene.name, checks)
-
-
-def _check_replay(scene: Scene, replayed: Rollout) -> GateCheck:
-    score = score_rollout(scene, replayed)
-    return GateCheck("replay scores 1", score.score == 1.0 and not score.collisions, _describe(score))
-
-
-def _check_standing(scene: Scene, settings: SimulationSettings | None, recorded_m: float) -> GateCheck:
-    name = "standing scores 0"
+    recorded_m = recorded_length(record_rollout(scene, replayed))
+    checks = [_check("replay scores 1", score_rollout(scene, replayed), 1.0, collisions=0)]
     if recorded_m < SHORT_RECORDING:
-        return GateCheck(name, None, f"the recording drives less than {SHORT_RECORDING:g} m")
-    score = score_rollout(scene, stand(scene, settings))
-    return GateCheck(name, score.score == 0.0 and score.progress == 0.0, _describe(score))
-
-
-def _check_wall(scene: Scene, replayed: Rollout, recorded_m: float) -> GateCheck:
-    name = "a wall is hit once"
+        unasked = f"the recording drives less than {SHORT_RECORDING:g} m"
+        checks.append(GateCheck("standing scores 0", None, unasked))
+    else:
+        standing = score_rollout(scene, stand(scene, settings))
+        checks.append(_check("standing scores 0", standing, 0.0, progress=0.0))
     if recorded_m < 2.0 * scene.vehicle.length:
-        return GateCheck(name, None, "the recording drives less than two vehicle lengths")
-    score = score_rollout(replace(scene, agents=(_wall(scene, replayed),)), replayed)
-    return GateCheck(name, score.score == 0.0 and len(score.collisions) == 1, _describe(score))
+        checks.append(GateCheck("a wall is hit once", None, "the recording drives less than two vehicle lengths"))
+    else:
+        walled = score_rollout(replace(scene, agents=(_wall(scene, replayed),)), replayed)
+        checks.append(_check("a wall is hit once", walled, 0.0, collisions=1))
+    return GateResult(scene.name, tuple(checks))
+
+
+def _check(
+    name: str, score: RolloutScore, expected: float, collisions: int | None = None, progress: float | None = None
+) -> GateCheck:
+    """Whether the score, and the number of collisions or the progress where given, are those expected.
+
+    What is found is the score and, where it is not perfect, what happened when, so that the scene can be repaired.
+    """
+    passed = (
+        score.score == expected and collisions in (None, len(score.collisions)) and progress in (None, score.progress)
+    )
+    figures = [
+        f"{name} {'not measured' if value is None else f'{value:.4f}'}"
+        for name, value in (("score", score.score), ("progress", score.progress))
+    ]
+    moments = [(f"{hit.side} contact with {hit.label} {hit.agent_id}", hit.time_us) for hit in score.collisions]
+    moments += [("off the road", score.offroad_us), ("off the recorded path", score.left_path_us)]
+    happened = [f"{what} at {time_us * 1e-6:.2f} s" for what, time_us in moments if time_us is not None]
+    return GateCheck(name, passed, ", ".join([*figures, *happened, *([score.reason] if score.reason else [])]))
 
 
 def _wall(scene: Scene, replayed: Rollout) -> Agent:
@@ -93,25 +100,3 @@ def _wall(scene: Scene, replayed: Rollout) -> Agent:
     pose = [x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), replayed.heights[-1] + 0.5 * WALL_HEIGHT, yaw]
     times = replayed.timestamps_us[[0, -1]]
     return Agent("wall", "barrier", WALL_LENGTH, WALL_WIDTH, WALL_HEIGHT, times, np.array([pose, pose]))
-
-
-def _describe(score: RolloutScore) -> str:
-    """The score and, where it is not perfect, what happened when, so that the scene can be repaired."""
-    happened = [
-        f"{hit.side} contact with {hit.label} {hit.agent_id} at {_seconds(hit.time_us)}" for hit in score.collisions
-    ]
-    if score.offroad_us is not None:
-        happened.append(f"off the road at {_seconds(score.offroad_us)}")
-    if score.left_path_us is not None:
-        happened.append(f"off the recorded path at {_seconds(score.left_path_us)}")
-    if score.reason:
-        happened.append(score.reason)
-    return ", ".join([f"score {_figure(score.score)}", f"progress {_figure(score.progress)}", *happened])
-
-
-def _figure(value: float | None) -> str:
-    return "not measured" if value is None else f"{value:.4f}"
-
-
-def _seconds(time_us: int) -> str:
-    return f"{time_us * 1e-6:.2f} s"

@@ -35,7 +35,7 @@ class ScoreRow:
         alpasim_score_interval: 95 % interval of AS (Student t, cut to 0..1); needs two different scores.
         collision_rate: CR, share of valid rollouts with any collision.
         collision_rate_interval: 95 % interval of CR (Wilson).
-        events: how often something went another way than planned, over all rollouts (`simulation.rollout.Events`).
+        rollout_incidents: what went wrong, counted over all rollouts (`rollouts.rollout.Incidents`).
         km_between_incidents, km_between_incidents_at_fault: driven by valid rollouts per incident; None without one.
     """
 
@@ -48,7 +48,7 @@ class ScoreRow:
     alpasim_score_interval: Interval | None
     collision_rate: float | None
     collision_rate_interval: Interval | None
-    events: dict[str, int]
+    rollout_incidents: dict[str, int]
     km_between_incidents: float | None
     km_between_incidents_at_fault: float | None
 
@@ -92,6 +92,9 @@ def _row(category: str, scores: Sequence[RolloutScore]) -> ScoreRow:
     driven_km = 1e-3 * sum(score.distance_m or 0.0 for score in scored)
     incidents = sum(score.incidents or 0 for score in scored)
     at_fault = sum(score.incidents_at_fault or 0 for score in scored)
+    rollout_incidents: Counter[str] = Counter()
+    for score in scores:
+        rollout_incidents.update(score.rollout_incidents or {})
     return ScoreRow(
         category=category,
         rollouts=len(scores),
@@ -102,17 +105,10 @@ def _row(category: str, scores: Sequence[RolloutScore]) -> ScoreRow:
         alpasim_score_interval=mean_interval(values),
         collision_rate=collided / valid if valid else None,
         collision_rate_interval=wilson_interval(collided, valid) if valid else None,
-        events=_add_up([score.events for score in scores if score.events]),
+        rollout_incidents=dict(rollout_incidents),
         km_between_incidents=driven_km / incidents if incidents else None,
         km_between_incidents_at_fault=driven_km / at_fault if at_fault else None,
     )
-
-
-def _add_up(counts: Sequence[dict[str, int]]) -> dict[str, int]:
-    total: Counter[str] = Counter()
-    for count in counts:
-        total.update(count)
-    return dict(total)
 
 
 def mean_interval(values: np.ndarray) -> Interval | None:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.rollouts.drive_record import PLAN_STEP_US, DriveRecord, EgoBox, LaneLines, TimedPlan
+from olt_closed_loop.rollouts.rollout_record import PLAN_STEP_US, EgoBox, LaneLines, PlanRecord, RolloutRecord
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -27,7 +27,7 @@ from olt_generator.poses import Array
 RESAMPLE_M = 2.0
 
 
-def read_rollout_file(path: Path) -> DriveRecord:
+def read_rollout_file(path: Path) -> RolloutRecord:
     """Read one rollout.
 
     Raises:
@@ -49,7 +49,7 @@ def read_rollout_file(path: Path) -> DriveRecord:
         ) from error
 
 
-def parse_rollout(values: dict[str, Any], name: str) -> DriveRecord:
+def parse_rollout(values: dict[str, Any], name: str) -> RolloutRecord:
     """The rollout that `values` describe.
 
     Raises:
@@ -62,7 +62,7 @@ def parse_rollout(values: dict[str, Any], name: str) -> DriveRecord:
     resample_m = float(road.get("resample_m", RESAMPLE_M))
     if not resample_m >= 0.0:
         raise InputError(f"map resample_m is {resample_m}; give 0 or more")
-    return DriveRecord(
+    return RolloutRecord(
         name=name,
         handover_us=int(values["render_start_us"]) + int(values["force_gt_duration_us"]),
         timestamps_us=times,
@@ -102,11 +102,11 @@ def _lane(values: dict[str, Any], resample_m: float) -> LaneLines:
     return LaneLines(_line(values["center"], resample_m, f"{where} center"), left, right)
 
 
-def _plan(index: int, values: dict[str, Any]) -> TimedPlan:
+def _plan(index: int, values: dict[str, Any]) -> PlanRecord:
     where = f"plan {index}"
     times = _times(values["timestamps_us"], f"{where} timestamps_us")
     now_us = int(values["now_us"])
-    return TimedPlan(
+    return PlanRecord(
         now_us=now_us,
         query_us=int(values.get("query_us", now_us + PLAN_STEP_US)),
         timestamps_us=times,

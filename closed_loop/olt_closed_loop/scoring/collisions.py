@@ -69,7 +69,7 @@ def find_collisions(
     start_us: int,
     end_us: int,
     skip_unreachable: bool = True,
-) -> tuple[tuple[Collision, ...], tuple[str, ...]]:
+) -> tuple[tuple[Collision, ...], int]:
     """First contact with each agent, in order of time.
 
     Args:
@@ -79,7 +79,7 @@ def find_collisions(
         skip_unreachable: whether agents that cannot be reached are left out.
 
     Returns:
-        The collisions, and the ids of the agents that were left out.
+        The collisions, and how many agents were left out.
     """
     tested = [
         (agent, box)
@@ -92,17 +92,24 @@ def find_collisions(
         for (agent, box), after_us in zip(tested, contacts, strict=True)
         if np.isfinite(after_us)
     ]
-    left_out = {agent.id for agent in agents} - {agent.id for agent, _ in tested}
-    return tuple(sorted(collisions, key=lambda c: (c.time_us, c.agent_id))), tuple(sorted(left_out))
+    return tuple(sorted(collisions, key=lambda hit: (hit.time_us, hit.agent_id))), len(agents) - len(tested)
 
 
 def _describe(ego: MovingBox, box: MovingBox, agent: Agent, start_us: int, contact_us: int) -> Collision:
-    """Side and fault from the axis that separated the boxes a microsecond before the contact."""
+    """Side and fault from the axis that separated the boxes a microsecond before the contact.
+
+    The side is that of the direction along this axis: ahead, behind, or more to the side than either.
+    """
     before_us = max(contact_us - 1, start_us, int(box.timestamps_us[0]))
     moment = np.array([before_us])
     ego_pose, other_pose = ego.at(moment)[0], box.at(moment)[0]
     gaps, _ = separations(ego_pose[None], ego.half_size, other_pose[None], box.half_size)
-    direction = _direction(int(np.argmax(gaps[0, :4])), ego_pose, other_pose)
+    axis = int(np.argmax(gaps[0, :4]))
+    yaw = (ego_pose if axis < 2 else other_pose)[3] + (np.pi / 2 if axis % 2 else 0.0)
+    direction = np.array([np.cos(yaw), np.sin(yaw)])
+    if direction @ (other_pose[:2] - ego_pose[:2]) < 0.0:
+        direction = -direction
+    ahead = float(direction @ [np.cos(ego_pose[3]), np.sin(ego_pose[3])])
     point = _contact_point(direction, corners(ego_pose, ego.half_size), corners(other_pose, box.half_size))
     ego_velocity = _velocity_at(ego, before_us, point)
     ego_closing = float(direction @ ego_velocity)
@@ -112,26 +119,11 @@ def _describe(ego: MovingBox, box: MovingBox, agent: Agent, start_us: int, conta
         time_us=contact_us,
         agent_id=agent.id,
         label=agent.label,
-        side=_side(direction, ego_pose[3]),
+        side="lateral" if abs(ahead) <= np.cos(np.pi / 4) else "front" if ahead > 0.0 else "rear",
         at_fault=moving and ego_closing > FAULT_SHARE * (ego_closing + max(agent_closing, 0.0)),
         ego_closing=ego_closing,
         agent_closing=agent_closing,
     )
-
-
-def _direction(axis: int, ego_pose: Array, other_pose: Array) -> Array:
-    """Unit vector (2,) of the separating axis (0, 1: of the ego; 2, 3: of the other), from the ego to the other."""
-    yaw = (ego_pose if axis < 2 else other_pose)[3] + (np.pi / 2 if axis % 2 else 0.0)
-    direction = np.array([np.cos(yaw), np.sin(yaw)])
-    return direction if direction @ (other_pose[:2] - ego_pose[:2]) >= 0.0 else -direction
-
-
-def _side(direction: Array, ego_yaw: float) -> Side:
-    """The contact direction seen from the ego: ahead, behind, or more to the side than either."""
-    ahead = float(direction @ [np.cos(ego_yaw), np.sin(ego_yaw)])
-    if abs(ahead) <= np.cos(np.pi / 4):
-        return "lateral"
-    return "front" if ahead > 0.0 else "rear"
 
 
 def _contact_point(direction: Array, ego_corners: Array, other_corners: Array) -> Array:

@@ -8,7 +8,7 @@
   end of the rollout; where that is under 5 m the progress score is 1. It is not counted from the first time on at which
   the ego is 4 m or more from the recorded path.
 
-Where the two differ, and the case that shows it (`tests/closed_loop/test_scoring_definitions.py` holds each):
+Where the two differ, and the case that shows it (`tests/closed_loop/scoring/test_scoring_definitions.py` holds each):
 
 | | `alpasim` | `strict` | case |
 | --- | --- | --- | --- |
@@ -26,21 +26,22 @@ Where the two differ, and the case that shows it (`tests/closed_loop/test_scorin
 | failure | stops the summary | this rollout is not valid | a pose that is not finite |
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord, record_drive_in_scene
 from olt_closed_loop.rollouts.progress import PathTracker
 from olt_closed_loop.rollouts.rollout import Rollout
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord, record_rollout
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
 from olt_closed_loop.scoring.collisions import Collision, find_collisions
-from olt_closed_loop.scoring.drivable import first_departure, road_of
+from olt_closed_loop.scoring.drivable import drivable_area_of, first_departure
 from olt_closed_loop.scoring.driving_metrics import measure_driving
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
 from olt_generator.errors import InputError
+from olt_generator.omissions import Omission
 from olt_generator.poses import Array
 
 FULL_PROGRESS = 0.8
@@ -67,12 +68,11 @@ class RolloutScore:
         offroad_us: when it first did. `strict` only.
         left_path_us: when the ego was first 4 m or more from the recorded path. `strict` only.
         distance_m: driven after the hand-over; for `alpasim` along the whole path up to the first incident.
-        incidents, incidents_at_fault: collisions and departures from the road; for `alpasim` at most one.
+        incidents, incidents_at_fault: number of collisions and departures from the road; for `alpasim` at most one.
         reason: why the score is 0 by rule ("collision_at_fault", "offroad"), why there is none, or None.
         metrics: further figures by name (`driving_metrics`, or AlpaSim's metrics).
         left_out: what was not computed, and why.
-        events: how often something went another way than planned (`simulation.rollout.Events`); None when nobody
-            counted.
+        rollout_incidents: what went wrong in the rollout (`rollouts.rollout.Incidents`); None when nobody counted.
     """
 
     scene: str
@@ -94,13 +94,16 @@ class RolloutScore:
     incidents_at_fault: int | None = None
     reason: str | None = None
     metrics: dict[str, float | bool | None] = field(default_factory=dict)
-    left_out: tuple[str, ...] = ()
-    events: dict[str, int] | None = None
+    left_out: tuple[Omission, ...] = ()
+    rollout_incidents: dict[str, int] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The score as JSON can hold it."""
-        collisions = [collision.to_dict() for collision in self.collisions]
-        return {**vars(self), "collisions": collisions, "left_out": list(self.left_out)}
+        return {
+            **vars(self),
+            "collisions": [collision.to_dict() for collision in self.collisions],
+            "left_out": [omission.to_dict() for omission in self.left_out],
+        }
 
 
 def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition: Definition = "strict") -> RolloutScore:
@@ -117,78 +120,82 @@ def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition:
     """
     if rollout.scene != scene.name:
         raise InputError(f"rollout of scene {rollout.scene} cannot be scored on scene {scene.name}; give its own scene")
-    named: dict[str, Any] = {
-        "scene": scene.name,
-        "category": scene.category,
-        "policy": rollout.policy,
-        "seed": rollout.seed,
-        "definition": definition,
-        "events": vars(rollout.events).copy(),
-    }
-    reason = rollout.failure or _unscorable(rollout)
-    if reason:
-        return RolloutScore(**named, reason=reason)
-    record = record_drive_in_scene(scene, rollout)
-    return _score(record, named, skip)
-
-
-def score_record(record: DriveRecord, definition: Definition = "strict", skip: bool = True) -> RolloutScore:
-    """Score one drive of which nothing but the record is known (`rollout_files`)."""
-    unknown = {"scene": record.name, "category": "unknown", "policy": "unknown", "seed": None}
-    return _score(record, {**unknown, "definition": definition}, skip)
-
-
-def _score(record: DriveRecord, named: dict[str, Any], skip: bool) -> RolloutScore:
-    if int((record.timestamps_us >= record.handover_us).sum()) < 2:
-        return RolloutScore(**named, reason="the drive ends before the hand-over")
-    values = _strict(record, skip) if named["definition"] == "strict" else _as_alpasim(record)
-    return RolloutScore(**named, **values)
-
-
-def _unscorable(rollout: Rollout) -> str | None:
+    unscored = RolloutScore(
+        scene.name,
+        scene.category,
+        rollout.policy,
+        rollout.seed,
+        definition,
+        rollout_incidents=vars(rollout.incidents).copy(),
+    )
     finite = np.isfinite(rollout.states).all(axis=1) & np.isfinite(rollout.heights)
-    return None if finite.all() else f"the state at {rollout.timestamps_us[np.argmin(finite)]} us is not finite"
+    if rollout.failure:
+        return replace(unscored, reason=rollout.failure)
+    if not finite.all():
+        return replace(unscored, reason=f"the state at {rollout.timestamps_us[np.argmin(finite)]} us is not finite")
+    return _score(record_rollout(scene, rollout), unscored, skip)
 
 
-def _strict(record: DriveRecord, skip: bool) -> dict[str, Any]:
-    ego, road = ego_box(record), road_of(record)
+def score_record(record: RolloutRecord, definition: Definition = "strict", skip: bool = True) -> RolloutScore:
+    """Score a rollout of which nothing but the record is known (`rollouts.rollout_files`)."""
+    return _score(record, RolloutScore(record.name, "unknown", "unknown", None, definition), skip)
+
+
+def _score(record: RolloutRecord, unscored: RolloutScore, skip: bool) -> RolloutScore:
+    if int((record.timestamps_us >= record.handover_us).sum()) < 2:
+        return replace(unscored, reason="the drive ends before the hand-over")
+    values = _score_strictly(record, skip) if unscored.definition == "strict" else _score_as_alpasim(record)
+    return replace(unscored, **values)
+
+
+def _score_strictly(record: RolloutRecord, skip: bool) -> dict[str, Any]:
+    ego, area = ego_box(record), drivable_area_of(record)
     boxes = [agent_box(agent) for agent in record.agents]
     span = _scored_span(record)
     collisions, unreachable = find_collisions(ego, record.agents, boxes, *span, skip_unreachable=skip)
-    offroad_us = first_departure(road, ego, *span, skip=skip) if road else None
-    recorded_m = _recorded_length(record)
-    progress, left_path_us = _progress(record, recorded_m)
+    offroad_us = first_departure(area, ego, *span, skip=skip) if area else None
+    recorded_m = recorded_length(record)
+    progress, left_path_us = _measure_progress(record, recorded_m)
     metrics = measure_driving(record, ego, boxes)
     at_fault = sum(collision.at_fault for collision in collisions)
     left_road = int(offroad_us is not None)
     reason = "collision_at_fault" if at_fault else "offroad" if left_road else None
+    progress_score = 1.0 if recorded_m < SHORT_RECORDING else min(progress / FULL_PROGRESS, 1.0)
+    left_out = []
+    if unreachable:
+        left_out.append(Omission("agents in collision tests", "never within reach", unreachable, len(record.agents)))
+    if not area:
+        left_out.append(Omission("road test", "the scene has no drivable area, nor lanes with road edges"))
     return {
         "valid": True,
-        "score": 0.0 if reason else _progress_score(recorded_m, progress),
+        "score": 0.0 if reason else progress_score,
         "progress": progress,
         "collided": bool(collisions),
         "collided_at_fault": at_fault > 0,
         "collisions": collisions,
-        "offroad": bool(left_road) if road else None,
+        "offroad": bool(left_road) if area else None,
         "offroad_us": offroad_us,
         "left_path_us": left_path_us,
-        "distance_m": metrics.distance_m,
+        "distance_m": metrics["distance_m"],
         "incidents": len(collisions) + left_road,
         "incidents_at_fault": at_fault + left_road,
         "reason": reason,
-        "metrics": metrics.to_dict(),
-        "left_out": _left_out(record, unreachable, road is not None),
+        "metrics": metrics,
+        "left_out": tuple(left_out),
     }
 
 
-def _as_alpasim(record: DriveRecord) -> dict[str, Any]:
+def _score_as_alpasim(record: RolloutRecord) -> dict[str, Any]:
     scores = score_as_alpasim(record)
-    missing = tuple(f"{name}: {reason}" for name, reason in scores.missing.items())
+    given: dict[str, Any] = {
+        "metrics": scores.final,
+        "left_out": tuple(Omission(name, reason) for name, reason in scores.missing.items()),
+    }
     if scores.scene.score is None:
-        why = "; ".join(missing) or "progress has no value"
-        return {"reason": f"AlpaSim gives no scene score ({why})", "metrics": scores.final, "left_out": missing}
+        why = "; ".join(f"{name}: {reason}" for name, reason in scores.missing.items()) or "progress has no value"
+        return given | {"reason": f"AlpaSim gives no scene score ({why})"}
     final = {name: value for name, value in scores.final.items() if value is not None}
-    return {
+    return given | {
         "valid": True,
         "score": scores.scene.score,
         "progress": min(max(final["progress_clipped_rel"], 0.0), 1.0),
@@ -199,18 +206,16 @@ def _as_alpasim(record: DriveRecord) -> dict[str, Any]:
         "incidents": int(final["offroad_or_collision"]),
         "incidents_at_fault": int(final["offroad_or_collision_at_fault"]),
         "reason": scores.scene.failure_reason,
-        "metrics": scores.final,
-        "left_out": missing,
     }
 
 
-def _scored_span(record: DriveRecord) -> tuple[int, int]:
+def _scored_span(record: RolloutRecord) -> tuple[int, int]:
     """First and last microsecond that count."""
     return max(record.handover_us, int(record.timestamps_us[0])), int(record.timestamps_us[-1])
 
 
-def _progress(record: DriveRecord, recorded_m: float) -> tuple[float, int | None]:
-    """Progress of the drive along the metres that were recorded, and when it left the path."""
+def _measure_progress(record: RolloutRecord, recorded_m: float) -> tuple[float, int | None]:
+    """Progress along the metres that were recorded, and when the path was left."""
     tracker = PathTracker(record.recorded_poses[:, :2])
     handed_over, reached, left_path_us = 0.0, 0.0, None
     for time_us, position in zip(record.timestamps_us.tolist(), record.poses[:, :2], strict=True):
@@ -224,29 +229,10 @@ def _progress(record: DriveRecord, recorded_m: float) -> tuple[float, int | None
     return (min((reached - handed_over) / recorded_m, 1.0) if recorded_m > 0.0 else 1.0), left_path_us
 
 
-def recorded_length(scene: Scene, rollout: Rollout) -> float:
+def recorded_length(record: RolloutRecord) -> float:
     """Metres that the recording drives from the rollout's hand-over to its end."""
-    return _recorded_length(record_drive_in_scene(scene, rollout))
-
-
-def _recorded_length(record: DriveRecord) -> float:
     times = record.recorded_us
     steps: Array = np.linalg.norm(np.diff(record.recorded_poses[:, :2], axis=0), axis=1)
     driven = np.concatenate([[0.0], np.cumsum(steps)])
     start, end = np.interp(np.array(_scored_span(record)) - times[0], times - times[0], driven)
     return float(end - start)
-
-
-def _progress_score(recorded_m: float, progress: float) -> float:
-    if recorded_m < SHORT_RECORDING:
-        return 1.0
-    return min(progress / FULL_PROGRESS, 1.0)
-
-
-def _left_out(record: DriveRecord, unreachable: tuple[str, ...], road: bool) -> tuple[str, ...]:
-    notes = []
-    if unreachable:
-        notes.append(f"collision tests of {len(unreachable)} of {len(record.agents)} agents: never within reach")
-    if not road:
-        notes.append("road test: the scene has no drivable area, nor lanes with road edges")
-    return tuple(notes)

@@ -5,7 +5,7 @@ what lies beyond an edge: neither on a lane, nor to be reached from the nearest 
 entirely beyond the edge is off the road, whichever way the edge is drawn.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord, LaneLines
+from olt_closed_loop.rollouts.rollout_record import LaneLines, RolloutRecord
 from olt_closed_loop.scoring.moving_boxes import MovingBox, corners
 from olt_generator.poses import Array
 
@@ -25,12 +25,11 @@ SAMPLE_US = 20_000
 _EVERY = 5
 
 Flags = NDArray[np.bool_]
-Polygons = NDArray[np.object_]
 
 
 @dataclass(frozen=True)
-class Road:
-    """The road in the plane, relative to `origin` (2,).
+class DrivableArea:
+    """Where a vehicle may drive, in the plane, relative to `origin` (2,) in metres.
 
     Attributes:
         area: where a vehicle may be without further question.
@@ -47,7 +46,11 @@ class Road:
         boxes = np.asarray(shapely.polygons(points))
         uncovered = ~np.asarray(shapely.covers(self.area, boxes))
         if self.edges is not None:
-            uncovered[uncovered] = _beyond(self.edges, self.area, boxes[uncovered], points[uncovered])
+            boxes, points = boxes[uncovered], points[uncovered]
+            # Beyond an edge is what touches it, or has it between a corner and the area.
+            ways = shapely.shortest_line(shapely.points(points), self.area)
+            crossed = np.asarray(shapely.intersects(self.edges, ways)).any(axis=-1)
+            uncovered[uncovered] = np.asarray(shapely.intersects(self.edges, boxes)) | crossed
         return uncovered
 
     def may_be_left(self, poses: Array, distance: float) -> Flags:
@@ -57,16 +60,17 @@ class Road:
         return ~np.asarray(shapely.covers(self.area, surroundings))
 
 
-def road_of(record: DriveRecord) -> Road | None:
-    """The road of a drive; None when its map has neither an outline nor lanes with edges."""
+def drivable_area_of(record: RolloutRecord) -> DrivableArea | None:
+    """The drivable area of a rollout; None when its map has neither an outline nor lanes with edges."""
     origin = record.poses[0, :2]
     if record.drivable:
-        return Road(origin, _union([shapely.Polygon(outline[:, :2] - origin) for outline in record.drivable]), None)
+        outlines = [shapely.Polygon(outline[:, :2] - origin) for outline in record.drivable]
+        return DrivableArea(origin, _union(outlines), None)
     if not (record.lanes and record.road_edges):
         return None
     edges = shapely.MultiLineString([edge[:, :2] - origin for edge in record.road_edges])
     shapely.prepare(edges)
-    return Road(origin, _union([lane_area(lane, origin) for lane in record.lanes]), edges)
+    return DrivableArea(origin, _union([lane_area(lane, origin) for lane in record.lanes]), edges)
 
 
 def lane_area(lane: LaneLines, origin: Array) -> BaseGeometry:
@@ -76,46 +80,36 @@ def lane_area(lane: LaneLines, origin: Array) -> BaseGeometry:
     return shapely.Polygon(np.concatenate([lane.left[:, :2], lane.right[::-1, :2]]) - origin)
 
 
-def first_departure(road: Road, ego: MovingBox, start_us: int, end_us: int, skip: bool = True) -> int | None:
+def first_departure(
+    drivable: DrivableArea, ego: MovingBox, start_us: int, end_us: int, skip: bool = True
+) -> int | None:
     """The first time from `start_us` to `end_us` at which some part of the ego's box is off the road, or None.
 
     It is looked for every 20 ms and then narrowed to a microsecond. `skip` leaves out the times at which the whole
     surroundings of the ego are inside the area; this changes nothing.
     """
     times = np.append(np.arange(start_us, end_us, SAMPLE_US, dtype=np.int64), end_us)
-    tested = _near_border(road, ego, times) if skip else np.ones(len(times), dtype=bool)
-    outside = np.flatnonzero(tested)[road.leaves(ego.at(times[tested]), ego.half_size)]
+    tested = _near_border(drivable, ego, times) if skip else np.ones(len(times), dtype=bool)
+    outside = np.flatnonzero(tested)[drivable.leaves(ego.at(times[tested]), ego.half_size)]
     if len(outside) == 0:
         return None
     before_us, after_us = int(times[max(outside[0] - 1, 0)]), int(times[outside[0]])
-    return _narrow(lambda moments: road.leaves(ego.at(moments), ego.half_size), before_us, after_us)
-
-
-def _near_border(road: Road, ego: MovingBox, times: NDArray[np.int64]) -> Flags:
-    """At which times (n,) the ego may be off the road, judged from every fifth and what it can drive in between."""
-    ways = np.linalg.norm(np.diff(ego.poses[:, :2], axis=0), axis=1)
-    fastest = float((ways / np.diff(ego.timestamps_us)).max(initial=0.0))
-    reach = ego.radius + fastest * _EVERY * SAMPLE_US
-    return np.repeat(road.may_be_left(ego.at(times[::_EVERY], columns=2), reach), _EVERY)[: len(times)]
-
-
-def _narrow(holds: Callable[[NDArray[np.int64]], Flags], before_us: int, after_us: int) -> int:
-    """The first microsecond at which something holds that does not at `before_us` and does at `after_us`."""
     while after_us - before_us > 1:
         times = np.unique(np.linspace(before_us, after_us, 33).round().astype(np.int64))
-        index = 1 + int(np.argmax(holds(times[1:])))
+        index = 1 + int(np.argmax(drivable.leaves(ego.at(times[1:]), ego.half_size)))
         before_us, after_us = int(times[index - 1]), int(times[index])
     return after_us
 
 
-def _union(areas: list[BaseGeometry]) -> BaseGeometry:
+def _near_border(drivable: DrivableArea, ego: MovingBox, times: NDArray[np.int64]) -> Flags:
+    """At which times (n,) the ego may be off the road, judged from every fifth and what it can drive in between."""
+    ways = np.linalg.norm(np.diff(ego.poses[:, :2], axis=0), axis=1)
+    fastest = float((ways / np.diff(ego.timestamps_us)).max(initial=0.0))
+    reach = ego.radius + fastest * _EVERY * SAMPLE_US
+    return np.repeat(drivable.may_be_left(ego.at(times[::_EVERY], columns=2), reach), _EVERY)[: len(times)]
+
+
+def _union(areas: Sequence[BaseGeometry]) -> BaseGeometry:
     union = shapely.union_all([shapely.make_valid(area) for area in areas]).buffer(TOLERANCE)
     shapely.prepare(union)
     return union
-
-
-def _beyond(edges: BaseGeometry, area: BaseGeometry, boxes: Polygons, points: Array) -> Flags:
-    """Which boxes (n,) with corners (n, 4, 2) touch an edge, or have one between a corner and the area."""
-    ways = shapely.shortest_line(shapely.points(points), area)
-    crossed = np.asarray(shapely.intersects(edges, ways)).any(axis=-1)
-    return np.asarray(shapely.intersects(edges, boxes)) | crossed

@@ -6,15 +6,13 @@ benchmark for real-world autonomous driving, 2024).
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scoring.drivable import lane_area
 from olt_closed_loop.scoring.moving_boxes import MovingBox, corners, separations
 from olt_generator.poses import Array
@@ -27,11 +25,17 @@ COLLISION_HORIZON = 10.0
 WRONG_WAY = np.deg2rad(120.0)
 
 
-@dataclass(frozen=True)
-class DrivingMetrics:
-    """Figures of one drive from the hand-over on; None is "not measured".
+def measure_driving(
+    record: RolloutRecord, ego: MovingBox, others: Sequence[MovingBox]
+) -> dict[str, float | bool | None]:
+    """Figures of a drive that has two samples or more from the hand-over on; None is "not measured".
 
-    Attributes:
+    Args:
+        record: the drive.
+        ego: its box.
+        others: boxes of the agents.
+
+    Returns:
         distance_m: driven.
         mean_speed, max_speed: m/s.
         min_acceleration, max_acceleration: along the ego, m/s^2.
@@ -44,61 +48,29 @@ class DrivingMetrics:
         min_distance_to_agents_m: between boxes, heights included; None when nobody was there.
         wrong_way: whether the ego was on lanes of which all run more than 120 degrees from its yaw; None without lanes.
     """
-
-    distance_m: float
-    mean_speed: float
-    max_speed: float
-    min_acceleration: float | None
-    max_acceleration: float | None
-    max_lateral_acceleration: float | None
-    max_jerk: float | None
-    max_yaw_rate: float
-    comfortable: bool | None
-    min_time_to_collision: float
-    min_distance_to_agents_m: float | None
-    wrong_way: bool | None
-
-    def to_dict(self) -> dict[str, float | bool | None]:
-        """The figures as JSON can hold them."""
-        return asdict(self)
-
-
-def measure_driving(record: DriveRecord, ego: MovingBox, others: Sequence[MovingBox]) -> DrivingMetrics:
-    """Figures of a drive that has two samples or more from the hand-over on.
-
-    Args:
-        record: the drive.
-        ego: its box.
-        others: boxes of the agents.
-    """
     driven = record.timestamps_us >= record.handover_us
     times, poses = record.timestamps_us[driven], record.poses[driven]
-    distance, time_to_collision = _nearness(ego, others, times)
-    return DrivingMetrics(
-        **_motion((times - times[0]) * 1e-6, poses[:, :2], np.unwrap(poses[:, 3])),
-        min_time_to_collision=time_to_collision,
-        min_distance_to_agents_m=distance,
-        wrong_way=_drives_wrong_way(record, ego, times),
-    )
-
-
-def _motion(seconds: Array, positions: Array, yaws: Array) -> dict[str, Any]:
+    seconds, positions, yaws = (times - times[0]) * 1e-6, poses[:, :2], np.unwrap(poses[:, 3])
     steps, spans = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(seconds)
-    speeds, yaw_rates = steps / spans, np.diff(yaws) / spans
-    moving = {
+    yaw_rates = np.diff(yaws) / spans
+    distance, time_to_collision = _nearness(ego, others, times)
+    return {
         "distance_m": float(steps.sum()),
         "mean_speed": float(steps.sum() / seconds[-1]),
-        "max_speed": float(speeds.max()),
+        "max_speed": float((steps / spans).max()),
         "max_yaw_rate": float(np.abs(yaw_rates).max()),
+        **_comfort(seconds, positions, yaws, yaw_rates),
+        "min_time_to_collision": time_to_collision,
+        "min_distance_to_agents_m": distance,
+        "wrong_way": _drives_wrong_way(record, ego, times) if record.lanes else None,
     }
-    return moving | _comfort(seconds, positions, yaws, yaw_rates)
 
 
-def _comfort(seconds: Array, positions: Array, yaws: Array, yaw_rates: Array) -> dict[str, Any]:
+def _comfort(seconds: Array, positions: Array, yaws: Array, yaw_rates: Array) -> dict[str, float | bool | None]:
     """Accelerations from three samples each, jerks from four; None with fewer than four samples."""
-    names = ("min_acceleration", "max_acceleration", "max_lateral_acceleration", "max_jerk", "comfortable")
+    names = ("min_acceleration", "max_acceleration", "max_lateral_acceleration", "max_jerk")
     if len(seconds) < 4:
-        return dict.fromkeys(names)
+        return dict.fromkeys((*names, "comfortable"))
     velocity, middles = _slopes(positions, seconds)
     acceleration, _ = _slopes(velocity, middles)
     heading = np.stack([np.cos(yaws[1:-1]), np.sin(yaws[1:-1])], axis=-1)
@@ -114,8 +86,8 @@ def _comfort(seconds: Array, positions: Array, yaws: Array, yaw_rates: Array) ->
         and np.abs(yaw_rates).max() <= YAW_RATE
         and np.abs(_slopes(yaw_rates, middles)[0]).max() <= YAW_ACCELERATION
     )
-    values = (along.min(), along.max(), aside.max(), jerk.max())
-    return {**dict(zip(names, map(float, values), strict=False)), "comfortable": comfortable}
+    values = (float(value) for value in (along.min(), along.max(), aside.max(), jerk.max()))
+    return {**dict(zip(names, values, strict=True)), "comfortable": comfortable}
 
 
 def _slopes(values: Array, seconds: Array) -> tuple[Array, Array]:
@@ -137,7 +109,13 @@ def _nearness(ego: MovingBox, others: Sequence[MovingBox], times: NDArray[np.int
     ours, theirs, velocities = (np.concatenate([pair[part] for pair in pairs]) for part in range(3))
     halves = np.repeat([pair[3] for pair in pairs], [len(pair[0]) for pair in pairs], axis=0)
     gaps, offsets = separations(ours, ego.half_size, theirs, halves)
-    ttc = times_to_collision(gaps, offsets, _along_axes(velocities, ours[:, 3], theirs[:, 3]))
+    ahead, aside = velocities[:, 0], velocities[:, 1]
+    turned = [
+        part
+        for cos, sin in ((np.cos(yaws), np.sin(yaws)) for yaws in (ours[:, 3], theirs[:, 3]))
+        for part in (cos * ahead + sin * aside, cos * aside - sin * ahead)
+    ]
+    ttc = times_to_collision(gaps, offsets, np.stack([*turned, velocities[:, 2]], axis=-1))
     lowest = gaps.max(axis=1)
     # The largest gap is at most the distance, so only pairs below the nearest one's distance can be the nearest.
     best = box_distances(ours, ego.half_size, theirs, halves, at=np.array([int(np.argmin(lowest))]))[0]
@@ -153,15 +131,6 @@ def _velocities(box: MovingBox, times: NDArray[np.int64]) -> Array:
     velocity = np.diff(box.poses[:, :3], axis=0) / (np.diff(box.timestamps_us) * 1e-6)[:, None]
     piece = np.clip(np.searchsorted(box.timestamps_us, times) - 1, 0, len(velocity) - 1)
     return velocity[piece]
-
-
-def _along_axes(velocities: Array, ego_yaws: Array, other_yaws: Array) -> Array:
-    """Velocities (n, 3) along the axes of the ego (2), of the other box (2), and height: (n, 5)."""
-    parts = []
-    for yaws in (ego_yaws, other_yaws):
-        cos, sin = np.cos(yaws), np.sin(yaws)
-        parts += [cos * velocities[:, 0] + sin * velocities[:, 1], cos * velocities[:, 1] - sin * velocities[:, 0]]
-    return np.stack([*parts, velocities[:, 2]], axis=-1)
 
 
 def times_to_collision(gaps: Array, offsets: Array, speeds: Array) -> Array:
@@ -191,9 +160,7 @@ def box_distances(ours: Array, our_half: Array, theirs: Array, their_halves: Arr
     return np.hypot(shapely.distance(first, second), np.maximum(vertical, 0.0))
 
 
-def _drives_wrong_way(record: DriveRecord, ego: MovingBox, times: NDArray[np.int64]) -> bool | None:
-    if not record.lanes:
-        return None
+def _drives_wrong_way(record: RolloutRecord, ego: MovingBox, times: NDArray[np.int64]) -> bool:
     poses = ego.at(times)
     origin = poses[0, :2]
     centers = poses[:, :2] - origin
@@ -202,16 +169,9 @@ def _drives_wrong_way(record: DriveRecord, ego: MovingBox, times: NDArray[np.int
     proper = np.zeros(len(times), dtype=bool)
     for lane in np.unique(lanes):
         inside = samples[lanes == lane]
-        direction = _lane_direction(record.lanes[lane].center[:, :2] - origin, centers[inside])
-        turn = np.angle(np.exp(1j * (direction - poses[inside, 3])))
+        line = record.lanes[lane].center[:, :2] - origin
+        _, nearest = KDTree(line).query(centers[inside])
+        ahead = line[np.minimum(nearest + 1, len(line) - 1)] - line[np.maximum(nearest - 1, 0)]
+        turn = np.angle(np.exp(1j * (np.arctan2(ahead[:, 1], ahead[:, 0]) - poses[inside, 3])))
         proper[inside[np.abs(turn) <= WRONG_WAY]] = True
-    on_lane = np.zeros(len(times), dtype=bool)
-    on_lane[samples] = True
-    return bool((on_lane & ~proper).any())
-
-
-def _lane_direction(center: Array, points: Array) -> Array:
-    """Directions (n,) of a centre line (m, 2) at its vertices nearest to points (n, 2)."""
-    _, nearest = KDTree(center).query(points)
-    ahead = center[np.minimum(nearest + 1, len(center) - 1)] - center[np.maximum(nearest - 1, 0)]
-    return np.arctan2(ahead[:, 1], ahead[:, 0])
+    return bool((~proper[samples]).any())

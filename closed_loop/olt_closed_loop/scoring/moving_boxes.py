@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array
 
@@ -41,7 +41,7 @@ class MovingBox:
         return (timestamps_us >= self.timestamps_us[0]) & (timestamps_us <= self.timestamps_us[-1])
 
 
-def ego_box(record: DriveRecord) -> MovingBox:
+def ego_box(record: RolloutRecord) -> MovingBox:
     """The ego's box along its drive."""
     x, y, z, yaw = record.poses.T
     ahead, half_height = record.box.rear_axle_to_center, 0.5 * record.box.height

@@ -56,7 +56,7 @@ class ObservationBatch:
 
 
 @dataclass(frozen=True)
-class PlanBatch:
+class PlannedTrajectoryBatch:
     """The plans of n rollouts: xyz (n, 64, 3) and rotation (n, 64, 3, 3), as in `PlannedTrajectory`."""
 
     xyz: Array
@@ -69,6 +69,6 @@ class BatchPolicy(Policy, Protocol):
 
     uses_route: bool
 
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """Answer for every row."""
         ...

@@ -11,7 +11,7 @@ hand-over that its first plan is in force then.
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,23 +19,13 @@ from numpy.typing import NDArray
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.simulation.batch_policy import BatchPolicy, ObservationBatch
-from olt_closed_loop.simulation.recorded_motion import RecordedMotion, recorded_motion
-from olt_closed_loop.simulation.running_drive import RunningDrive, Sensors
+from olt_closed_loop.simulation.recorded_motion import recorded_motion
+from olt_closed_loop.simulation.running_rollout import RolloutRequest, RunningRollout, Sensors
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
-from olt_closed_loop.vehicle.models import STATE
-from olt_generator.errors import InputError
+from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import planar_pose
 from olt_toolkit.policy.contract import FUTURE_STEPS, IMAGE_FRAMES, Observation, PlannedTrajectory, Policy
 from olt_toolkit.rigs.rig import CAMERA_INDEX
-
-
-@dataclass(frozen=True)
-class DriveRequest:
-    """A scene to drive, what seeds the drive, and what takes pictures in it."""
-
-    scene: Scene
-    seed: int = 0
-    sensors: Sensors | None = None
 
 
 def simulate(
@@ -54,11 +44,11 @@ def simulate(
         InputError: the recording is too short, the policy needs cameras and there is no renderer, or pictures would
             show reactive traffic where it is not.
     """
-    return _simulate_in_step([DriveRequest(scene, seed, renderer)], policy, settings or SimulationSettings())[0]
+    return _simulate_in_step([RolloutRequest(scene, seed, renderer)], policy, settings or SimulationSettings())[0]
 
 
 def simulate_batch(
-    requests: Sequence[DriveRequest], policy: Policy, settings: SimulationSettings | None = None
+    requests: Sequence[RolloutRequest], policy: Policy, settings: SimulationSettings | None = None
 ) -> list[Rollout]:
     """Many rollouts of one policy, in the order of the requests; each is the same as by `simulate`.
 
@@ -73,62 +63,56 @@ def simulate_batch(
     return [_simulate_in_step([request], policy, settings)[0] for request in requests]
 
 
-def _simulate_in_step(requests: Sequence[DriveRequest], policy: Policy, settings: SimulationSettings) -> list[Rollout]:
-    """All drives side by side, step by step; they share the policy's calls."""
-    drives = [_start(request, policy, settings) for request in requests]
+def _simulate_in_step(
+    requests: Sequence[RolloutRequest], policy: Policy, settings: SimulationSettings
+) -> list[Rollout]:
+    """All rollouts side by side, step by step; they share the policy's calls."""
+    running = [RunningRollout(request, policy, settings) for request in requests]
     delay = settings.planner_delay
     first = settings.handover - delay
     for step in range(first - IMAGE_FRAMES + 1, first):
-        for drive in drives:
-            drive.take_pictures(step)
-    for step in range(first, max(len(drive.times) for drive in drives) - 1):
-        _plan([drive for drive in drives if drive.runs_at(step + delay)], policy, step)
+        for rollout in running:
+            rollout.take_pictures(step)
+    for step in range(first, max(len(rollout.times) for rollout in running) - 1):
+        _plan([rollout for rollout in running if rollout.runs_at(step + delay)], policy, step)
         if step >= settings.handover:
-            for drive in drives:
-                if drive.runs_at(step):
-                    drive.move(step)
-    left_out = _left_out(policy, settings)
-    return [drive.rollout(left_out) for drive in drives]
+            for rollout in running:
+                if rollout.runs_at(step):
+                    rollout.move(step)
+    return [rollout.rollout() for rollout in running]
 
 
-def _start(request: DriveRequest, policy: Policy, settings: SimulationSettings) -> RunningDrive:
-    if policy.cameras and request.sensors is None:
-        raise InputError(f"policy {policy.name} needs cameras ({', '.join(policy.cameras)}); give a renderer")
-    if policy.cameras and settings.traffic != "recorded":
-        raise InputError(
-            f"policy {policy.name} has cameras, and pictures show agents where they were recorded; "
-            "give recorded traffic instead of reactive"
-        )
-    sensors = request.sensors if policy.cameras else None
-    with_route = not _ignores_route(policy, settings)
-    return RunningDrive(request.scene, policy, settings, request.seed, sensors, with_route)
-
-
-def _plan(drives: Sequence[RunningDrive], policy: Policy, step: int) -> None:
-    """Ask the policy for all drives; one that makes it raise fails alone."""
-    if not drives:
+def _plan(running: Sequence[RunningRollout], policy: Policy, step: int) -> None:
+    """Ask the policy for all rollouts; one that makes it raise fails alone."""
+    if not running:
         return
-    for drive in drives:
-        drive.take_pictures(step)
-    seen = _observe(drives, step)
+    for rollout in running:
+        rollout.take_pictures(step)
+    seen = _observe(running, step)
     started = time.perf_counter()
     if isinstance(policy, BatchPolicy):
         answers = _answer_batch(policy, seen)
     else:
-        answers = [_answer(policy, _observation(drive, policy, seen.row(i))) for i, drive in enumerate(drives)]
-    seconds = (time.perf_counter() - started) / len(drives)
-    for drive, answer in zip(drives, answers, strict=True):
-        drive.add_time("policy", seconds)
-        if isinstance(answer, Exception):
-            drive.fail(answer, step)
-        else:
-            drive.accept(answer, step)
+        answers = [_answer(policy, seen.row(i), rollout.images()) for i, rollout in enumerate(running)]
+    seconds = (time.perf_counter() - started) / len(running)
+    for rollout, answer in zip(running, answers, strict=True):
+        rollout.accept(answer, step, seconds)
 
 
 # Whatever a foreign policy raises ends its own rollout and no other, so any exception is an answer here.
 
 
-def _answer(policy: Policy, observation: Observation) -> PlannedTrajectory | Exception:
+def _answer(policy: Policy, seen: ObservationBatch, images: NDArray[np.uint8] | None) -> PlannedTrajectory | Exception:
+    route = seen.route_xy[0]
+    observation = Observation(
+        images=images,
+        camera_indices=np.array([CAMERA_INDEX[camera] for camera in policy.cameras], dtype=np.int64),
+        history_xyz=seen.history_xyz[0],
+        history_rotation=seen.history_rotation[0],
+        route_xy=route[~np.isnan(route[:, 0])],
+        time_us=int(seen.time_us[0]),
+        seed=int(seen.seeds[0]),
+    )
     try:
         return policy.plan(observation)
     except Exception as error:
@@ -145,9 +129,9 @@ def _answer_batch(policy: BatchPolicy, seen: ObservationBatch) -> list[PlannedTr
         return [_answer_batch(policy, seen.row(index))[0] for index in range(len(seen.seeds))]
 
 
-def _observe(drives: Sequence[RunningDrive], step: int) -> ObservationBatch:
-    """What the drives' policy sees at a step; the rig stands upright, so its frame is turned about z alone."""
-    poses = np.stack([drive.past_poses(step) for drive in drives])
+def _observe(running: Sequence[RunningRollout], step: int) -> ObservationBatch:
+    """What the policy sees at a step; the rig stands upright, so its frame is turned about z alone."""
+    poses = np.stack([rollout.past_poses(step) for rollout in running])
     offset = poses[..., :3] - poses[:, -1:, :3]
     yaw = poses[:, -1:, 3]
     cos, sin = np.cos(yaw), np.sin(yaw)
@@ -156,74 +140,37 @@ def _observe(drives: Sequence[RunningDrive], step: int) -> ObservationBatch:
     return ObservationBatch(
         history_xyz=np.stack([ahead, left, offset[..., 2]], axis=-1),
         history_rotation=planar_pose(0.0, 0.0, poses[..., 3] - yaw)[..., :3, :3],
-        route_xy=np.stack([drive.route_ahead(step) for drive in drives]),
-        time_us=np.array([drive.times[step] for drive in drives], dtype=np.int64),
-        seeds=np.array([drive.seed_at(step) for drive in drives], dtype=np.int64),
+        route_xy=np.stack([rollout.route_ahead(step) for rollout in running]),
+        time_us=np.array([rollout.times[step] for rollout in running], dtype=np.int64),
+        seeds=np.array([rollout.seed_at(step) for rollout in running], dtype=np.int64),
     )
-
-
-def _observation(drive: RunningDrive, policy: Policy, seen: ObservationBatch) -> Observation:
-    """What one drive shows its policy, with pictures."""
-    route = seen.route_xy[0]
-    return Observation(
-        images=drive.images(),
-        camera_indices=np.array([CAMERA_INDEX[camera] for camera in policy.cameras], dtype=np.int64),
-        history_xyz=seen.history_xyz[0],
-        history_rotation=seen.history_rotation[0],
-        route_xy=route[~np.isnan(route[:, 0])],
-        time_us=int(seen.time_us[0]),
-        seed=int(seen.seeds[0]),
-    )
-
-
-def _ignores_route(policy: Policy, settings: SimulationSettings) -> bool:
-    return settings.skip and isinstance(policy, BatchPolicy) and not policy.uses_route
-
-
-def _left_out(policy: Policy, settings: SimulationSettings) -> tuple[str, ...]:
-    notes = []
-    unused = [camera for camera in CAMERA_INDEX if camera not in policy.cameras]
-    if unused:
-        notes.append(f"rendering of {', '.join(unused)}: policy {policy.name} does not look at them")
-    if settings.vehicle == "kinematic":
-        notes.append("tyre dynamics: the vehicle is kinematic")
-    if _ignores_route(policy, settings):
-        notes.append(f"the route ahead: policy {policy.name} does not look at it")
-    return tuple(notes)
 
 
 def replay(scene: Scene, settings: SimulationSettings | None = None) -> Rollout:
     """The rollout of an ego that is where the recording says at every step, with no policy and no vehicle."""
     settings = settings or SimulationSettings()
     times = step_times(scene, settings)
-    return _given_motion(scene, "replay", settings, times, recorded_motion(scene, times))
-
-
-def stand(scene: Scene, settings: SimulationSettings | None = None) -> Rollout:
-    """The rollout of an ego that stands from the hand-over on."""
-    settings = settings or SimulationSettings()
-    times = step_times(scene, settings)
-    recorded = recorded_motion(scene, times)
-    first = settings.handover
-    recorded.states[first:] = recorded.states[first]
-    recorded.states[first:, STATE.speed :] = 0.0
-    recorded.heights[first:] = recorded.heights[first]
-    return _given_motion(scene, "stand", settings, times, recorded)
-
-
-def _given_motion(
-    scene: Scene, name: str, settings: SimulationSettings, times: NDArray[np.int64], motion: RecordedMotion
-) -> Rollout:
+    states, heights = recorded_motion(scene, times)
     return Rollout(
         scene=scene.name,
         category=scene.category,
-        policy=name,
+        policy="replay",
         seed=0,
         handover_us=int(times[0]) + settings.warm_up_us,
         timestamps_us=times,
-        states=motion.states,
-        heights=motion.heights,
+        states=states,
+        heights=heights,
         controls=np.full((len(times) - 1, 2), np.nan),
         plan_times_us=np.zeros(0, dtype=np.int64),
         plans=np.zeros((0, FUTURE_STEPS + 1, 3)),
     )
+
+
+def stand(scene: Scene, settings: SimulationSettings | None = None) -> Rollout:
+    """The rollout of an ego that stands from the hand-over on."""
+    rollout = replay(scene, settings)
+    first = (settings or SimulationSettings()).handover
+    rollout.states[first:] = rollout.states[first]
+    rollout.states[first:, STATE.speed :] = 0.0
+    rollout.heights[first:] = rollout.heights[first]
+    return replace(rollout, policy="stand")

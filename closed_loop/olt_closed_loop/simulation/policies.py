@@ -5,13 +5,11 @@ from collections.abc import Callable
 from importlib.metadata import entry_points
 
 import numpy as np
-from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.batch_policy import ObservationBatch, PlanBatch
+from olt_closed_loop.simulation.batch_policy import ObservationBatch, PlannedTrajectoryBatch
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, planar_pose
-from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, PlannedTrajectory, Policy
 
 FUTURE_TIMES: Array = STEP_SECONDS * np.arange(1, FUTURE_STEPS + 1, dtype=np.float64)
@@ -46,7 +44,7 @@ class _BatchPolicy(ABC):
         return PlannedTrajectory(plans.xyz[0], plans.rotation[0])
 
     @abstractmethod
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`."""
 
 
@@ -55,7 +53,7 @@ class ConstantVelocityPolicy(_BatchPolicy):
 
     name = "constant_velocity"
 
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`."""
         return _straight(_speed(observations)[:, None] * FUTURE_TIMES)
 
@@ -67,7 +65,7 @@ class StandingPolicy(_BatchPolicy):
     braking = 4.0
     """Deceleration, m/s^2."""
 
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`."""
         speed = np.maximum(_speed(observations), 0.0)[:, None]
         time = np.minimum(FUTURE_TIMES, speed / self.braking)
@@ -82,7 +80,7 @@ class RouteFollowingPolicy(_BatchPolicy):
     return_distance = 8.0
     """Metres over which an offset from the route fades to 1/e."""
 
-    def plan_batch(self, observations: ObservationBatch) -> PlanBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
         """See `BatchPolicy.plan_batch`.
 
         Raises:
@@ -116,34 +114,35 @@ class ReplayPolicy:
         """See `Policy.plan`; after the recording's end the plan goes straight on at the last recorded speed."""
         now = observation.time_us
         if self._time_us is not None and now == self._time_us + STEP_US:
-            self._T_world_rig = self._T_world_rig @ invert(_previous_pose(observation))
+            before = np.eye(4)
+            before[:3, :3], before[:3, 3] = observation.history_rotation[-2], observation.history_xyz[-2]
+            self._T_world_rig = self._T_world_rig @ invert(before)
         else:
             self._T_world_rig = self._recording.interpolate(np.array([now]))[0]
         self._time_us = now
+        known_us, positions = self._recording.timestamps_us[-2:], self._recording.positions[-2:]
+        velocity = (positions[1] - positions[0]) / (known_us[1] - known_us[0])
         future_us = now + STEP_US * np.arange(1, FUTURE_STEPS + 1, dtype=np.int64)
-        in_rig = invert(self._T_world_rig) @ _going_on(self._recording, future_us)
+        poses = self._recording.interpolate(np.minimum(future_us, known_us[1]))
+        poses[:, :3, 3] += np.maximum(future_us - known_us[1], 0)[:, None] * velocity
+        in_rig = invert(self._T_world_rig) @ poses
         return PlannedTrajectory(in_rig[:, :3, 3], in_rig[:, :3, :3])
 
 
-def load_constant_velocity(argument: str | None) -> Policy:
-    """Entry point of `ConstantVelocityPolicy`."""
-    return _without_argument(ConstantVelocityPolicy(), argument)
+def _loader(make: Callable[[], Policy]) -> PolicyLoader:
+    def load(argument: str | None) -> Policy:
+        policy = make()
+        if argument is not None:
+            raise InputError(f"policy {policy.name} takes nothing after its name; leave out {argument!r}")
+        return policy
+
+    return load
 
 
-def load_route(argument: str | None) -> Policy:
-    """Entry point of `RouteFollowingPolicy`."""
-    return _without_argument(RouteFollowingPolicy(), argument)
-
-
-def load_standing(argument: str | None) -> Policy:
-    """Entry point of `StandingPolicy`."""
-    return _without_argument(StandingPolicy(), argument)
-
-
-def _without_argument(policy: Policy, argument: str | None) -> Policy:
-    if argument is not None:
-        raise InputError(f"policy {policy.name} takes nothing after its name; leave out {argument!r}")
-    return policy
+load_constant_velocity = _loader(ConstantVelocityPolicy)
+load_route = _loader(RouteFollowingPolicy)
+load_standing = _loader(StandingPolicy)
+"""Entry points of these policies."""
 
 
 def _speed(observations: ObservationBatch) -> Array:
@@ -152,26 +151,10 @@ def _speed(observations: ObservationBatch) -> Array:
     return (3.0 * now - 4.0 * last + before) / (2.0 * STEP_SECONDS)
 
 
-def _previous_pose(observation: Observation) -> Array:
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = observation.history_rotation[-2], observation.history_xyz[-2]
-    return pose
-
-
-def _going_on(recording: Trajectory, timestamps_us: NDArray[np.int64]) -> Array:
-    """Recorded poses (n, 4, 4) at the given times; beyond the end the last two poses are carried on."""
-    end = int(recording.timestamps_us[-1])
-    before, last = recording.T_world_rig[-2:, :3, 3]
-    velocity = (last - before) / (end - recording.timestamps_us[-2])
-    poses = recording.interpolate(np.minimum(timestamps_us, end))
-    poses[:, :3, 3] += np.maximum(timestamps_us - end, 0)[:, None] * velocity
-    return poses
-
-
-def _straight(distances: Array) -> PlanBatch:
+def _straight(distances: Array) -> PlannedTrajectoryBatch:
     """Plans straight ahead by distances (n, 64)."""
     poses = planar_pose(distances, 0.0, 0.0)
-    return PlanBatch(poses[..., :3, 3], poses[..., :3, :3])
+    return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])
 
 
 def _along(paths: Array, distances: Array) -> Array:
@@ -187,7 +170,7 @@ def _along(paths: Array, distances: Array) -> Array:
     return begin + share[..., None] * (end - begin)
 
 
-def _facing_forward(points: Array) -> PlanBatch:
+def _facing_forward(points: Array) -> PlannedTrajectoryBatch:
     """The plans through points (n, 64, 2) that face where they go; while they do not move they face as before."""
     moves = np.diff(points, axis=1, prepend=0.0)
     moving = np.hypot(moves[..., 0], moves[..., 1]) > 1e-3
@@ -195,4 +178,4 @@ def _facing_forward(points: Array) -> PlanBatch:
     latest = np.maximum.accumulate(np.where(moving, np.arange(moves.shape[1]), -1), axis=1)
     held = np.take_along_axis(headings, np.maximum(latest, 0), axis=1)
     poses = planar_pose(points[..., 0], points[..., 1], np.where(latest >= 0, held, 0.0))
-    return PlanBatch(poses[..., :3, 3], poses[..., :3, :3])
+    return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])

@@ -12,6 +12,7 @@ Hennecke, Helbing, Phys. Rev. E 62, 2000); in place of its free-road term the re
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -43,8 +44,8 @@ class ReactiveAgents:
 
     def __init__(self, agents: Sequence[Agent], handover_us: int) -> None:
         moving = [agent for agent in agents if agent.label in REACTING_LABELS and len(agent.timestamps_us) > 1]
-        recordings = [_Recording(agent) for agent in moving if agent.timestamps_us[-1] > handover_us]
-        self._drivers = [_Driver(way, handover_us) for way in recordings if way.length >= _SHORTEST_WAY]
+        drivers = [_Driver(agent, handover_us) for agent in moving if agent.timestamps_us[-1] > handover_us]
+        self._drivers = [driver for driver in drivers if driver.arc[-1] >= _SHORTEST_WAY]
 
     def step(self, time_us: int, ego_pose: Array, ego_size: tuple[float, float], ego_speed: float) -> None:
         """Move all agents from `time_us` on by 0.1 s, seeing the ego as it is at `time_us`.
@@ -80,35 +81,18 @@ class _Obstacle:
         return 0.5 * (length * cos + width * sin), 0.5 * (length * sin + width * cos)
 
 
-class _Recording:
-    """An agent's way: poses (n, 4) with unwrapped yaw, and arc length (n,) over microseconds from its first sample."""
-
-    def __init__(self, agent: Agent) -> None:
-        self.agent = agent
-        self.times = (agent.timestamps_us - agent.timestamps_us[0]).astype(np.float64)
-        self.poses = np.column_stack([agent.poses[:, :3], np.unwrap(agent.poses[:, 3])])
-        steps = np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1)
-        self.arc = np.concatenate([[0.0], np.cumsum(steps)])
-        self.length = float(self.arc[-1])
-
-    def pose_at(self, clock: float) -> Array:
-        return np.array([np.interp(clock, self.times, column) for column in self.poses.T])
-
-    def arc_at(self, clock: float) -> float:
-        return float(np.interp(clock, self.times, self.arc))
-
-    def way_from(self, arc: float) -> Array:
-        """x, y, yaw (n, 3) of the way ahead from an arc length on, every metre."""
-        ahead = np.arange(arc, min(arc + _LOOK_AHEAD, self.length), _SPACING)
-        return np.stack([np.interp(ahead, self.arc, self.poses[:, column]) for column in (0, 1, 3)], axis=-1)
-
-
 class _Driver:
-    """One vehicle: its clock in microseconds from its first sample, and its speed."""
+    """One vehicle: its clock in microseconds from its first sample, its speed, and the way that was recorded.
 
-    def __init__(self, recording: _Recording, handover_us: int) -> None:
-        self._recording = recording
-        self._start_us = int(recording.agent.timestamps_us[0])
+    The way has poses (n, 4) with unwrapped yaw, and arc length (n,) in metres, over times (n,) on the clock.
+    """
+
+    def __init__(self, agent: Agent, handover_us: int) -> None:
+        self._agent, self._start_us = agent, int(agent.timestamps_us[0])
+        self._times = (agent.timestamps_us - agent.timestamps_us[0]).astype(np.float64)
+        self._poses = np.column_stack([agent.poses[:, :3], np.unwrap(agent.poses[:, 3])])
+        steps = np.linalg.norm(np.diff(self._poses[:, :2], axis=0), axis=1)
+        self.arc: Array = np.concatenate([[0.0], np.cumsum(steps)])
         self._clock = float(max(handover_us - self._start_us, 0))
         self._speed = self._recorded_speed(self._clock)
         self._moved: list[tuple[int, Array]] = []
@@ -120,12 +104,11 @@ class _Driver:
 
     def is_present(self, time_us: int) -> bool:
         """Whether it has appeared and not come to its recording's end."""
-        return time_us >= self._start_us and self._clock < self._recording.times[-1]
+        return time_us >= self._start_us and self._clock < self._times[-1]
 
     def obstacle(self) -> _Obstacle:
         """Itself as others see it."""
-        agent, pose = self._recording.agent, self._recording.pose_at(self._clock)
-        return _Obstacle(pose[[0, 1, 3]], (agent.length, agent.width), self._speed)
+        return _Obstacle(self._pose()[[0, 1, 3]], (self._agent.length, self._agent.width), self._speed)
 
     def step(self, time_us: int, obstacles: Sequence[_Obstacle]) -> None:
         """Move on by 0.1 s."""
@@ -139,34 +122,34 @@ class _Driver:
         self._speed = max(min(recorded, self._speed + change * STEP_SECONDS), 0.0)
         rate = self._speed / recorded if recorded > _STANDING else 1.0
         if rate < 1.0 - _ROUNDING and not self.lags:
-            self._moved.append((time_us, self._recording.pose_at(self._clock)))
-        self._clock = min(self._clock + rate * STEP_US, float(self._recording.times[-1]))
+            self._moved.append((time_us, self._pose()))
+        self._clock = min(self._clock + rate * STEP_US, float(self._times[-1]))
         if self.lags:
-            self._moved.append((time_us + STEP_US, self._recording.pose_at(self._clock)))
+            self._moved.append((time_us + STEP_US, self._pose()))
 
     def moved_agent(self) -> Agent:
         """The recording until it was first held up, and its own motion from then on."""
-        agent = self._recording.agent
-        times = np.array([time_us for time_us, _ in self._moved], dtype=np.int64)
+        agent, times = self._agent, np.array([time_us for time_us, _ in self._moved], dtype=np.int64)
         kept = agent.timestamps_us < times[0]
-        return Agent(
-            agent.id,
-            agent.label,
-            agent.length,
-            agent.width,
-            agent.height,
-            np.concatenate([agent.timestamps_us[kept], times]),
-            np.concatenate([agent.poses[kept], np.stack([pose for _, pose in self._moved])]),
-        )
+        poses = np.concatenate([agent.poses[kept], np.stack([pose for _, pose in self._moved])])
+        return replace(agent, timestamps_us=np.concatenate([agent.timestamps_us[kept], times]), poses=poses)
+
+    def _pose(self) -> Array:
+        return np.array([np.interp(self._clock, self._times, column) for column in self._poses.T])
+
+    def _arc_at(self, clock: float) -> float:
+        return float(np.interp(clock, self._times, self.arc))
 
     def _recorded_speed(self, clock: float) -> float:
         """Mean recorded speed over the 0.1 s from the clock on, m/s; 0 at the recording's end."""
-        return (self._recording.arc_at(clock + STEP_US) - self._recording.arc_at(clock)) / STEP_SECONDS
+        return (self._arc_at(clock + STEP_US) - self._arc_at(clock)) / STEP_SECONDS
 
     def _hindrance(self, obstacles: Sequence[_Obstacle]) -> float:
         """Deceleration that the nearest obstacle on the way asks for, a (s* / s)^2, m/s^2; 0 without one."""
-        way = self._recording.way_from(self._recording.arc_at(self._clock))
-        leaders = [_leader(way, self._recording.agent, obstacle) for obstacle in obstacles]
+        arc = self._arc_at(self._clock)
+        ahead = np.arange(arc, min(arc + _LOOK_AHEAD, float(self.arc[-1])), _SPACING)
+        way = np.stack([np.interp(ahead, self.arc, self._poses[:, column]) for column in (0, 1, 3)], axis=-1)
+        leaders = [_leader(way, self._agent, obstacle) for obstacle in obstacles]
         gaps = [leader for leader in leaders if leader is not None]
         if not gaps:
             return 0.0

@@ -1,27 +1,16 @@
 """What the recording says of the ego vehicle, in the terms of the vehicle model."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.vehicle.models import STATE, STATE_SIZE, steering_for
+from olt_closed_loop.vehicle.state import STATE, STATE_SIZE, steering_for
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, yaw_of
-from olt_generator.trajectory import Trajectory
 
 
-@dataclass(frozen=True)
-class RecordedMotion:
-    """The recorded ego motion at given times: vehicle states (n, 6) and heights (n,) of the rig in metres."""
-
-    states: Array
-    heights: Array
-
-
-def recorded_motion(scene: Scene, timestamps_us: NDArray[np.int64]) -> RecordedMotion:
-    """The recorded ego at the given times within the recording.
+def recorded_motion(scene: Scene, timestamps_us: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Vehicle states (n, 6) and heights (n,) of the rig in metres of the recorded ego at times (n,) in the recording.
 
     Speed, steering and acceleration come from central differences of the recording. Pitch and roll are left out: the
     simulated vehicle stands upright.
@@ -42,10 +31,7 @@ def recorded_motion(scene: Scene, timestamps_us: NDArray[np.int64]) -> RecordedM
     states = np.zeros((len(poses), STATE_SIZE))
     states[:, : STATE.yaw] = poses[:, :2, 3]
     states[:, STATE.yaw] = np.unwrap(yaw_of(poses))
+    known, asked = ego.timestamps_us - ego.timestamps_us[0], timestamps_us - ego.timestamps_us[0]
     for index, values in ((STATE.speed, speed), (STATE.steering, steering), (STATE.acceleration, acceleration)):
-        states[:, index] = np.interp(timestamps_us - ego.timestamps_us[0], _offsets(ego), values)
-    return RecordedMotion(states, poses[:, 2, 3])
-
-
-def _offsets(trajectory: Trajectory) -> NDArray[np.int64]:
-    return trajectory.timestamps_us - trajectory.timestamps_us[0]
+        states[:, index] = np.interp(asked, known, values)
+    return states, poses[:, 2, 3]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from olt_closed_loop.control.tracking import ControlSettings
 from olt_closed_loop.rollouts.rollout import Traffic
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.vehicle.integrators import DEFAULT_METHOD, DEFAULT_SUBSTEPS, Method
+from olt_closed_loop.vehicle.integrators import DEFAULT_METHOD, Method
 from olt_closed_loop.vehicle.models import VehicleParameters
 from olt_closed_loop.vehicle.presets import vehicle_with_tyres
 from olt_generator.errors import InputError
@@ -30,8 +30,8 @@ class SimulationSettings:
             for within the warm-up.
         traffic: "recorded", or "idm" for vehicles that brake for the ego (`simulation.reactive_agents`).
         vehicle: "kinematic", or "tyres" for tyres that slip and saturate (`vehicle.presets`).
-        method, substeps: integrator of the vehicle (`vehicle.integrators`).
-        control: how plans are tracked.
+        integrator: how the vehicle is integrated (`vehicle.integrators`).
+        control: how plans are tracked (`control.tracking`).
         skip: whether what cannot change the result is left out; the result is the same without, only slower.
     """
 
@@ -40,8 +40,7 @@ class SimulationSettings:
     planner_delay_us: int = 0
     traffic: Traffic = "recorded"
     vehicle: VehicleKind = "kinematic"
-    method: Method = DEFAULT_METHOD
-    substeps: int | None = DEFAULT_SUBSTEPS
+    integrator: Method = DEFAULT_METHOD
     control: ControlSettings = field(default_factory=ControlSettings)
     skip: bool = True
 

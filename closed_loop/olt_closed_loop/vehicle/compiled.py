@@ -18,7 +18,7 @@ import casadi as ca
 import numpy as np
 
 from olt_closed_loop.vehicle.buffered import BufferedFunction
-from olt_closed_loop.vehicle.models import STATE
+from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 

@@ -10,14 +10,8 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from olt_closed_loop.vehicle.models import (
-    CONTROL_SIZE,
-    NUMBERS_SIZE,
-    Model,
-    VehicleNumbers,
-    model_state_size,
-    state_derivative,
-)
+from olt_closed_loop.vehicle.models import NUMBERS_SIZE, Model, VehicleNumbers, model_state_size, state_derivative
+from olt_closed_loop.vehicle.state import CONTROL_SIZE
 
 ImplicitMethod = Literal["radau", "cvodes"]
 RADAU_STAGES = 3

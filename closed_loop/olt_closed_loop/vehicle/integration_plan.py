@@ -24,15 +24,14 @@ import casadi as ca
 from olt_closed_loop.vehicle.actuators import clip
 from olt_closed_loop.vehicle.compiled import MOST_SUBSTEPS
 from olt_closed_loop.vehicle.models import (
-    CONTROL_SIZE,
     MODELS,
     NUMBERS_SIZE,
-    STATE,
     Model,
     VehicleNumbers,
     limited_commands,
     model_state_size,
 )
+from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
 from olt_closed_loop.vehicle.substeps import EVALUATIONS, EXPLICIT_METHODS, ExplicitMethod
 from olt_closed_loop.vehicle.tyres import GRAVITY, inverse_speed
 

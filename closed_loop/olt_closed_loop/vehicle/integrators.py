@@ -13,22 +13,16 @@ from typing import Literal, get_args
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from olt_closed_loop.vehicle.buffered import BufferedFunction
 from olt_closed_loop.vehicle.compiled import MOST_SUBSTEPS, Drive, StepProgram, check_finite, make_drive
 from olt_closed_loop.vehicle.implicit import cvodes_function, radau_function
 from olt_closed_loop.vehicle.integration_plan import automatic_plan, candidates, fixed_plan, stiffness_plan
-from olt_closed_loop.vehicle.models import (
-    CONTROL_SIZE,
-    STATE,
-    Model,
-    VehicleNumbers,
-    VehicleParameters,
-    model_state_size,
-)
+from olt_closed_loop.vehicle.models import Model, VehicleNumbers, VehicleParameters, model_state_size
+from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
 from olt_closed_loop.vehicle.substeps import ExplicitMethod, explicit_substep, substep_function
 from olt_generator.errors import InputError
+from olt_generator.omissions import Omission
 from olt_generator.poses import Array
 
 Method = Literal["auto", "midpoint", "rk4", "radau", "cvodes"]
@@ -124,21 +118,24 @@ class VehicleStepper:
 
     def report(self) -> "IntegrationReport":
         """What was taken since the stepper was made."""
-        steps = self._drive.taken[:, 0].astype(int)
-        taken = {
-            f"{way} ({substeps / max(count, 1):.1f} sub-steps)": int(count)
-            for way, count, substeps in zip(self._ways, steps, self._drive.taken[:, 1], strict=True)
-            if count
-        }
-        return IntegrationReport(self._model, int(steps.sum()), self._tolerance, taken, self._left_out(steps))
-
-    def _left_out(self, steps: NDArray[np.int64]) -> tuple[str, ...]:
-        sentences = []
-        for simpler, what in (("kinematic", "tyre slip"), ("linear", "tyre saturation")):
-            count = sum(int(n) for way, n in zip(self._ways, steps, strict=True) if way.startswith(f"{simpler} "))
+        steps, substeps = self._drive.taken[:, 0].astype(int), self._drive.taken[:, 1]
+        rows = [
+            (way, int(steps[row]), float(substeps[row] / steps[row]))
+            for row, way in enumerate(self._ways)
+            if steps[row]
+        ]
+        total = int(steps.sum())
+        left_out = []
+        for simpler, what in (("kinematic", "steps of tyre slip"), ("linear", "steps of tyre saturation")):
+            count = sum(count for way, count, _ in rows if way.startswith(f"{simpler} "))
             if count and simpler != self._model:
-                sentences.append(f"{what} in {count} of {steps.sum()} steps: below {self._tolerance:g} m in 0.1 s")
-        return tuple(sentences)
+                left_out.append(Omission(what, f"below {self._tolerance:g} m in 0.1 s", count, total))
+        return IntegrationReport(
+            steps=total,
+            taken={way: count for way, count, _ in rows},
+            substeps={way: mean for way, _, mean in rows},
+            left_out=tuple(left_out),
+        )
 
 
 @dataclass(frozen=True)
@@ -146,18 +143,16 @@ class IntegrationReport:
     """What a stepper took.
 
     Attributes:
-        model: the full model of the vehicle.
         steps: how many steps were made, over all vehicles.
-        tolerance: metres of position error in 0.1 s.
-        taken: steps by model and method.
+        taken: steps by model and method, such as "kinematic midpoint".
+        substeps: mean number of sub-steps of these steps.
         left_out: what was not computed, and why.
     """
 
-    model: Model
     steps: int
-    tolerance: float
     taken: dict[str, int]
-    left_out: tuple[str, ...]
+    substeps: dict[str, float]
+    left_out: tuple[Omission, ...]
 
 
 class _ImplicitDrive:

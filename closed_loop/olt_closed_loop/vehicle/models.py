@@ -1,9 +1,6 @@
 """One family of planar vehicle models, as CasADi equations: kinematic bicycle, linear tyres, saturating tyres.
 
-State (6,) of the kinematic model: x, y (m) and yaw (rad) of the rig in the world, speed of the rear axle (m/s),
-steering angle of the front wheel (rad, left positive), acceleration that drive and brakes are set to (m/s^2). Models
-with tyres append lateral speed of the rear axle (m/s, left positive) and yaw rate (rad/s): state (8,).
-Control (2,): commanded steering angle (rad) and acceleration (m/s^2, along the rig's x).
+States and controls are laid out in `vehicle.state`.
 
 Kinematic: the rear axle does not slip, so the rig, whose origin lies under it, moves along its own x axis (Rajamani,
 Vehicle Dynamics and Control, 2nd ed., section 2.2, with the reference point on the rear axle):
@@ -28,33 +25,13 @@ import casadi as ca
 import numpy as np
 
 from olt_closed_loop.vehicle.actuators import actuator_rate, clip
+from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE, STATE_SIZE, TYRE_STATE_SIZE
 from olt_closed_loop.vehicle.tyres import GRAVITY, friction_share, inverse_speed, linear_force
 from olt_generator.poses import Array
 from olt_toolkit.rigs.rig import VehicleDimensions
 
-STATE_SIZE = 6
-"""Size of the kinematic state, with which every state begins."""
-TYRE_STATE_SIZE = 8
-CONTROL_SIZE = 2
-
 Model = Literal["kinematic", "linear", "saturating"]
 MODELS: tuple[Model, ...] = ("kinematic", "linear", "saturating")
-
-
-class Index(NamedTuple):
-    """Where each quantity stands in a state."""
-
-    x: int = 0
-    y: int = 1
-    yaw: int = 2
-    speed: int = 3
-    steering: int = 4
-    acceleration: int = 5
-    lateral_speed: int = 6
-    yaw_rate: int = 7
-
-
-STATE = Index()
 
 
 @dataclass(frozen=True)
@@ -273,12 +250,3 @@ def _body_accelerations(
     forward = force_x / vehicle.mass + centre_lateral * yaw_rate
     sideways = (front_y + rear_across) / vehicle.mass - speed * yaw_rate - to_rear * turning
     return forward, sideways, turning
-
-
-def steering_for(yaw_rate: Array, speed: Array, wheelbase: float) -> Array:
-    """Steering angle (n,) that turns at `yaw_rate` (n,) rad/s at `speed` (n,) m/s.
-
-    The curvature is the ridge estimate v w / (v^2 + 0.25): yaw noise of a vehicle that hardly moves asks for no
-    steering.
-    """
-    return np.arctan(wheelbase * speed * yaw_rate / (speed**2 + 0.25))

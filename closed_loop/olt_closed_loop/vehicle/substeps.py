@@ -12,9 +12,7 @@ import casadi as ca
 
 from olt_closed_loop.vehicle.actuators import actuator_after
 from olt_closed_loop.vehicle.models import (
-    CONTROL_SIZE,
     NUMBERS_SIZE,
-    STATE,
     Model,
     VehicleNumbers,
     limited_commands,
@@ -22,6 +20,7 @@ from olt_closed_loop.vehicle.models import (
     motion_derivative,
     motion_of,
 )
+from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
 
 ExplicitMethod = Literal["midpoint", "rk4"]
 EXPLICIT_METHODS: tuple[ExplicitMethod, ...] = ("midpoint", "rk4")

@@ -4,9 +4,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from olt_closed_loop.rollouts.rollout import Rollout, load_rollouts, save_rollouts
 from olt_closed_loop.scoring.definitions import score_rollout
-from olt_closed_loop.simulation.closed_loop import DriveRequest, replay, simulate, simulate_batch, stand
+from olt_closed_loop.simulation.closed_loop import RolloutRequest, replay, simulate, simulate_batch, stand
 from olt_closed_loop.simulation.policies import (
     ConstantVelocityPolicy,
     ReplayPolicy,
@@ -14,7 +13,7 @@ from olt_closed_loop.simulation.policies import (
     StandingPolicy,
 )
 from olt_closed_loop.simulation.settings import SimulationSettings
-from olt_closed_loop.vehicle.models import STATE
+from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
@@ -97,7 +96,7 @@ def test_without_cameras_nothing_is_rendered(straight_scene):
     with_sensors = simulate(straight_scene(), Recorder(), renderer=sensors)
     assert sensors.times == []
     assert with_sensors.rendered_images == {}
-    assert any("rendering" in note for note in with_sensors.left_out)
+    assert any("rendering" in omission.what for omission in with_sensors.left_out)
     np.testing.assert_array_equal(with_sensors.states, simulate(straight_scene(), Recorder()).states)
 
 
@@ -113,7 +112,7 @@ class Refused(Recorder):
 
 def test_unusable_plans_are_counted_and_the_last_one_is_held(straight_scene):
     rollout = simulate(straight_scene(), Refused())
-    assert rollout.events.plans_refused == 4
+    assert rollout.incidents.plans_refused == 4
     assert rollout.failure is None
     assert len(rollout.plans) == 63 - 4
     np.testing.assert_allclose(rollout.states[:, STATE.x], 0.001 * rollout.timestamps_us / 100, atol=1e-3)
@@ -167,7 +166,7 @@ def test_a_rollout_is_the_same_alone_and_in_any_batch(straight_scene, moved_scen
     short = curved_scene(straight_scene(duration=3.0))
     small = replace(DEFAULT_VEHICLE, wheelbase=2.5)
     far = replace(moved_scene(straight_scene(duration=4.0, speed=17.0), 5e6, -3e5, 2.0), vehicle=small)
-    requests = [DriveRequest(scene, seed) for seed, scene in enumerate([short, far, straight_scene(duration=3.5)])]
+    requests = [RolloutRequest(scene, seed) for seed, scene in enumerate([short, far, straight_scene(duration=3.5)])]
     together = simulate_batch(requests, policy)
     for request, rollout in zip(requests, together, strict=True):
         assert without_timings(rollout) == without_timings(simulate(request.scene, policy, seed=request.seed))
@@ -176,10 +175,10 @@ def test_a_rollout_is_the_same_alone_and_in_any_batch(straight_scene, moved_scen
 
 def test_a_drive_without_a_route_fails_alone(straight_scene):
     without = replace(straight_scene(), route=np.zeros((0, 3)))
-    requests = [DriveRequest(straight_scene()), DriveRequest(without)]
+    requests = [RolloutRequest(straight_scene()), RolloutRequest(without)]
     whole, failed = simulate_batch(requests, RouteFollowingPolicy())
     assert whole.failure is None and len(whole.states) == 81
-    assert "no route ahead" in failed.failure and failed.events.policy_errors == 1
+    assert "no route ahead" in failed.failure and failed.incidents.policy_errors == 1
 
 
 def test_leaving_out_the_route_changes_nothing(straight_scene):
@@ -188,8 +187,8 @@ def test_leaving_out_the_route_changes_nothing(straight_scene):
     )
     np.testing.assert_array_equal(lean.states, full.states)
     np.testing.assert_array_equal(lean.plans, full.plans)
-    assert any("route" in note for note in lean.left_out)
-    assert not any("route" in note for note in full.left_out)
+    assert any("route" in omission.what for omission in lean.left_out)
+    assert not any("route" in omission.what for omission in full.left_out)
 
 
 class Braking(Recorder):
@@ -227,15 +226,15 @@ def test_unusable_planner_delays_are_refused(delay_us):
 @pytest.mark.parametrize("method", ["auto", "rk4"])
 def test_a_vehicle_with_tyres_follows_a_winding_road_too(straight_scene, method):
     scene = curved_scene(straight_scene())
-    settings = SimulationSettings(vehicle="tyres", method=method)
+    settings = SimulationSettings(vehicle="tyres", integrator=method)
     slipping, rolling = (simulate(scene, RouteFollowingPolicy(), s) for s in (settings, SimulationSettings()))
     apart = np.linalg.norm(slipping.states[:, :2] - rolling.states[:, :2], axis=1)
     assert slipping.states.shape == rolling.states.shape
     assert 1e-4 < apart.max() < 0.5
-    requests = [DriveRequest(scene), DriveRequest(straight_scene(duration=3.0))]
+    requests = [RolloutRequest(scene), RolloutRequest(straight_scene(duration=3.0))]
     together = simulate_batch(requests, RouteFollowingPolicy(), settings)
     np.testing.assert_array_equal(together[0].states, slipping.states)
-    assert any("tyre" in note for note in rolling.left_out)
+    assert any("tyre" in omission.what for omission in rolling.left_out)
 
 
 IDM = SimulationSettings(traffic="idm")
@@ -291,15 +290,6 @@ def test_reactive_traffic_is_not_for_policies_with_cameras(straight_scene):
         simulate(straight_scene(), Watcher(), IDM, renderer=CountingSensors())
 
 
-def test_reacting_agents_survive_a_file(straight_scene, moving_agent, tmp_path):
-    scene = straight_scene((moving_agent("follower", (-20.0, 0.0), (10.0, 0.0)),))
-    rollout = simulate(scene, StandingPolicy(), IDM)
-    save_rollouts(tmp_path / "rollouts.json", [rollout])
-    (loaded,) = load_rollouts(tmp_path / "rollouts.json")
-    assert loaded.to_dict() == rollout.to_dict()
-    np.testing.assert_array_equal(loaded.reacted[0].poses, rollout.reacted[0].poses)
-
-
 def curved_scene(scene):
     """The scene with a winding recording and route of the same speed."""
     arc = 10.0 * scene.ego.times
@@ -333,23 +323,6 @@ def test_given_drives_replay_and_stand(straight_scene):
     np.testing.assert_allclose(replay(scene).states[:, STATE.x], scene.ego.positions[:, 0])
     standing = stand(scene)
     np.testing.assert_array_equal(standing.states[17:, STATE.x], standing.states[17, STATE.x])
-
-
-def test_rollouts_survive_a_file(straight_scene, tmp_path):
-    rollouts = [simulate(straight_scene(), Refused(), seed=1), simulate(straight_scene(), Raising())]
-    save_rollouts(tmp_path / "rollouts.json", rollouts)
-    loaded = load_rollouts(tmp_path / "rollouts.json")
-    assert [one.to_dict() for one in loaded] == [one.to_dict() for one in rollouts]
-    np.testing.assert_array_equal(loaded[0].states, rollouts[0].states)
-
-
-def test_a_damaged_rollout_file_is_refused(tmp_path):
-    path = tmp_path / "rollouts.json"
-    path.write_text('{"rollouts": [')
-    with pytest.raises(InputError, match=r"rollouts\.json"):
-        load_rollouts(path)
-    with pytest.raises(InputError, match="states"):
-        Rollout.from_dict({"controls": [], "timestamps_us": []})
 
 
 def test_a_recording_that_ends_in_the_warm_up_is_refused(straight_scene):

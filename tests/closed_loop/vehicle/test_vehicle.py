@@ -7,14 +7,9 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from olt_closed_loop.vehicle.integrators import make_batch_stepper, make_stepper
-from olt_closed_loop.vehicle.models import (
-    STATE,
-    VehicleParameters,
-    steering_for,
-    vehicle_equations,
-    with_rolling_tyres,
-)
+from olt_closed_loop.vehicle.models import VehicleParameters, vehicle_equations, with_rolling_tyres
 from olt_closed_loop.vehicle.presets import alpasim_vehicle, vehicle_with_tyres
+from olt_closed_loop.vehicle.state import STATE, steering_for
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 PARAMETERS = VehicleParameters.from_dimensions(DEFAULT_VEHICLE)

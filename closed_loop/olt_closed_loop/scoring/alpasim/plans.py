@@ -4,12 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
-from olt_closed_loop.rollouts.drive_record import TimedPlan
 from olt_closed_loop.scoring.alpasim.series import Fold, MetricSeries
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings
-from olt_closed_loop.scoring.alpasim.tracks import Indices, Single, Times, ego_track, ego_tracks
+from olt_closed_loop.scoring.alpasim.tracks import Indices, Times, ego_track, ego_tracks
 
 ADE_HORIZONS = (0.5, 1.0, 2.5, 5.0)
 COLLISION_HORIZON_US = 3_000_000
@@ -27,37 +25,30 @@ def measure_displacement(surroundings: Surroundings) -> dict[str, MetricSeries]:
     Raises:
         UnmeasuredError: a plan or the recording ends before the longest horizon, which takes all horizons with it.
     """
-    record = surroundings.record
+    record, scored = surroundings.record, surroundings.record.timestamps_us
     plans = [plan for plan in record.plans if plan.samples]
-    compared = [_compared(record.timestamps_us, plan) for plan in plans]
+    last_us = [plan.now_us + max(ADE_HORIZONS) * 1e6 for plan in plans]
+    compared = [
+        scored[(scored >= plan.query_us) & (scored <= end_us)] for plan, end_us in zip(plans, last_us, strict=True)
+    ]
     drawn = [(plan.timestamps_us, sample, i) for i, plan in enumerate(plans) for sample in plan.samples]
     times, sample_of = _joined([compared[i] for _, _, i in drawn])
-    recorded = ego_track(record.recorded_us, record.recorded_poses, record.box)
-    target, _ = recorded.at(times)
+    target, _ = ego_track(record.recorded_us, record.recorded_poses, record.box).at(times)
     samples = ego_tracks([known for known, _, _ in drawn], [poses for _, poses, _ in drawn], record.box)
     errors = np.linalg.norm(samples.at(times, sample_of)[0] - target, axis=-1)
     plan_of = np.array([i for _, _, i in drawn], dtype=np.int64)[sample_of]
 
     rows: dict[float, list[tuple[int, float]]] = {horizon: [] for horizon in ADE_HORIZONS}
-    bounds = np.searchsorted(plan_of, np.arange(len(plans) + 1))
     for i, plan in enumerate(plans):
-        apart = errors[bounds[i] : bounds[i + 1]].reshape(len(plan.samples), -1)
-        for horizon, value in zip(ADE_HORIZONS, _displacements(record.timestamps_us, plan, apart), strict=False):
-            rows[horizon].append((plan.now_us, value))
+        apart = errors[plan_of == i].reshape(len(plan.samples), -1)
+        means = (np.cumsum(apart, axis=1) / np.arange(1, apart.shape[1] + 1)).min(axis=0)
+        ends = np.searchsorted(scored, plan.now_us + 1e6 * np.array(ADE_HORIZONS))
+        ends = ends - np.searchsorted(scored, plan.now_us) - 1
+        # A horizon beyond the end of the drive has no value.
+        for horizon, end in zip(ADE_HORIZONS, ends, strict=True):
+            if end < len(means):
+                rows[horizon].append((plan.now_us, float(means[end])))
     return {ade_name(horizon): _series(pairs) for horizon, pairs in rows.items()}
-
-
-def _compared(times: Times, plan: TimedPlan) -> Times:
-    """The scored times at which a plan is compared with the recording."""
-    last_us = min(plan.now_us + max(ADE_HORIZONS) * 1e6, times[-1])
-    return times[(times >= plan.query_us) & (times <= last_us)]
-
-
-def _displacements(times: Times, plan: TimedPlan, errors: Single) -> list[float]:
-    """The values of the horizons that the drive still has samples for, shortest first, of errors (samples, n)."""
-    means = (np.cumsum(errors, axis=1) / np.arange(1, errors.shape[1] + 1)).min(axis=0)
-    ends = np.searchsorted(times, plan.now_us + 1e6 * np.array(ADE_HORIZONS)) - np.searchsorted(times, plan.now_us) - 1
-    return [float(means[end]) for end in ends if end < len(means)]
 
 
 def measure_plan_deviation(surroundings: Surroundings) -> dict[str, MetricSeries]:
@@ -84,29 +75,14 @@ def measure_plan_deviation(surroundings: Surroundings) -> dict[str, MetricSeries
 
 
 def measure_plan_collisions(surroundings: Surroundings) -> dict[str, MetricSeries]:
-    """Whether each plan runs into a recorded agent within 3 s."""
+    """Whether each plan touches a recorded agent at any of its times in the 3 s after it was made."""
     plans = surroundings.record.plans
-    ahead = [plan.timestamps_us[_is_ahead(plan)] for plan in plans]
-    touches = _touches_agent(surroundings, ahead)
-    pairs = [
-        (plan.now_us, float(touch) if len(times) else np.nan)
-        for plan, times, touch in zip(plans, ahead, touches, strict=True)
+    ahead = [
+        plan.timestamps_us[
+            (plan.timestamps_us > plan.now_us) & (plan.timestamps_us <= plan.now_us + COLLISION_HORIZON_US)
+        ]
+        for plan in plans
     ]
-    return {"open_loop_collision": _series(pairs)}
-
-
-def _is_ahead(plan: TimedPlan) -> NDArray[np.bool_]:
-    """Which poses (n,) of a plan lie in the 3 s after it was made."""
-    return (plan.timestamps_us > plan.now_us) & (plan.timestamps_us <= plan.now_us + COLLISION_HORIZON_US)
-
-
-def measure_safety_monitor(surroundings: Surroundings) -> dict[str, MetricSeries]:
-    """Whether the policy called a plan of its own unsafe; no plan of a rollout file does."""
-    return {"safety_monitor_triggered": _series([(plan.now_us, 0.0) for plan in surroundings.record.plans], "max")}
-
-
-def _touches_agent(surroundings: Surroundings, ahead: Sequence[Times]) -> NDArray[np.bool_]:
-    """Whether each plan (k,), at any of its times ahead, touches an agent."""
     times, plan = _joined(ahead)
     ego = surroundings.plans.at(times, plan)
     moments, moment = np.unique(times, return_inverse=True)
@@ -117,7 +93,7 @@ def _touches_agent(surroundings: Surroundings, ahead: Sequence[Times]) -> NDArra
     own, others = (ego[0][row], ego[1][row]), (positions[agent, row], yaws[agent, row])
     at_least, _ = surroundings.distance_bounds(own, others, agent)
 
-    touches = np.zeros(len(ahead), dtype=bool)
+    touches = np.zeros(len(plans), dtype=bool)
     # A plan is settled by one contact, so the pair of boxes that overlap most is looked at before the others.
     by_depth = np.lexsort((at_least, plan[row]))
     by_depth = by_depth[at_least[by_depth] <= 0.0]
@@ -127,7 +103,19 @@ def _touches_agent(surroundings: Surroundings, ahead: Sequence[Times]) -> NDArra
         outlines = surroundings.ego_shape.polygons(*(place[pairs] for place in own))
         met = surroundings.agent_shapes.select(agent[pairs]).polygons(*(place[pairs] for place in others))
         touches[plan[row[pairs]][shapely.intersects(outlines, met)]] = True
-    return touches
+    return {
+        "open_loop_collision": _series(
+            [
+                (plan.now_us, float(touch) if len(times) else np.nan)
+                for plan, times, touch in zip(plans, ahead, touches, strict=True)
+            ]
+        )
+    }
+
+
+def measure_safety_monitor(surroundings: Surroundings) -> dict[str, MetricSeries]:
+    """Whether the policy called a plan of its own unsafe; no plan of a rollout file does."""
+    return {"safety_monitor_triggered": _series([(plan.now_us, 0.0) for plan in surroundings.record.plans], "max")}
 
 
 def _joined(times: Sequence[Times]) -> tuple[Times, Indices]:

@@ -5,7 +5,7 @@ import shapely
 
 from olt_closed_loop.scoring.alpasim.series import MetricSeries, UnmeasuredError
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings
-from olt_closed_loop.scoring.alpasim.tracks import Geometries, Single, ego_track
+from olt_closed_loop.scoring.alpasim.tracks import ego_track
 from olt_generator.poses import Array
 
 UNCOMPUTED = 2
@@ -30,7 +30,11 @@ def measure_along_recording(surroundings: Surroundings) -> dict[str, MetricSerie
 
     progress = shapely.line_locate_point(path, centers, normalized=True)
     progress = np.concatenate([np.linspace(0.0, progress[0], 3)[:UNCOMPUTED], progress])
-    so_far = shapely.line_locate_point(_paths_so_far(along), centers, normalized=True)
+    # For each computed sample the line through the recorded positions up to then.
+    counts = np.arange(UNCOMPUTED + 1, len(along) + 1)
+    points = np.concatenate([along[:count] for count in counts])
+    paths_so_far = shapely.linestrings(points, indices=np.repeat(np.arange(len(counts)), counts))
+    so_far = shapely.line_locate_point(paths_so_far, centers, normalized=True)
     to_path = shapely.distance(path, centers)
     to_location = shapely.distance(shapely.points(along[UNCOMPUTED:]), centers)
     distance = shapely.line_locate_point(driven, centers)
@@ -43,13 +47,6 @@ def measure_along_recording(surroundings: Surroundings) -> dict[str, MetricSerie
         "dist_traveled_m": MetricSeries(times, _behind(0.0, distance), "last"),
         "gt_dist_traveled_m": MetricSeries(times, np.full(len(times), shapely.length(path)), "last"),
     }
-
-
-def _paths_so_far(along: Single) -> Geometries:
-    """For each computed sample (n - 2,), the line through the recorded positions (n, 2) up to then."""
-    counts = np.arange(UNCOMPUTED + 1, len(along) + 1)
-    points = np.concatenate([along[:count] for count in counts])
-    return np.asarray(shapely.linestrings(points, indices=np.repeat(np.arange(len(counts)), counts)))
 
 
 def _behind(first: float, values: Array) -> Array:

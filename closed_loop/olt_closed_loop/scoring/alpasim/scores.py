@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scoring.alpasim.plans import (
     ADE_HORIZONS,
     ade_name,
@@ -70,8 +70,9 @@ class AlpasimScores:
 
     Attributes:
         raw: every metric folded over all samples.
-        final: every metric that has samples, folded over those that are left by `_scored_span`, and the combined ones;
-            empty when the distance to the recorded path has no value, without which AlpaSim does not aggregate.
+        final: every metric that has samples, and those made of others, folded over the samples from the hand-over to
+            the first incident or the first time off the recorded path; empty when the distance to that path has no
+            value, without which AlpaSim does not aggregate.
         scene: the scene score.
         missing: metrics that cannot be had from this drive, with the reason.
         n_steps, n_steps_scored: samples, and how many of them are left.
@@ -89,27 +90,12 @@ class AlpasimScores:
         return {**vars(self), "scene": vars(self.scene).copy()}
 
 
-def score_as_alpasim(record: DriveRecord) -> AlpasimScores:
+def score_as_alpasim(record: RolloutRecord) -> AlpasimScores:
     """All metrics and the scene score of one drive.
 
     Camera frames are not looked at: `img_is_black` is 0, as with frames that show something.
     """
-    series, missing = _measure(Surroundings(record))
-    times = record.timestamps_us
-    raw = {name: series[name].folded() if name in series else None for name in sorted([*missing, *series])}
-    if "dist_to_gt_trajectory" not in series:
-        return AlpasimScores(raw, {}, SceneScore(), missing, len(times), 0)
-    series |= _combined(record, series)
-    start_us, end_us = _scored_span(record, series)
-    final = {name: s.within(start_us, end_us).folded() for name, s in sorted(series.items()) if len(s.values)}
-    final["progress_clipped_rel"] = final["progress_rel_to_total"]
-    kept = int(((times >= start_us) & (times <= end_us)).sum())
-    return AlpasimScores(raw, final, _scene_score(final), missing, len(times), kept)
-
-
-def _measure(surroundings: Surroundings) -> tuple[Metrics, dict[str, str]]:
-    """All metrics that can be had, and why the others cannot."""
-    times = surroundings.record.timestamps_us
+    times, surroundings = record.timestamps_us, Surroundings(record)
     series: Metrics = {"img_is_black": MetricSeries(times, np.zeros(len(times)), "max")}
     missing: dict[str, str] = {}
     for measure, names in _FAMILIES:
@@ -117,17 +103,26 @@ def _measure(surroundings: Surroundings) -> tuple[Metrics, dict[str, str]]:
             series |= measure(surroundings)
         except UnmeasuredError as error:
             missing |= dict.fromkeys(names, str(error))
-    return series, missing
+    raw = {name: series[name].folded() if name in series else None for name in sorted([*missing, *series])}
+    if "dist_to_gt_trajectory" not in series:
+        return AlpasimScores(raw, {}, SceneScore(), missing, len(times), 0)
+    # The first sample that is not warm-up; the very first when the drive ends before the hand-over.
+    start_us = int(times[int(np.argmax(times >= record.handover_us))])
+    series |= _combine(record, series, start_us)
+    end_us = _scored_until(series, start_us, int(times[-1]))
+    final = {name: s.within(start_us, end_us).folded() for name, s in sorted(series.items()) if len(s.values)}
+    final["progress_clipped_rel"] = final["progress_rel_to_total"]
+    kept = int(((times >= start_us) & (times <= end_us)).sum())
+    return AlpasimScores(raw, final, _scene_score(final), missing, len(times), kept)
 
 
-def _combined(record: DriveRecord, series: Metrics) -> Metrics:
+def _combine(record: RolloutRecord, series: Metrics, start_us: int) -> Metrics:
     """The metrics made of others. Without a map nothing is off road here, though the scene score is refused."""
     times = record.timestamps_us
     front, lateral, contact = (series[f"collision_{name}"].values for name in ("front", "lateral", "any"))
     offroad = series["offroad"].values if "offroad" in series else np.zeros(len(times))
     at_fault = np.maximum(front, lateral)
-    engaged = times >= _start_us(record)
-    duration = np.where(engaged, (times - _start_us(record)) / FULL_DURATION_US, np.nan)
+    duration = np.where(times >= start_us, (times - start_us) / FULL_DURATION_US, np.nan)
     return {
         "collision_at_fault": MetricSeries(times, at_fault, "max"),
         "offroad_or_collision": MetricSeries(times, np.maximum(contact, offroad), "max"),
@@ -137,29 +132,21 @@ def _combined(record: DriveRecord, series: Metrics) -> Metrics:
     }
 
 
-def _start_us(record: DriveRecord) -> int:
-    """The first sample that is not warm-up; the very first when the drive ends before the hand-over."""
-    engaged = record.timestamps_us[record.timestamps_us >= record.handover_us]
-    return int(engaged[0] if len(engaged) else record.timestamps_us[0])
-
-
-def _scored_span(record: DriveRecord, series: Metrics) -> tuple[int, int]:
-    """From the end of the warm-up to the first incident of any kind or the first time 4 m off the recorded path."""
-    start_us, end_us = _start_us(record), int(record.timestamps_us[-1])
+def _scored_until(series: Metrics, start_us: int, end_us: int) -> int:
+    """The first incident of any kind or the first time 4 m off the recorded path, else the end."""
     for name, limit in (("offroad_or_collision", 1.0), ("dist_to_gt_trajectory", MAX_PATH_DISTANCE)):
         span = series[name].within(start_us, end_us)
         reached = span.times_us[span.values >= limit]
         end_us = int(reached[0]) if len(reached) else end_us
-    return start_us, end_us
+    return end_us
 
 
 def _scene_score(final: Values) -> SceneScore:
-    needed = [
-        final.get(name) for name in ("progress_clipped_rel", "gt_dist_traveled_m", "collision_at_fault", "offroad")
-    ]
-    if any(value is None for value in needed):
+    names = ("progress_clipped_rel", "gt_dist_traveled_m", "collision_at_fault", "offroad")
+    needed = [value for value in map(final.get, names) if value is not None]
+    if len(needed) < len(names):
         return SceneScore()
-    progress, length, at_fault, offroad = (float(value) for value in needed if value is not None)
+    progress, length, at_fault, offroad = needed
     progress_score = 1.0 if length < SHORT_RECORDING else min(min(max(progress, 0.0), 1.0) / FULL_PROGRESS, 1.0)
     reason = "collision_at_fault" if at_fault else "offroad" if offroad else None
     return SceneScore(0.0 if reason else progress_score, progress_score, reason, reason is None)

@@ -10,14 +10,14 @@ from functools import cached_property
 import numpy as np
 import shapely
 
-from olt_closed_loop.rollouts.drive_record import DriveRecord
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scoring.alpasim.series import MetricSeries
 from olt_closed_loop.scoring.alpasim.tracks import (
+    BoxTracks,
     Geometries,
     Indices,
     RoundedBoxes,
     Single,
-    Tracks,
     agent_tracks,
     ego_track,
     ego_tracks,
@@ -35,10 +35,10 @@ _ROUNDING = 0.43
 class Surroundings:
     """The ego and the agents of a drive as AlpaSim sees them."""
 
-    record: DriveRecord
+    record: RolloutRecord
 
     @cached_property
-    def ego(self) -> Tracks:
+    def ego(self) -> BoxTracks:
         """The ego's box centre at the scored times."""
         return ego_track(self.record.timestamps_us, self.record.poses, self.record.box)
 
@@ -63,13 +63,13 @@ class Surroundings:
         return np.asarray(shapely.centroid(self.ego_outlines))
 
     @cached_property
-    def plans(self) -> Tracks:
+    def plans(self) -> BoxTracks:
         """The ego's box centre along each plan."""
         plans = self.record.plans
         return ego_tracks([plan.timestamps_us for plan in plans], [plan.poses for plan in plans], self.record.box)
 
     @cached_property
-    def agents(self) -> Tracks:
+    def agents(self) -> BoxTracks:
         """The agents' box centres."""
         return agent_tracks(self.record.agents)
 
@@ -168,11 +168,15 @@ def _poses(positions: Single, yaws: Single) -> Array:
 
 def measure_contact(surroundings: Surroundings) -> dict[str, MetricSeries]:
     """The collision metrics and the distance to the nearest agent."""
-    times = surroundings.record.timestamps_us
-    distances = surroundings.distances
-    touching = np.flatnonzero((distances <= 0.0).any(axis=0))
+    times, distances = surroundings.record.timestamps_us, surroundings.distances
+    samples = np.flatnonzero((distances <= 0.0).any(axis=0))
+    touched = np.array([surroundings.last_touched(int(sample)) for sample in samples], dtype=np.int64)
+    positions, yaws = surroundings.agent_places
+    others = surroundings.agent_shapes.select(touched).polygons(positions[touched, samples], yaws[touched, samples])
+    front, rear = surroundings.ego_shape.end_zones(*(place[samples] for place in surroundings.ego_places))
+    zones = np.where(shapely.intersects(others, front), 0, np.where(shapely.intersects(others, rear), 1, 2))
     flags = np.zeros((3, len(times)))
-    flags[_touched_zones(surroundings, touching), touching] = 1.0
+    flags[zones, samples] = 1.0
     nearest = np.where(np.isnan(distances), np.inf, distances).min(axis=0, initial=np.inf)
     names = ("collision_front", "collision_rear", "collision_lateral")
     return {
@@ -180,12 +184,3 @@ def measure_contact(surroundings: Surroundings) -> dict[str, MetricSeries]:
         "collision_any": MetricSeries(times, flags.max(axis=0), "max"),
         "min_distance_to_obstacle_m": MetricSeries(times, np.where(np.isinf(nearest), np.nan, nearest), "min"),
     }
-
-
-def _touched_zones(surroundings: Surroundings, samples: Indices) -> Indices:
-    """0 front, 1 rear, 2 neither: the zones (k,) of the ego that are touched at samples (k,)."""
-    touched = np.array([surroundings.last_touched(int(sample)) for sample in samples], dtype=np.int64)
-    positions, yaws = surroundings.agent_places
-    others = surroundings.agent_shapes.select(touched).polygons(positions[touched, samples], yaws[touched, samples])
-    front, rear = surroundings.ego_shape.end_zones(*(place[samples] for place in surroundings.ego_places))
-    return np.where(shapely.intersects(others, front), 0, np.where(shapely.intersects(others, rear), 1, 2))

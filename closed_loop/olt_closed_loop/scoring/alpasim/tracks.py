@@ -10,7 +10,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from olt_closed_loop.rollouts.drive_record import EgoBox
+from olt_closed_loop.rollouts.rollout_record import EgoBox
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.alpasim.series import UnmeasuredError
 from olt_generator.poses import Array
@@ -84,7 +84,7 @@ class RoundedBoxes:
 
 
 @dataclass(frozen=True)
-class Tracks:
+class BoxTracks:
     """Box centres over time, of many boxes in one table.
 
     Attributes:
@@ -112,7 +112,7 @@ class Tracks:
         return self.times_us[self.firsts[tracks]], self.times_us[self.firsts[np.add(tracks, 1)] - 1]
 
     def at(self, times_us: Times, tracks: Indices | int = 0) -> tuple[Single, Single]:
-        """Positions (m, 2) and wrapped yaws (m,) of the tracks (m,) at these times.
+        """Positions (m, 2) in metres and yaws (m,) from -pi to pi of the tracks (m,) at these times.
 
         Raises:
             UnmeasuredError: a time lies outside its track.
@@ -126,12 +126,13 @@ class Tracks:
         share = (times_us - self.times_us[before]) / span
         start, end = self.positions[before], self.positions[after]
         positions = (start + (end - start) * share[:, None].astype(np.float32)).astype(np.float32)
-        return positions, wrapped(self.yaws[before] + (self.yaws[after] - self.yaws[before]) * share)
+        yaws = self.yaws[before] + (self.yaws[after] - self.yaws[before]) * share
+        return positions, np.arctan2(np.sin(yaws), np.cos(yaws)).astype(np.float32)
 
     def _neighbours(self, times_us: Times, tracks: Indices | int) -> tuple[Indices, Indices]:
         """Rows (m,) of the samples at or before, and after; a track of one sample has that for both.
 
-        Tracks are put one behind the other on one axis of time, so that one search finds the samples of all.
+        BoxTracks are put one behind the other on one axis of time, so that one search finds the samples of all.
         """
         start, owners = self.times_us[:1], np.repeat(np.arange(len(self)), np.diff(self.firsts))
         length = 2 * np.abs(self.times_us - start).max(initial=0) + 1
@@ -141,12 +142,12 @@ class Tracks:
         return after - 1, np.minimum(after, last)
 
 
-def ego_track(times_us: Times, rig_poses: Array, box: EgoBox) -> Tracks:
+def ego_track(times_us: Times, rig_poses: Array, box: EgoBox) -> BoxTracks:
     """The one track of the ego's box centre along rig poses whose columns are x, y, ..., yaw."""
     return ego_tracks([times_us], [rig_poses], box)
 
 
-def ego_tracks(times_us: Sequence[Times], rig_poses: Sequence[Array], box: EgoBox) -> Tracks:
+def ego_tracks(times_us: Sequence[Times], rig_poses: Sequence[Array], box: EgoBox) -> BoxTracks:
     """The tracks of the ego's box centre along several ways of the rig."""
     poses = np.concatenate([np.empty((0, 3)), *(poses[:, [0, 1, -1]] for poses in rig_poses)])
     half_yaws = 0.5 * poses[:, 2]
@@ -156,27 +157,17 @@ def ego_tracks(times_us: Sequence[Times], rig_poses: Sequence[Array], box: EgoBo
     return _tracks(times_us, positions.astype(np.float32), poses[:, 2])
 
 
-def agent_tracks(agents: Sequence[Agent]) -> Tracks:
+def agent_tracks(agents: Sequence[Agent]) -> BoxTracks:
     """The tracks of the agents' box centres."""
     poses = np.concatenate([np.empty((0, 4)), *(agent.poses for agent in agents)])
     return _tracks([agent.timestamps_us for agent in agents], poses[:, :2].astype(np.float32), poses[:, 3])
 
 
-def _tracks(times_us: Sequence[Times], positions: Single, yaws: Array) -> Tracks:
-    firsts = np.cumsum([0, *map(len, times_us)])
-    return Tracks(firsts, np.concatenate([np.empty(0, np.int64), *times_us]), positions, _unwrapped(yaws, firsts))
-
-
-def _unwrapped(yaws: Array, firsts: Indices) -> Array:
-    """Yaws (n,) without jumps within a track; only the tracks that have one are touched."""
-    unwrapped = yaws.copy()
+def _tracks(times_us: Sequence[Times], positions: Single, yaws: Array) -> BoxTracks:
+    """The table of tracks; yaws are unwrapped in the tracks that have a jump."""
+    firsts, unwrapped = np.cumsum([0, *map(len, times_us)]), yaws.copy()
     jumps = np.flatnonzero(np.abs(np.diff(yaws)) >= np.pi) + 1
     for track in np.unique(np.searchsorted(firsts, jumps, side="right") - 1):
         rows = slice(firsts[track], firsts[track + 1])
         unwrapped[rows] = np.unwrap(yaws[rows])
-    return unwrapped
-
-
-def wrapped(yaws: Array) -> Single:
-    """Yaws (n,) as single precision angles from -pi to pi."""
-    return np.arctan2(np.sin(yaws), np.cos(yaws)).astype(np.float32)
+    return BoxTracks(firsts, np.concatenate([np.empty(0, np.int64), *times_us]), positions, unwrapped)

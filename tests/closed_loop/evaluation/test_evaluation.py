@@ -1,12 +1,13 @@
 import json
 from dataclasses import replace
 from importlib.metadata import EntryPoint
+from typing import get_args
 
 import pytest
 from typer.testing import CliRunner
 
-from olt_closed_loop.commands import app
-from olt_closed_loop.control.tracking import ControlSettings
+from olt_closed_loop.commands import Controller, Integrator, app
+from olt_closed_loop.control.tracking import ControlMethod, ControlSettings
 from olt_closed_loop.evaluation.evaluation import (
     count_left_out,
     count_vehicle_steps,
@@ -20,7 +21,9 @@ from olt_closed_loop.rollouts.rollout import load_rollouts
 from olt_closed_loop.scenes.scene_file import write_scene
 from olt_closed_loop.simulation import policies
 from olt_closed_loop.simulation.settings import SimulationSettings
+from olt_closed_loop.vehicle.integrators import Method
 from olt_generator.errors import InputError
+from olt_generator.omissions import Omission
 
 SHORT = SimulationSettings(duration_us=4_000_000)
 
@@ -67,13 +70,13 @@ def test_late_solves_reach_the_results_and_the_table(straight_scene, tmp_path):
     results = run_closed_loop([straight_scene()], "route", rollouts=2, settings=never_in_time)
     steps = round((4.0 - 1.7) / 0.1)
     for rollout, score in results:
-        assert rollout.events.solves_late == steps and score.events == vars(rollout.events)
+        assert rollout.incidents.solves_late == steps and score.rollout_incidents == vars(rollout.incidents)
     overall = summarize_scores([score for _, score in results]).overall
-    assert (overall.events["solves_late"], overall.events["solves_failed"]) == (2 * steps, 0)
+    assert (overall.rollout_incidents["solves_late"], overall.rollout_incidents["solves_failed"]) == (2 * steps, 0)
     save_results(tmp_path, results)
     report = json.loads((tmp_path / "scores.json").read_text())
-    assert report["table"]["rows"][-1]["events"]["solves_late"] == 2 * steps
-    assert [score["events"]["solves_late"] for score in report["scores"]] == [steps, steps]
+    assert report["table"]["rows"][-1]["rollout_incidents"]["solves_late"] == 2 * steps
+    assert [score["rollout_incidents"]["solves_late"] for score in report["scores"]] == [steps, steps]
 
 
 def test_the_plan_says_what_moved_the_vehicle_and_what_that_left_out(straight_scene):
@@ -84,7 +87,8 @@ def test_the_plan_says_what_moved_the_vehicle_and_what_that_left_out(straight_sc
     assert sum(taken.values()) == steps
     rolling = sum(count for way, count in taken.items() if way.startswith("kinematic"))
     assert rolling > 0
-    assert count_left_out(results)[f"tyre slip in {rolling} of {steps} steps: below 3e-07 m in 0.1 s"] == 2
+    slipless = Omission("steps of tyre slip", "below 3e-07 m in 0.1 s", rolling, steps)
+    assert count_left_out(results)[slipless] == 2
 
 
 def test_scores_are_refused_while_the_gate_fails(straight_scene, moving_agent):
@@ -171,6 +175,31 @@ def test_the_scene_command_converts_and_reports_the_gate(tmp_path):
     assert CliRunner().invoke(app, ["scene", "nominal:1", "--out", str(tmp_path / "scene.obj")]).exit_code != 0
 
 
+def test_controller_and_integrator_are_options_of_the_names_that_there_are():
+    assert [controller.value for controller in Controller] == list(get_args(ControlMethod))
+    assert [integrator.value for integrator in Integrator] == list(get_args(Method))
+
+
+@pytest.mark.parametrize(
+    ("options", "way"),
+    [
+        (["--controller", "lqr", "--integrator", "rk4"], "kinematic rk4"),
+        (["--integrator", "cvodes", "--vehicle", "tyres"], "saturating cvodes"),
+    ],
+)
+def test_controller_and_integrator_are_taken(options, way):
+    arguments = ["run", "nominal:0", "--policy", "route", "--rollouts", "1", "--workers", "1", "--duration", "3"]
+    result = CliRunner().invoke(app, [*arguments, *options, "--json"])
+    assert result.exit_code == 0, result.output
+    printed = json.loads(result.stdout)
+    assert printed["vehicle_steps"] == {way: 13}
+    assert (printed["controller"], printed["integrator"]) == ("lqr" if "lqr" in options else "linear", way.split()[1])
+
+
+class _Named(policies.ConstantVelocityPolicy):
+    name = "{} of {0!r:>3} 1 of 2"
+
+
 class _Broken:
     name, cameras, image_size = "broken", (), (0, 0)
 
@@ -178,10 +207,38 @@ class _Broken:
         raise RuntimeError("out of order")
 
 
-def test_the_command_fails_when_a_rollout_is_not_valid(monkeypatch):
-    entry = EntryPoint("broken", "nowhere:broken", "olt.policies")
-    monkeypatch.setattr(EntryPoint, "load", lambda self: lambda argument: _Broken())
-    monkeypatch.setattr(policies, "entry_points", lambda group: [entry])
+@pytest.fixture
+def register(monkeypatch):
+    """Makes a policy known under a name."""
+
+    def register_policy(name, policy):
+        entry = EntryPoint(name, "nowhere:policy", "olt.policies")
+        monkeypatch.setattr(EntryPoint, "load", lambda self: lambda argument: policy)
+        monkeypatch.setattr(policies, "entry_points", lambda group: [entry])
+
+    return register_policy
+
+
+def test_a_policy_may_have_any_name(register):
+    register("{policy}", _Named())
+    arguments = ["run", "nominal:0", "--policy", "{policy}", "--rollouts", "2", "--workers", "1", "--duration", "3"]
+    result = CliRunner().invoke(app, arguments)
+    assert result.exit_code == 0, result.output
+    told = " ".join(result.stdout.split())
+    assert f"left out in 2 of 2 rollouts: the route ahead: policy {_Named.name} does not look at it" in told
+
+
+def test_what_was_left_out_is_added_up(straight_scene, moving_agent):
+    near, far = moving_agent("near", (20.0, 4.0)), moving_agent("far", (0.0, 300.0))
+    scenes = [straight_scene((near, far)), replace(straight_scene((far,)), name="other")]
+    results = run_closed_loop(scenes, "standing", rollouts=2, settings=SHORT)
+    counted = count_left_out(results)
+    assert counted[Omission("agents in collision tests", "never within reach", 4, 6)] == 4
+    assert counted[Omission("tyre dynamics", "the vehicle is kinematic")] == 4
+
+
+def test_the_command_fails_when_a_rollout_is_not_valid(register):
+    register("broken", _Broken())
     result = CliRunner().invoke(app, ["run", "--scene", "nominal:0", "--policy", "broken", "--workers", "1"])
     assert result.exit_code == 1
     assert "not valid: the policy raised RuntimeError" in result.stdout

@@ -1,4 +1,4 @@
-"""What a definition of the score looks at: one drive, what was around it, and what had been recorded there."""
+"""What a definition of the score looks at: one rollout, what was around it, and what had been recorded there."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_closed_loop.vehicle.models import STATE
+from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import Array, yaw_of
 
 PLAN_STEP_US = 100_000
@@ -33,14 +33,14 @@ class LaneLines:
 
 
 @dataclass(frozen=True)
-class TimedPlan:
-    """What the policy planned at one time.
+class PlanRecord:
+    """What the policy planned at one time, in the world.
 
     Attributes:
         now_us: when the plan was made.
         query_us: the first time that it was asked for.
         timestamps_us: (n,) int64 times of its poses, increasing.
-        poses: (n, 3) x, y, yaw of the rig in the world.
+        poses: (n, 3) x, y, yaw of the rig in the world, metres and radians.
         samples: further plans (n, 3) that the policy drew at the same times.
     """
 
@@ -52,11 +52,11 @@ class TimedPlan:
 
 
 @dataclass(frozen=True)
-class DriveRecord:
-    """One drive with everything that scoring needs; times are integer microseconds, lengths metres, angles radians.
+class RolloutRecord:
+    """One rollout with everything that scoring needs; times are integer microseconds, lengths metres, angles radians.
 
     Attributes:
-        name: what the drive is called.
+        name: what the rollout is called.
         handover_us: when the policy took over; what comes before is warm-up.
         timestamps_us: (n,) int64, strictly increasing.
         poses: (n, 4) x, y, z, yaw of the rig in the world.
@@ -79,15 +79,15 @@ class DriveRecord:
     lanes: tuple[LaneLines, ...] = ()
     road_edges: tuple[Array, ...] = ()
     drivable: tuple[Array, ...] = ()
-    plans: tuple[TimedPlan, ...] = ()
+    plans: tuple[PlanRecord, ...] = ()
 
 
-def record_drive_in_scene(scene: Scene, rollout: Rollout) -> DriveRecord:
+def record_rollout(scene: Scene, rollout: Rollout) -> RolloutRecord:
     """The record of a rollout of a scene. A policy's plan is the one sample that it drew."""
     vehicle = scene.vehicle
     x, y, yaw = rollout.states[:, [STATE.x, STATE.y, STATE.yaw]].T
     T_world_rig = scene.ego.T_world_rig
-    return DriveRecord(
+    return RolloutRecord(
         name=scene.name,
         handover_us=rollout.handover_us,
         timestamps_us=rollout.timestamps_us,
@@ -100,11 +100,7 @@ def record_drive_in_scene(scene: Scene, rollout: Rollout) -> DriveRecord:
         road_edges=scene.road_edges,
         drivable=scene.drivable,
         plans=tuple(
-            _plan(int(now_us), poses) for now_us, poses in zip(rollout.plan_times_us, rollout.plans, strict=True)
+            PlanRecord(now_us, now_us + PLAN_STEP_US, now_us + PLAN_STEP_US * np.arange(len(poses)), poses, (poses,))
+            for now_us, poses in zip(rollout.plan_times_us.tolist(), rollout.plans, strict=True)
         ),
     )
-
-
-def _plan(now_us: int, poses: Array) -> TimedPlan:
-    times = now_us + PLAN_STEP_US * np.arange(len(poses), dtype=np.int64)
-    return TimedPlan(now_us, now_us + PLAN_STEP_US, times, poses, (poses,))

@@ -9,6 +9,8 @@ from olt_closed_loop.evaluation.gate import check_gate
 from olt_closed_loop.scenes.procedural import CATEGORIES, generate_scene
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.errors import InputError
+from olt_generator.poses import planar_pose
+from olt_generator.trajectory import Trajectory
 
 
 def holds(scene, settings=None):
@@ -51,3 +53,21 @@ def test_it_looks_at_the_drive_that_is_asked_for(straight_scene, moving_agent):
 def test_a_recording_that_ends_in_the_warm_up_is_refused(straight_scene):
     with pytest.raises(InputError, match="nothing after the warm-up"):
         check_gate(straight_scene(duration=1.5))
+
+
+def test_the_gate_passes_where_drives_get_what_they_are_worth(straight_scene):
+    result = check_gate(straight_scene())
+    assert result.passed
+    assert [check.passed for check in result.checks] == [True, True, True]
+
+
+def test_the_gate_fails_where_the_recording_itself_collides(straight_scene, moving_agent):
+    result = check_gate(straight_scene((moving_agent("in the way", (50.0, 0.0)),)))
+    assert not result.passed
+    assert result.to_dict()["checks"][0]["passed"] is False
+
+
+def test_the_gate_does_not_ask_what_a_scene_cannot_answer(straight_scene):
+    scene = straight_scene()
+    still = replace(scene, ego=Trajectory(scene.ego.timestamps_us, planar_pose(np.zeros(81), 0.0, 0.0)))
+    assert [check.passed for check in check_gate(still).checks] == [True, None, None]

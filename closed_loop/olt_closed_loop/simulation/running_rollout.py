@@ -1,0 +1,247 @@
+"""One rollout while it runs: where the vehicle has been, what was planned, and what its policy is shown."""
+
+import time
+from collections import Counter, defaultdict, deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_closed_loop.control.plans import PlanRefused, WorldPlan, place_plan
+from olt_closed_loop.control.tracking import TrackingController
+from olt_closed_loop.rollouts.progress import PathTracker
+from olt_closed_loop.rollouts.rollout import Incidents, Rollout
+from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.simulation.batch_policy import BatchPolicy
+from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
+from olt_closed_loop.simulation.recorded_motion import recorded_motion
+from olt_closed_loop.simulation.settings import SimulationSettings, step_times
+from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.models import with_rolling_tyres
+from olt_closed_loop.vehicle.state import STATE, STATE_SIZE
+from olt_generator.errors import InputError
+from olt_generator.omissions import Omission
+from olt_generator.poses import Array, planar_pose
+from olt_generator.seeds import derive_seed
+from olt_toolkit.policy.contract import (
+    FUTURE_STEPS,
+    HISTORY_STEPS,
+    IMAGE_FRAMES,
+    STEP_SECONDS,
+    PlannedTrajectory,
+    Policy,
+)
+from olt_toolkit.rigs.rig import CAMERA_INDEX
+
+ROUTE_POINTS = 20
+ROUTE_LENGTH = 80.0
+"""Number of points and metres of the route that a policy is shown (docs/formats/alpasim.md)."""
+_ROUTE_DISTANCES: Array = np.linspace(0.0, ROUTE_LENGTH, ROUTE_POINTS)
+_BEFORE = HISTORY_STEPS - 1
+
+
+class Sensors(Protocol):
+    """What takes the pictures."""
+
+    def render_rig(
+        self, cameras: tuple[str, ...], size: tuple[int, int], T_world_rig: Array, time_us: int
+    ) -> NDArray[np.uint8]:
+        """Images (cameras, 3, H, W) of the named cameras on the rig at `T_world_rig` (4, 4); `size` is (H, W)."""
+        ...
+
+
+@dataclass(frozen=True)
+class RolloutRequest:
+    """A scene to drive, what seeds the rollout, and what takes pictures in it."""
+
+    scene: Scene
+    seed: int = 0
+    sensors: Sensors | None = None
+
+
+class RunningRollout:
+    """The drive of one vehicle through one scene; steps are counted from the start of the recording.
+
+    Attributes:
+        times: (n,) int64 times of the steps, microseconds.
+        incidents: counted so far.
+        failure: why the rollout cannot go on, or None.
+    """
+
+    def __init__(self, request: RolloutRequest, policy: Policy, settings: SimulationSettings) -> None:
+        """Follow the recording up to the hand-over.
+
+        Raises:
+            InputError: the recording is too short, the policy needs cameras and there is nothing to take pictures, or
+                pictures would show reactive traffic where it is not.
+        """
+        if policy.cameras and request.sensors is None:
+            raise InputError(f"policy {policy.name} needs cameras ({', '.join(policy.cameras)}); give a renderer")
+        if policy.cameras and settings.traffic != "recorded":
+            raise InputError(
+                f"policy {policy.name} has cameras, and pictures show agents where they were recorded; "
+                "give recorded traffic instead of reactive"
+            )
+        self._scene, self._seed, self._sensors = request.scene, request.seed, request.sensors
+        self._policy, self._settings = policy, settings
+        self.times = step_times(self._scene, settings)
+        self.incidents: Counter[str] = Counter()
+        self.failure: str | None = None
+        self._parameters = settings.vehicle_of(self._scene)
+        self._controller = TrackingController(self._parameters, settings.control)
+        self._stepper = make_stepper(self._parameters, settings.integrator, step=STEP_SECONDS)
+        self._plans: list[WorldPlan] = []
+        self._frames: deque[NDArray[np.uint8]] = deque(maxlen=IMAGE_FRAMES)
+        self._timings: defaultdict[str, float] = defaultdict(float)
+        self._rendered, self._driven = 0, settings.handover
+        self._follow_recording()
+        reactive = settings.traffic == "idm"
+        self._agents = ReactiveAgents(self._scene.agents, int(self.times[self._driven])) if reactive else None
+        self._ignores_route = settings.skip and isinstance(policy, BatchPolicy) and not policy.uses_route
+        self._route: PathTracker | None = None
+        if len(self._scene.route) and not self._ignores_route:
+            self._route = PathTracker(self._scene.route[:, :2])
+            self._route.start_at(self._states[settings.handover - settings.planner_delay, : STATE.yaw])
+
+    def _follow_recording(self) -> None:
+        recorded, heights = recorded_motion(self._scene, self.times[: self._driven + 1])
+        count = len(recorded)
+        self._states = np.full((len(self.times), self._parameters.state_size), np.nan)
+        self._heights = np.full(len(self.times), np.nan)
+        self._controls = np.full((len(self.times) - 1, 2), np.nan)
+        self._states[:count] = with_rolling_tyres(recorded, self._parameters)
+        self._heights[:count] = heights
+        x, y, yaw, speed = recorded[0, : STATE.steering]
+        back = STEP_SECONDS * speed * np.arange(-_BEFORE, 0)
+        z = np.full(_BEFORE, heights[0])
+        # Before the recording starts the rig is taken to have come straight at its first velocity.
+        self._earlier = np.column_stack([x + np.cos(yaw) * back, y + np.sin(yaw) * back, z, np.full(_BEFORE, yaw)])
+
+    def runs_at(self, step: int) -> bool:
+        """Whether the vehicle is still to be driven on from this step."""
+        return not self.failure and step < len(self.times) - 1
+
+    def past_poses(self, step: int) -> Array:
+        """x, y, z, yaw (16, 4) of the rig in the world at this step and the 15 before it."""
+        first = step - _BEFORE
+        known = slice(max(first, 0), step + 1)
+        poses = np.column_stack([self._states[known, :2], self._heights[known], self._states[known, STATE.yaw]])
+        return poses if first >= 0 else np.concatenate([self._earlier[first:], poses])
+
+    def images(self) -> NDArray[np.uint8] | None:
+        """The last four pictures (cameras, 4, 3, H, W) of each camera of the policy, or None without cameras."""
+        return np.stack(self._frames, axis=1) if self._policy.cameras else None
+
+    def seed_at(self, step: int) -> int:
+        """What seeds the policy's call at a step."""
+        return derive_seed(self._seed, self._scene.name, step)
+
+    def route_ahead(self, step: int) -> Array:
+        """Route (20, 2) ahead in the rig frame, metres, filled up with NaN where it ends earlier or is not known."""
+        route = np.full((ROUTE_POINTS, 2), np.nan)
+        if self._route is None:
+            return route
+        x, y, yaw = self._states[step, : STATE.speed]
+        self._route.advance(np.array([x, y]))
+        ahead = self._route.points_ahead(_ROUTE_DISTANCES) - (x, y)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        route[: len(ahead), 0] = cos * ahead[:, 0] + sin * ahead[:, 1]
+        route[: len(ahead), 1] = cos * ahead[:, 1] - sin * ahead[:, 0]
+        return route
+
+    def take_pictures(self, step: int) -> None:
+        """Render the policy's cameras once, if it has any; the picture serves this step and the next three."""
+        if self._sensors is None or not self._policy.cameras:
+            return
+        x, y, yaw = self._states[step, : STATE.speed]
+        pose = planar_pose(x, y, yaw, self._heights[step])
+        with self._timed("rendering"):
+            pictures = self._sensors.render_rig(
+                self._policy.cameras, self._policy.image_size, pose, int(self.times[step])
+            )
+        self._frames.append(pictures)
+        self._rendered += 1
+
+    def accept(self, answer: PlannedTrajectory | Exception, step: int, seconds: float) -> None:
+        """Keep the plan made at a step in so many seconds, count that it is refused, or end with what was raised."""
+        self._timings["policy"] += seconds
+        if isinstance(answer, Exception):
+            self.incidents["policy_errors"] += 1
+            self.failure = f"the policy raised {type(answer).__name__} at {self.times[step] * 1e-6:.1f} s: {answer}"
+            return
+        try:
+            x, y, yaw = self._states[step, : STATE.speed]
+            self._plans.append(place_plan(answer, x, y, yaw, int(self.times[step])))
+        except PlanRefused as refusal:
+            self.incidents["plans_refused"] += 1
+            if not self._plans:
+                self.failure = f"the first plan was refused: {refusal}"
+
+    def move(self, step: int) -> None:
+        """Follow the plan in force, the newest older than the delay, for one step; agents react to the ego before."""
+        now_us, before = int(self.times[step]), self._states[step]
+        in_force_us = now_us - self._settings.planner_delay_us
+        plan = next(plan for plan in reversed(self._plans) if plan.timestamps_us[0] <= in_force_us)
+        with self._timed("control"):
+            control = self._controller.control(before, plan, now_us)
+        low, high = self._parameters.control_limits
+        self.incidents["saturations"] += bool(np.any((control <= low) | (control >= high)))
+        with self._timed("vehicle"):
+            state = self._stepper(before, control)
+        if self._agents is not None:
+            x, y, yaw, speed = before[: STATE.steering]
+            ego, ahead = self._scene.vehicle, self._scene.vehicle.rear_axle_to_bbox_center
+            center = np.array([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
+            self._agents.step(now_us, center, (ego.length, ego.width), speed)
+        # The ground is as high as at the nearest recorded pose.
+        ground = self._scene.ego.positions
+        nearest = np.argmin((ground[:, 0] - state[STATE.x]) ** 2 + (ground[:, 1] - state[STATE.y]) ** 2)
+        self._controls[step], self._states[step + 1], self._heights[step + 1] = control, state, ground[nearest, 2]
+        self._driven = step + 1
+
+    @contextmanager
+    def _timed(self, work: str) -> Iterator[None]:
+        """Add the time that the block takes to a kind of work."""
+        started = time.perf_counter()
+        yield
+        self._timings[work] += time.perf_counter() - started
+
+    def rollout(self) -> Rollout:
+        """What has been driven."""
+        count = self._driven + 1
+        plans = [plan.poses for plan in self._plans]
+        solves, integration = self._controller.events, self._stepper.report()
+        return Rollout(
+            scene=self._scene.name,
+            category=self._scene.category,
+            policy=self._policy.name,
+            seed=self._seed,
+            handover_us=int(self.times[self._settings.handover]),
+            timestamps_us=self.times[:count],
+            states=self._states[:count, :STATE_SIZE],
+            heights=self._heights[:count],
+            controls=self._controls[: count - 1],
+            plan_times_us=np.array([plan.timestamps_us[0] for plan in self._plans], dtype=np.int64),
+            plans=np.stack(plans) if plans else np.zeros((0, FUTURE_STEPS + 1, 3)),
+            incidents=Incidents(**self.incidents, solves_failed=solves.failed, solves_late=solves.late),
+            failure=self.failure,
+            rendered_images=dict.fromkeys(self._policy.cameras, self._rendered),
+            left_out=(*self._left_out(), *integration.left_out),
+            vehicle_steps=integration.taken,
+            timings=dict(self._timings),
+            traffic=self._settings.traffic,
+            reacted=self._agents.reacted() if self._agents else (),
+        )
+
+    def _left_out(self) -> Iterator[Omission]:
+        unseen = f"policy {self._policy.name} does not look at "
+        unused = [camera for camera in CAMERA_INDEX if camera not in self._policy.cameras]
+        if unused:
+            yield Omission(f"rendering of {', '.join(unused)}", f"{unseen}them")
+        if self._settings.vehicle == "kinematic":
+            yield Omission("tyre dynamics", "the vehicle is kinematic")
+        if self._ignores_route:
+            yield Omission("the route ahead", f"{unseen}it")
