@@ -60,17 +60,13 @@ def draw_samples(
     )
     # Priorities are uniform, so that a bound which hardly exceeds the share that is asked for leaves few to sort.
     share = (count + 6.0 * math.sqrt(count) + 16.0) / max(available, 1)
-    while share < 1.0:
-        bound = pl.lit(math.floor(share * TWO_TO_64), pl.UInt64)
-        drawn = samples.filter(pl.col(PRIORITY) < bound).collect(engine="streaming")
-        if len(drawn) >= count:
-            return _first(drawn, count)
+    while True:
+        bounded = share < 1.0
+        least = pl.col(PRIORITY) < pl.lit(math.floor(share * TWO_TO_64), pl.UInt64) if bounded else pl.lit(True)
+        drawn = samples.filter(least).collect(engine="streaming")
+        if len(drawn) >= count or not bounded:
+            return drawn.sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
         share *= 2.0
-    return _first(samples.collect(engine="streaming"), count)
-
-
-def _first(samples: pl.DataFrame, count: int) -> pl.DataFrame:
-    return samples.sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
 
 
 def _sample_times(component: Component) -> pl.Expr:

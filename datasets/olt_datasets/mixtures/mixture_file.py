@@ -5,6 +5,7 @@ for those of any size.
 """
 
 import json
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, Literal
 
@@ -17,11 +18,11 @@ from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_toolkit import __version__
 
-PLAN_SUFFIXES = (".json", ".parquet")
+MIXTURE_SUFFIXES = (".json", ".parquet")
 METADATA_KEY = "openlongtail mixture"
 
 
-class _Plan(BaseModel):
+class _Header(BaseModel):
     """All of a mixture but its samples."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -38,21 +39,23 @@ class _Plan(BaseModel):
     summary: dict[str, Any]
 
     @model_validator(mode="after")
-    def _check(self) -> "_Plan":
+    def _check(self) -> "_Header":
         if not len(self.available) == len(self.distinct) == len(self.recipe.components):
-            raise ValueError("the recipe and the plan differ in their number of components")
+            raise ValueError("the recipe and the mixture differ in their number of components")
         return self
 
 
-def write_plan(mixture: Mixture, path: Path) -> None:
+def write_mixture(mixture: Mixture, path: Path) -> None:
     """Write a mixture as JSON or Parquet, by the suffix of the file; it appears whole.
 
     Raises:
         InputError: the suffix is another one, or the folder cannot be written to.
     """
-    if path.suffix not in PLAN_SUFFIXES:
-        raise InputError(f"{path}: a mixture is JSON or Parquet; give a name that ends in {' or '.join(PLAN_SUFFIXES)}")
-    plan = _Plan(
+    if path.suffix not in MIXTURE_SUFFIXES:
+        raise InputError(
+            f"{path}: a mixture is JSON or Parquet; give a name that ends in {' or '.join(MIXTURE_SUFFIXES)}"
+        )
+    header = _Header(
         recipe=mixture.recipe,
         seed=mixture.seed,
         checksum=mixture.checksum,
@@ -63,20 +66,20 @@ def write_plan(mixture: Mixture, path: Path) -> None:
     ).model_dump_json()
     with write_whole(path) as temporary:
         if path.suffix == ".parquet":
-            mixture.samples.write_parquet(temporary, metadata={METADATA_KEY: plan})
+            mixture.samples.write_parquet(temporary, metadata={METADATA_KEY: header})
         else:
             samples = json.dumps(mixture.samples.to_dict(as_series=False))
-            temporary.write_text(f'{plan[:-1]},"samples":{samples}}}\n', encoding="utf-8")
+            temporary.write_text(f'{header[:-1]},"samples":{samples}}}\n', encoding="utf-8")
 
 
-def read_plan(path: Path) -> Mixture:
-    """Read a mixture that `write_plan` wrote.
+def read_mixture(path: Path) -> Mixture:
+    """Read a mixture that `write_mixture` wrote.
 
     Raises:
-        InputError: the file cannot be read or is not a plan of this version; names the field.
+        InputError: the file cannot be read or is not a mixture of this version; names the field.
     """
     try:
-        plan, samples = _read_parquet(path) if path.suffix == ".parquet" else _read_json(path)
+        header, samples = _read_parts(path)
     except OSError as error:
         raise InputError(f"{path}: cannot read this mixture ({error.strerror or error})") from error
     except ValidationError as error:
@@ -86,28 +89,27 @@ def read_plan(path: Path) -> Mixture:
     except (ValueError, TypeError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(f"{path}: not a mixture ({reason}); compose it again") from error
-    if len(samples) != sum(plan.distinct) or any(samples[name].has_nulls() for name in SAMPLE_SCHEMA.names()[:-1]):
+    if len(samples) != sum(header.distinct) or any(samples[name].has_nulls() for name in SAMPLE_SCHEMA.names()[:-1]):
         raise InputError(f"{path}: samples: some are missing; compose the mixture again")
-    parts = [samples.slice(sum(plan.distinct[:index]), count) for index, count in enumerate(plan.distinct)]
-    components = map(MixtureComponent, plan.recipe.components, plan.available, parts)
-    mixture = Mixture(plan.recipe, plan.seed, plan.items, tuple(components))
-    if mixture.checksum != plan.checksum:
+    ends = accumulate(header.distinct)
+    parts = [samples.slice(end - count, count) for end, count in zip(ends, header.distinct, strict=True)]
+    components = map(MixtureComponent, header.recipe.components, header.available, parts)
+    mixture = Mixture(header.recipe, header.seed, header.items, tuple(components))
+    if mixture.checksum != header.checksum:
         raise InputError(f"{path}: samples: not those that were composed; compose the mixture again")
     return mixture
 
 
-def _read_json(path: Path) -> tuple[_Plan, pl.DataFrame]:
+def _read_parts(path: Path) -> tuple[_Header, pl.DataFrame]:
+    if path.suffix == ".parquet":
+        header = pl.read_parquet_metadata(path).get(METADATA_KEY)
+        if header is None:
+            raise ValueError("it was not written by `olt mix compose`")
+        return _Header.model_validate_json(header), pl.read_parquet(path).match_to_schema(SAMPLE_SCHEMA)
     content = json.loads(path.read_bytes())
     if not isinstance(content, dict):
         raise ValueError("it is not a JSON object")
     samples = content.pop("samples", None)
     # JSON knows no tuples and no numbers as keys; pydantic allows for that in JSON text alone.
-    plan = _Plan.model_validate_json(json.dumps(content))
-    return plan, pl.DataFrame(samples, schema=SAMPLE_SCHEMA, strict=True)
-
-
-def _read_parquet(path: Path) -> tuple[_Plan, pl.DataFrame]:
-    metadata = pl.read_parquet_metadata(path)
-    if METADATA_KEY not in metadata:
-        raise ValueError("it was not written by `olt mix compose`")
-    return _Plan.model_validate_json(metadata[METADATA_KEY]), pl.read_parquet(path).match_to_schema(SAMPLE_SCHEMA)
+    header = _Header.model_validate_json(json.dumps(content))
+    return header, pl.DataFrame(samples, schema=SAMPLE_SCHEMA, strict=True)

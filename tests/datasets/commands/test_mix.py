@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 from olt_datasets.commands.mix import app
 from olt_datasets.mixtures.mixture import compose_mixture
-from olt_datasets.mixtures.plan import PLAN_SUFFIXES, read_plan
+from olt_datasets.mixtures.mixture_file import MIXTURE_SUFFIXES, read_mixture
 from olt_datasets.mixtures.recipe import builtin_recipe
 from olt_datasets.tables.clip_table import read_clip_tables
 from olt_generator.errors import InputError
@@ -29,7 +29,7 @@ def stores(write_store, make_clip):
     return ["--stores", write_store(*nominal, name="gt"), "--stores", write_store(*work_zones, name="syn")]
 
 
-@pytest.fixture(params=PLAN_SUFFIXES)
+@pytest.fixture(params=MIXTURE_SUFFIXES)
 def plan(stores, tmp_path, request):
     path = (tmp_path / "mixture").with_suffix(request.param)
     run("compose", "toy_nominal_long_tail", *stores, "--out", path)
@@ -52,7 +52,7 @@ def test_compose_shows_what_was_asked_and_got(stores):
 
 def test_written_mixture_gives_the_same_batches(plan, stores):
     composed = compose_mixture(builtin_recipe("toy_nominal_long_tail"), read_clip_tables(stores[1::2]), seed=0)
-    written = read_plan(plan)
+    written = read_mixture(plan)
     assert written.epoch(1, 8) == composed.epoch(1, 8)
     assert written.describe() == composed.describe()
 
@@ -89,9 +89,13 @@ def test_check_lists_shortages_and_leaks(stores, write_store, make_clip):
     status, out = run("check", "toy_nominal", *stores, "--stores", write_store(twin, name="twin"), "--json")
     findings = json.loads(out)
     assert status == 1 and not findings["accepted"]
-    assert len(findings["leaks"]) == 1 and findings["leaks"][0].startswith("scene scene_1: its GT clips in split train")
+    (leak,) = findings["leaks"]
+    assert leak["scene_id"] == "scene_1" and leak["detail"].startswith("its GT clips in split train")
     status, out = run("check", "toy_nominal_long_tail", *stores[:2])
     assert status == 1 and "refused" in out and "'long_tail'" in out
+    (shortage,) = json.loads(run("check", "toy_nominal_long_tail", *stores[:2], "--json")[1])["shortages"]
+    assert (shortage["component"], shortage["asked"], shortage["clips"]) == ("long_tail", 256, 0)
+    assert shortage["split_holds"] == [{"kind": "GT", "category": "nominal", "source": "world", "clips": 6}]
 
 
 @pytest.mark.parametrize(
@@ -100,7 +104,7 @@ def test_check_lists_shortages_and_leaks(stores, write_store, make_clip):
         (lambda plan: plan.update(version=1), "version: Input should be 2"),
         (lambda plan: plan.pop("seed"), "seed: Field required"),
         (lambda plan: plan.update(more=1), "more: Extra inputs are not permitted"),
-        (lambda plan: plan["available"].pop(), "file: Value error, the recipe and the plan differ"),
+        (lambda plan: plan["available"].pop(), "file: Value error, the recipe and the mixture differ"),
         (lambda plan: plan["recipe"]["components"][0].update(share=0.4), "recipe: Value error, the shares sum to 0.9"),
         (lambda plan: plan["distinct"].insert(0, plan["distinct"].pop() + 1), "samples: some are missing"),
         (lambda plan: plan["samples"]["clip_id"].__setitem__(3, None), "samples: some are missing"),
@@ -117,10 +121,10 @@ def test_damaged_mixture_is_refused_by_field(stores, tmp_path, change, message):
     change(content)
     plan.write_text(json.dumps(content))
     with pytest.raises(InputError, match=re.escape(f"{plan}: {message}")):
-        read_plan(plan)
+        read_mixture(plan)
 
 
-@pytest.mark.parametrize("suffix", PLAN_SUFFIXES)
+@pytest.mark.parametrize("suffix", MIXTURE_SUFFIXES)
 def test_files_that_hold_no_mixture_are_refused(stores, tmp_path, suffix):
     path = tmp_path / f"mixture{suffix}"
     with pytest.raises(InputError, match="cannot read this mixture"):
@@ -158,7 +162,7 @@ def test_a_base_model_is_composed_of_nothing(stores, tmp_path):
     assert status == 0 and (summary["samples_per_epoch"], summary["components"], summary["by_kind"]) == (0, [], {})
     assert run("show", out)[0] == 0 and run("show", "base_r1")[0] == 0
     with pytest.raises(InputError, match="recipe base_r1 has no samples to train on"):
-        read_plan(out).epoch(0, 32)
+        read_mixture(out).epoch(0, 32)
 
 
 def test_diff_tells_recipes_samples_and_shares_apart(stores, tmp_path):

@@ -19,13 +19,13 @@ The paper's example: of temporary path reassignment NV has 671 clips and Waymo E
     >>> alignment = align_sources(PAPER_COVERAGE, PAPER_COVERAGE["nv"])
     >>> [source.name for source in alignment.sources], [round(source.share, 2) for source in alignment.sources]
     (['nv', 'waymo_e2e'], [0.99, 0.01])
-    >>> print(alignment.findings[0])
+    >>> print(word_missing_factor(alignment.missing[0]))
     waymo_e2e: none of its 52 clips has human_guided_control, 8.5 % of the target; 95 % sure that fewer than 5.6 % do
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import polars as pl
@@ -67,7 +67,7 @@ class Gap:
 
 
 @dataclass(frozen=True)
-class SourceAlignment:
+class AlignedSource:
     """How one source stands to the target.
 
     Attributes:
@@ -84,8 +84,27 @@ class SourceAlignment:
 
 
 @dataclass(frozen=True)
-class Alignment:
-    """How sources stand to a target.
+class MissingFactor:
+    """A factor that the target asks for and a source, or every source, has not once.
+
+    Attributes:
+        factor: the factor.
+        target_share: its share of the target.
+        source: the source; None where no source has the factor.
+        clips: number of the source's clips; None for all sources.
+        bound: the part of such clips that the source has less than, with the probability `CONFIDENCE`; None for all.
+    """
+
+    factor: str
+    target_share: float
+    source: str | None = None
+    clips: float | None = None
+    bound: float | None = None
+
+
+@dataclass(frozen=True)
+class SourceAlignment:
+    """How sources stand to a target slice.
 
     Attributes:
         target: share of each factor in the target.
@@ -93,19 +112,15 @@ class Alignment:
         sources: the sources, one by one.
         pooled_gap: gap of all clips of all sources together.
         proposed_gap: gap of the proposed shares.
-        findings: what no number above says, in words.
+        missing: factors of the target that sources have not once.
     """
 
     target: dict[str, float]
     coverage: dict[str, dict[str, float]]
-    sources: tuple[SourceAlignment, ...]
+    sources: tuple[AlignedSource, ...]
     pooled_gap: Gap
     proposed_gap: Gap
-    findings: tuple[str, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """The attributes by name."""
-        return asdict(self)
+    missing: tuple[MissingFactor, ...]
 
 
 def measure_coverage(clips: pl.DataFrame | pl.LazyFrame, by: Dimension = "factors") -> dict[str, dict[str, float]]:
@@ -132,7 +147,7 @@ def align_sources(
     target_is_sample: bool = False,
     samples: int | None = None,
     seed: int = 0,
-) -> Alignment:
+) -> SourceAlignment:
     """Compare sources with a target, and propose shares that bring their mixture closest to it.
 
     Of all shares that are equally close, those nearest to the sources' own sizes are proposed.
@@ -155,26 +170,36 @@ def align_sources(
     wanted = weights / weights.sum()
     sizes = counts.sum(axis=1)
 
-    aim = _normalize(_smooth(weights)) if target_is_sample else wanted
-    shares = propose_shares(_normalize(_smooth(counts)), aim, sizes / sizes.sum(), _share_limits(sizes, samples))
+    if samples is not None and sizes.sum() < samples:
+        raise InputError(f"alignment: the sources have {sizes.sum():g} clips, {samples} are asked for; ask for fewer")
+    limits = np.ones(len(sizes)) if samples is None else np.minimum(sizes / samples, 1.0)
+
+    # Parameters of the Dirichlet posteriors.
+    posteriors, posterior = (array + PRIOR_CLIPS / len(factors) for array in (counts, weights))
+    aim = posterior / posterior.sum() if target_is_sample else wanted
+    means = posteriors / posteriors.sum(axis=1, keepdims=True)
+    shares = propose_shares(means, aim, sizes / sizes.sum(), limits)
 
     generator = make_generator("alignment", seed)
-    drawn = np.stack([generator.dirichlet(row, DRAWS) for row in _smooth(counts)])
-    aims = generator.dirichlet(_smooth(weights), DRAWS) if target_is_sample else wanted
+    drawn = np.stack([generator.dirichlet(row, DRAWS) for row in posteriors])
+    aims = generator.dirichlet(posterior, DRAWS) if target_is_sample else wanted
 
     def gap_of(mixed: Array) -> Gap:
-        return _summarize(total_variation(np.tensordot(mixed, drawn, axes=1), aims))
+        tail = 50.0 * (1.0 - CONFIDENCE)
+        gaps = total_variation(np.tensordot(mixed, drawn, axes=1), aims)
+        low, median, high = np.percentile(gaps, [tail, 50.0, 100.0 - tail]).tolist()
+        return Gap(median, low, high)
 
     own = [gap_of(alone) for alone in np.eye(len(sizes))]
-    return Alignment(
+    return SourceAlignment(
         target=dict(zip(factors, wanted.tolist(), strict=True)),
         coverage={
             name: dict(zip(factors, row, strict=True)) for name, row in zip(coverage, counts.tolist(), strict=True)
         },
-        sources=tuple(map(SourceAlignment, coverage, sizes.tolist(), own, shares.tolist())),
+        sources=tuple(map(AlignedSource, coverage, sizes.tolist(), own, shares.tolist())),
         pooled_gap=gap_of(sizes / sizes.sum()),
         proposed_gap=gap_of(shares),
-        findings=tuple(_find_missing(list(coverage), counts, factors, wanted)),
+        missing=tuple(_find_missing(list(coverage), counts, factors, wanted)),
     )
 
 
@@ -197,86 +222,60 @@ def propose_shares(distributions: Array, target: Array, sizes: Array, limits: Ar
     Returns:
         (sources,) shares that sum to 1.
     """
-    first = _nearest(distributions.T, target, limits)
+    first = _nearest([(distributions.T, target)], limits)
     least = float(total_variation(first @ distributions, target))
-    shares = _nearest(np.eye(len(sizes)), sizes, limits, (distributions.T, target, least + 1e-9))
+    shares = _nearest([(np.eye(len(sizes)), sizes), (distributions.T, target)], limits, least + 1e-9)
     shares = np.where(shares < 1e-6, 0.0, shares)
     return shares / shares.sum()
 
 
-def _nearest(matrix: Array, aim: Array, limits: Array, within: tuple[Array, Array, float] | None = None) -> Array:
-    """Shares w that minimise sum |matrix w - aim| / 2; `within` (A, b, d) also keeps sum |A w - b| / 2 to d."""
-    terms = [(matrix, aim)] + ([] if within is None else [within[:2]])
-    heights = [len(rows) for rows, _ in terms]
-    total = len(limits) + sum(heights)
-    constraints, bounds_above = [], []
-    for index, (rows, goal) in enumerate(terms):
-        start = len(limits) + sum(heights[:index])
-        differences = np.zeros((len(rows), total))
-        differences[:, start : start + len(rows)] = -np.eye(len(rows))
-        for sign in (1.0, -1.0):
-            block = differences.copy()
-            block[:, : len(limits)] = sign * rows
-            constraints.append(block)
-            bounds_above.append(sign * goal)
-    if within is not None:
-        budget = np.zeros((1, total))
-        budget[0, len(limits) + heights[0] :] = 0.5
-        constraints.append(budget)
-        bounds_above.append(np.array([within[2]]))
-    cost = np.zeros(total)
-    cost[len(limits) : len(limits) + heights[0]] = 0.5
-    sum_to_one = np.concatenate([np.ones(len(limits)), np.zeros(sum(heights))])[None]
+def _nearest(terms: Sequence[tuple[Array, Array]], limits: Array, budget: float | None = None) -> Array:
+    """Shares w, each from 0 to its limit, that minimise sum |A w - b| / 2 of the first term (A, b).
+
+    With a budget, that of the second term is kept to it.
+    """
+    # Unknowns are the shares and, for each row of A w - b, a bound of its absolute value.
+    matrix = np.concatenate([rows for rows, _ in terms])
+    aim = np.concatenate([goal for _, goal in terms])
+    bounded = -np.eye(len(aim))
+    above = np.block([[matrix, bounded], [-matrix, bounded]])
+    cost, rest = np.zeros(len(limits) + len(aim)), np.zeros(len(limits) + len(aim))
+    cost[len(limits) : len(limits) + len(terms[0][1])] = 0.5
+    rest[len(limits) + len(terms[0][1]) :] = 0.5
+    sum_to_one = np.arange(len(cost)) < len(limits)
     found = linprog(
         cost,
-        A_ub=np.concatenate(constraints),
-        b_ub=np.concatenate(bounds_above),
-        A_eq=sum_to_one,
+        A_ub=above if budget is None else np.vstack([above, rest]),
+        b_ub=np.concatenate([aim, -aim, [] if budget is None else [budget]]),
+        A_eq=sum_to_one[None].astype(float),
         b_eq=[1.0],
-        bounds=[(0.0, float(limit)) for limit in limits] + [(0.0, None)] * sum(heights),
+        bounds=[(0.0, float(limit)) for limit in limits] + [(0.0, None)] * len(aim),
     )
     if not found.success:
         raise RuntimeError(f"the linear program of shares was not solved: {found.message}")
     return found.x[: len(limits)]
 
 
-def _share_limits(sizes: Array, samples: int | None) -> Array:
-    if samples is None:
-        return np.ones(len(sizes))
-    if sizes.sum() < samples:
-        raise InputError(f"alignment: the sources have {sizes.sum():g} clips, {samples} are asked for; ask for fewer")
-    return np.minimum(sizes / samples, 1.0)
+def word_missing_factor(missing: MissingFactor) -> str:
+    """One line for people."""
+    wanted = f"{missing.factor}, {100.0 * missing.target_share:.1f} % of the target"
+    if missing.source is None or missing.bound is None:
+        return f"no source has {wanted}: no shares of them close this part of the gap"
+    return (
+        f"{missing.source}: none of its {missing.clips:g} clips has {wanted}; {100.0 * CONFIDENCE:g} % sure that fewer "
+        f"than {100.0 * missing.bound:.1f} % do"
+    )
 
 
-def _smooth(counts: Array) -> Array:
-    """Parameters of the Dirichlet posterior (..., factors)."""
-    return counts + PRIOR_CLIPS / counts.shape[-1]
-
-
-def _normalize(weights: Array) -> Array:
-    return weights / weights.sum(axis=-1, keepdims=True)
-
-
-def _summarize(gaps: Array) -> Gap:
-    tail = 50.0 * (1.0 - CONFIDENCE)
-    low, median, high = np.percentile(gaps, [tail, 50.0, 100.0 - tail]).tolist()
-    return Gap(median, low, high)
-
-
-def _find_missing(names: Sequence[str], counts: Array, factors: Sequence[str], target: Array) -> list[str]:
-    """What the target asks for and a source, or every source, has not once."""
-    findings = []
-    for column, factor in enumerate(factors):
-        wanted = f"{factor}, {100.0 * target[column]:.1f} % of the target"
-        if target[column] and not counts[:, column].any():
-            findings.append(f"no source has {wanted}: no shares of them close this part of the gap")
-            continue
-        for name, row in zip(names, counts, strict=True):
-            if target[column] and not row[column]:
+def _find_missing(
+    names: Sequence[str], counts: Array, factors: Sequence[str], target: Array
+) -> Iterator[MissingFactor]:
+    for factor, share, column in zip(factors, target.tolist(), counts.T, strict=True):
+        if share and not column.any():
+            yield MissingFactor(factor, share)
+        elif share:
+            for row in np.flatnonzero(column == 0.0).tolist():
+                clips = counts[row].sum()
                 # Zero of n are seen with 5 % probability where this part of all clips has the factor.
-                most = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / row.sum())
-                findings.append(
-                    f"{name}: none of its {row.sum():g} clips has {wanted}; {100.0 * CONFIDENCE:g} % sure that fewer "
-                    f"than {100.0 * most:.1f} % do"
-                )
-    return findings
+                bound = 1.0 - (1.0 - CONFIDENCE) ** (1.0 / clips)
+                yield MissingFactor(factor, share, names[row], float(clips), float(bound))
