@@ -11,9 +11,10 @@ import numpy as np
 import pandas as pd
 
 from olt_generator.errors import InputError
-from olt_toolkit.clips.clip import UNLABELLED, Split, check_clip_id
+from olt_toolkit.clips.clip import check_clip_id
 from olt_toolkit.clips.pai_layout import CLIP_INDEX, DATA_COLLECTION, FEATURE_PRESENCE, FEATURES
 from olt_toolkit.clips.pai_tables import read_indexed
+from olt_toolkit.recordings.labels import UNLABELLED, Split
 
 REASONING = "reasoning/ood_reasoning.parquet"
 OLDER_FEATURE_PRESENCE = "metadata/sensor_presence.parquet"

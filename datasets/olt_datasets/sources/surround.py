@@ -22,9 +22,9 @@ from olt_generator.errors import InputError
 from olt_generator.lenses.remap import Remapper
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
-from olt_toolkit.clips.clip import UNLABELLED, Split
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import Drive
+from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, pav_rig, short_name
 

@@ -24,7 +24,8 @@ from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.clip import ClipInfo
 from olt_toolkit.clips.table import SCHEMA, write_clip_table
 from olt_toolkit.recordings.drives import Dataset, open_dataset
-from olt_toolkit.runtime.workers import Engine, map_parallel, use_one_thread
+from olt_toolkit.runtime.threads import use_one_thread
+from olt_toolkit.runtime.workers import Engine, map_parallel
 
 # Enough parts to keep many workers busy, and few enough files to read together.
 _PARTS = 512

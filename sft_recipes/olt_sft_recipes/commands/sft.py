@@ -29,7 +29,7 @@ def train(
     from olt_sft_recipes.training.stage_config import builtin_stage_config, read_stage_config
     from olt_sft_recipes.training.two_stages import train_on_mixture
     from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
-    from olt_toolkit.runtime.workers import use_one_thread
+    from olt_toolkit.runtime.threads import use_one_thread
 
     use_one_thread()
     chosen = _choose_mixture(mixture, recipe, stores, seed)

@@ -9,7 +9,7 @@ from typing import Any
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
 from olt_generator.progress import Progress
-from olt_toolkit import __version__
+from olt_toolkit.runtime.version import code_version
 
 
 class JobLog:
@@ -30,7 +30,7 @@ class JobLog:
     def __init__(self, folder: Path, job: dict[str, Any], show: Callable[[str, float], None]) -> None:
         self.folder, self.show = make_folder(folder), show
         self.seconds: dict[str, float] = {}
-        path, text = folder / "job.json", json.dumps({"code": __version__, **job}, indent=2, sort_keys=True) + "\n"
+        path, text = folder / "job.json", json.dumps({"code": code_version(), **job}, indent=2, sort_keys=True) + "\n"
         if not path.exists():
             with write_whole(path) as temporary:
                 temporary.write_text(text)

@@ -11,10 +11,16 @@ from typing import Any
 
 import numpy as np
 
-from olt_closed_loop.evaluation.evaluation import pass_gate, run_closed_loop, save_results
-from olt_closed_loop.evaluation.score_table import summarize_scores
-from olt_closed_loop.scenes.procedural import CATEGORIES, generate_scene
-from olt_closed_loop.scenes.scene_file import read_scene, write_scene
+from olt_closed_loop import (
+    generate_scene,
+    read_scene,
+    run_closed_loop,
+    save_results,
+    summarize_scores,
+    write_scene,
+)
+from olt_closed_loop.evaluation.evaluation import count_left_out, pass_gate
+from olt_closed_loop.scenes.procedural import CATEGORIES
 from olt_closed_loop.sensors.recorder import record_drive
 from olt_datasets.mixtures.mixture import Mixture, compose_mixture
 from olt_datasets.mixtures.recipe import builtin_recipe
@@ -28,19 +34,25 @@ from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
 from olt_sft_recipes.toy.policy import load_toy
 from olt_sft_recipes.training.stage_config import builtin_stage_config
 from olt_sft_recipes.training.two_stages import train_on_mixture
-from olt_toolkit import __version__
-from olt_toolkit.clips.builder import BuiltClip, build_clip
+from olt_toolkit import (
+    BuildOptions,
+    BuiltClip,
+    ClipStore,
+    OpenOptions,
+    Recording,
+    __version__,
+    build_clip,
+    open_recording,
+)
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.clips.pictures import contact_sheet, write_picture
-from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.summary import summarize_build
-from olt_toolkit.clips.views import BuildOptions
-from olt_toolkit.recordings.recording import OpenOptions, Recording, open_recording
 from olt_toolkit.report.drawings import draw_trajectory
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, POLICY_CAMERAS
 from olt_toolkit.runtime.console import make_progress
 from olt_toolkit.runtime.environment import describe_machine
-from olt_toolkit.runtime.workers import default_workers, map_parallel, use_one_thread
+from olt_toolkit.runtime.threads import use_one_thread
+from olt_toolkit.runtime.workers import default_workers, map_parallel
 
 NOMINAL = "nominal"
 LONG_TAIL: tuple[str, ...] = tuple(category for category in CATEGORIES if category != NOMINAL)
@@ -159,7 +171,7 @@ def run_demo(out: Path, settings: DemoSettings, video: Path | None = None, worke
             "mixtures": mixtures,
             "training": {name: without_seconds(trained) for name, trained in training.items()},
             "closed_loop": closed_loop,
-            "left_out": [omission.to_dict() for omission in list_left_out(clips, closed_loop)],
+            "left_out": list_left_out(clips, closed_loop),
             "timings": {
                 "steps_s": log.seconds,
                 "input_clip_s": clips["input"]["seconds"],
@@ -286,8 +298,8 @@ def draw_clip(pictures: Path, recording: Recording, built: BuiltClip) -> None:
     write_picture(pictures / CONTACT_SHEET, contact_sheet(images, built.observed, times_us))
     if recording.views:
         write_picture(pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
-    if built.measured is not None and built.motion is not None:
-        drawing = draw_trajectory(built.measured.trajectory, built.motion.trajectory, recording.reference)
+    if built.motion is not None:
+        drawing = draw_trajectory(built.motion.measured, built.motion.smoothed.trajectory, recording.reference)
         with write_whole(pictures / TRAJECTORY) as path:
             path.write_text(drawing)
 
@@ -341,25 +353,24 @@ def drive_suite(
         policies[name] = {
             "table": summarize_scores(scores).to_dict(),
             "scores": [score.to_dict() for score in scores],
-            "events": [{"scene": rollout.scene, **vars(rollout.events)} for rollout, _ in results],
-            "left_out": sorted({reason for rollout, _ in results for reason in rollout.left_out}),
+            "incidents": [{"scene": rollout.scene, **vars(rollout.incidents)} for rollout, _ in results],
+            "left_out": [omission.to_dict() for omission in count_left_out(results)],
         }
     return {"gate": gate, "policies": policies}
 
 
-def list_left_out(clips: dict[str, Any], closed_loop: dict[str, Any]) -> list[Omission]:
-    """Everything that the clips and the closed loop did not compute, and why."""
+def list_left_out(clips: dict[str, Any], closed_loop: dict[str, Any]) -> list[dict[str, Any]]:
+    """Everything that the clips and the closed loop did not compute, as records of `Omission`."""
     clip, frames = clips["input"], clips["training"]["frames_left_out_of_each_view"]
-    left_out = [Omission(name, reason) for name, reason in clip["left_out"].items()]
-    if clip["clip"]["no_sample_reason"]:
-        left_out.append(Omission("policy samples of the input clip", clip["clip"]["no_sample_reason"]))
+    left_out = list(clip["left_out"])
+    if why := clip["clip"]["no_sample_reason"]:
+        left_out.append(Omission("policy samples of the input clip", why).to_dict())
     if frames:
         what = "frames of each view of the training clips"
-        left_out.append(Omission(what, "no sample of these clips uses them", frames))
-    policies = closed_loop["policies"].values()
-    drives = {reason for policy in policies for reason in policy["left_out"]}
-    scores = {reason for policy in policies for score in policy["scores"] for reason in score["left_out"]}
-    return [*left_out, *(Omission(reason, "") for reason in [*sorted(drives), *sorted(scores)])]
+        left_out.append(Omission(what, "no sample of these clips shows them", frames).to_dict())
+    for policy in closed_loop["policies"].values():
+        left_out += [record for record in policy["left_out"] if record not in left_out]
+    return left_out
 
 
 def without_seconds(result: dict[str, Any]) -> dict[str, Any]:

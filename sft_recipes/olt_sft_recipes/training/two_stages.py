@@ -31,8 +31,8 @@ from olt_sft_recipes.toy.inputs import encode_inputs
 from olt_sft_recipes.toy.tokens import FUTURE_TOKENS, encode_actions
 from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_sft_recipes.training.stage_config import StageConfig
-from olt_toolkit import __version__
 from olt_toolkit.policy.sample import PolicySample, SampleKey
+from olt_toolkit.runtime.version import code_version
 
 Batches = Callable[[int], Sequence[Sequence[SampleKey]]]
 """The batches of an epoch."""
@@ -184,7 +184,7 @@ def _identify(stage: StageConfig, keys: list[SampleKey], checkpoint_in: Path | N
     """What decides the weights; a checkpoint of another identity is trained anew."""
     samples = derive_seed(*(f"{key.clip_id} {key.t0_us}" for key in keys))
     before = "" if checkpoint_in is None else json.loads((checkpoint_in / LOG_FILE).read_text())["identity"]
-    return f"{derive_seed(__version__, stage.model_dump_json(), samples, before):x}"
+    return f"{derive_seed(code_version(), stage.model_dump_json(), samples, before):x}"
 
 
 def _make_model(stage: StageConfig, checkpoint_in: Path | None, config: ToyPolicyConfig | None) -> ToyModel:

@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 
 from olt_generator.errors import InputError
+from olt_generator.omissions import Omission, word_omission
 from olt_generator.video import write_video
 from olt_sft_recipes.demo.job_log import JobLog
 from olt_sft_recipes.demo.main_job import DemoSettings, list_left_out, plan_scenes, run_demo
@@ -68,16 +69,18 @@ def test_an_unusable_video_leaves_no_folder(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_what_was_left_out_is_told_with_its_reason():
-    clip = {"left_out": {"camera_rear": "not wanted"}, "clip": {"no_sample_reason": "too short"}}
-    policies = {"toy": {"left_out": ["rendering"], "scores": [{"left_out": ["tests"]}, {"left_out": ["tests"]}]}}
+def test_what_was_left_out_is_kept_with_its_reason():
+    clip = {"left_out": [{"what": "camera_rear", "why": "not wanted"}], "clip": {"no_sample_reason": "too short"}}
+    drives = [{"what": "rendering", "why": "nobody looks"}, {"what": "tests", "why": "far away", "count": 3}]
+    policies = {"one": {"left_out": drives}, "two": {"left_out": drives[:1]}}
     clips = {"input": clip, "training": {"frames_left_out_of_each_view": 7}}
-    assert list_left_out(clips, {"policies": policies}) == [
+    left_out = [word_omission(Omission(**record)) for record in list_left_out(clips, {"policies": policies})]
+    assert left_out == [
         "camera_rear: not wanted",
         "policy samples of the input clip: too short",
         "7 frames of each view of the training clips: no sample of these clips shows them",
-        "rendering",
-        "tests",
+        "rendering: nobody looks",
+        "3 tests: far away",
     ]
 
 
@@ -104,4 +107,4 @@ def test_a_five_frame_video_runs_to_the_end(tmp_path, make_textured_drive):
     summary = run_demo(tmp_path / "out", replace(SMALL, long_tail_clips=1), video, workers=2)
     assert summary["input"]["clip"]["no_sample_reason"]
     assert summary["input"]["clip"]["views"][FRONT_WIDE]["kind"] == "observed"
-    assert any("policy samples of the input clip" in line for line in summary["left_out"])
+    assert any(record["what"] == "policy samples of the input clip" for record in summary["left_out"])

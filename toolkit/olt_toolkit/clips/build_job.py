@@ -21,7 +21,8 @@ from olt_toolkit.clips.summary import summarize_build
 from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.recordings.recording import OpenOptions, Recording, is_recording, open_recording
 from olt_toolkit.runtime.steps import OnStep, unnoticed
-from olt_toolkit.runtime.workers import Engine, map_parallel, use_one_thread
+from olt_toolkit.runtime.threads import use_one_thread
+from olt_toolkit.runtime.workers import Engine, map_parallel
 
 PREVIEWS = "previews"
 # Decoding this much of a recording tells its name and source, which its clip's id is made from.

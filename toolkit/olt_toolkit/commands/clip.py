@@ -65,8 +65,8 @@ def build(
     from olt_generator.errors import InputError
     from olt_generator.files import make_folder
     from olt_toolkit.clips.build_job import BuildJob, find_recordings
-    from olt_toolkit.clips.clip import UNLABELLED
     from olt_toolkit.clips.views import BuildOptions
+    from olt_toolkit.recordings.labels import UNLABELLED
     from olt_toolkit.recordings.recording import is_recording
 
     if name is not None and Path(name).name != name:
@@ -75,7 +75,7 @@ def build(
     options = BuildOptions(
         width=width,
         height=height,
-        frames="all" if all_frames else "shown",
+        frames="all" if all_frames else "grid",
         name=name,
         category=category or UNLABELLED,
         factors=tuple(factor or ()),
@@ -123,7 +123,7 @@ def views(
         width=width,
         height=height,
         cameras=wanted,
-        frames="all" if all_frames else "shown",
+        frames="all" if all_frames else "grid",
         use_reference_motion=clip is not None,
     )
     opening = make_open_options(duration, fov, camera_height)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from olt_generator.omissions import Omission, word_omission
 from olt_toolkit.clips.build_job import Outcome
 from olt_toolkit.runtime.console import print_line, print_table
 
@@ -205,8 +206,8 @@ def _print_label_noise(budget: dict[str, Any] | None) -> None:
 
 
 def _print_notes(summary: dict[str, Any]) -> None:
-    for part, reason in summary["left_out"].items():
-        print_line(f"left out: {part}: {reason}")
+    for omission in summary["left_out"]:
+        print_line(f"left out: {word_omission(Omission(**omission))}")
     for assumption in summary["assumptions"]:
         print_line(f"assumed: {assumption}")
 

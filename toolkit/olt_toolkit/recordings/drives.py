@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
-from olt_toolkit.clips.clip import UNLABELLED, Split
 from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 
 

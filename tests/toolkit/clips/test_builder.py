@@ -9,6 +9,7 @@ from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.view_plan import METHODS
 from olt_toolkit.clips.builder import BuildOptions, build_clip
 from olt_toolkit.clips.files import describe_clip
 from olt_toolkit.recordings.recording import Recording
@@ -97,6 +98,11 @@ def built(recording):
     return build_clip(recording, replace(OPTIONS, use_reference_motion=True))
 
 
+def left_out_of(built):
+    """How many of how many were not made, by what they are."""
+    return {omission.what: (omission.count, omission.total) for omission in built.left_out}
+
+
 def test_four_streams_of_one_size_and_time(built, recording):
     clip = built.clip
     assert clip.kind == "Syn"
@@ -131,8 +137,7 @@ def test_what_was_seen_is_closer_to_the_truth_than_what_was_invented(built):
 def test_errors_that_cannot_be_measured_are_none(built, recording):
     assert built.distance_error is not None
     assert built.distance_error < 0.5
-    assert built.measured is None
-    assert built.pose_errors is None
+    assert built.motion is None
     unknown = replace(recording, distance=None, views={})
     blind = build_clip(unknown, replace(OPTIONS, use_reference_motion=True, cameras=(FRONT_WIDE, CROSS_LEFT)))
     assert blind.distance_error is None
@@ -145,7 +150,7 @@ def test_true_views_are_taken_as_they_are(recording):
     assert {view.kind for view in built.clip.provenance.values()} == {"rendered"}
     for name in (*SIDES, FRONT_TELE):
         np.testing.assert_array_equal(built.clip.streams[name].frames, recording.views[name])
-    assert built.distance is None
+    assert left_out_of(built)["distances of front frames"] == (31, 31)
     assert built.observed == {}
     assert built.seconds.keys() == {"views"}
     np.testing.assert_allclose(built.clip.ego_motion.velocity, [[6.0, 0.0, 0.0]] * 31, atol=1e-9)
@@ -205,8 +210,8 @@ def test_errors_are_measured_only_against_the_same_view_and_all_of_it(recording)
 def test_motion_is_measured_where_it_is_not_given(recording):
     stages, shares = [], []
     built = build_clip(recording, OPTIONS, shares.append, stages.append)
-    assert built.pose_errors is not None
-    assert built.motion is not None
+    assert built.motion.errors is not None
+    assert built.motion.measured_errors is not None
     travelled = built.clip.ego_motion.trajectory.path_length
     assert travelled == pytest.approx(18.0, rel=0.2)
     np.testing.assert_allclose(built.clip.ego_motion.trajectory.positions[0], 0.0, atol=1e-9)
@@ -219,10 +224,24 @@ def test_motion_is_measured_where_it_is_not_given(recording):
 def test_what_is_not_wanted_is_left_out_and_changes_nothing(built, recording):
     front = build_clip(recording, replace(OPTIONS, use_reference_motion=True, cameras=(FRONT_WIDE, FRONT_TELE)))
     assert front.clip.kind == "front_only"
-    assert front.distance is None
-    assert set(front.plan.left_out) >= set(SIDES)
+    assert left_out_of(front)["distances of front frames"] == (31, 31)
+    assert left_out_of(front).keys() >= set(SIDES)
     for name, stream in front.clip.streams.items():
         np.testing.assert_array_equal(stream.frames, built.clip.streams[name].frames)
+
+
+@pytest.mark.parametrize("alone", ["camera_rear_tele_30fov", CROSS_LEFT])
+def test_a_view_is_the_same_alone_as_with_all_others(recording, alone):
+    """The recording played at 30 Hz, where views look back to frames that are not made."""
+    times = recording.timestamps_us // 3
+    fast = replace(recording, timestamps_us=times, reference=Trajectory(times, recording.reference.T_world_rig))
+    single, all_ = (
+        build_clip(fast, replace(OPTIONS, use_reference_motion=True, cameras=cameras)).clip
+        for cameras in ((alone,), tuple(METHODS))
+    )
+    assert list(single.streams) == [alone]
+    np.testing.assert_array_equal(single.streams[alone].frames, all_.streams[alone].frames)
+    assert single.provenance[alone] == all_.provenance[alone]
 
 
 def test_frames_that_no_sample_shows_are_left_out_and_change_nothing(recording):
@@ -232,9 +251,9 @@ def test_frames_that_no_sample_shows_are_left_out_and_change_nothing(recording):
     cameras = (FRONT_WIDE, CROSS_LEFT)
     some, every = (
         build_clip(fast, replace(OPTIONS, use_reference_motion=True, cameras=cameras, frames=frames))
-        for frames in ("shown", "all")
+        for frames in ("grid", "all")
     )
-    assert "20 of 31 frames of each view" in some.left_out
+    assert left_out_of(some)["frames of each view"] == (20, 31)
     for name in cameras:
         few, all_ = some.clip.streams[name], every.clip.streams[name]
         assert len(few.frames) == len(few.timestamps_us) == 11
@@ -250,13 +269,14 @@ def test_sampled_frames_give_all_samples_of_the_clip(recording):
     times = recording.timestamps_us * 4
     slow = replace(recording, timestamps_us=times, reference=Trajectory(times, recording.reference.T_world_rig))
     some, every = (
-        build_clip(slow, replace(OPTIONS, use_reference_motion=True, frames=frames)) for frames in ("sampled", "shown")
+        build_clip(slow, replace(OPTIONS, use_reference_motion=True, frames=frames)) for frames in ("sampled", "grid")
     )
     kept_us = some.clip.streams[CROSS_LEFT].timestamps_us
     assert (kept_us[0], kept_us[-1]) == (1_200_000, 5_600_000)
     assert describe_clip(some.clip, "").sample_t0_us == describe_clip(every.clip, "").sample_t0_us
-    assert len(some.distance.distance) < len(every.distance.distance)
-    assert "19 of 31 frames of each view" in some.left_out
+    assert left_out_of(some)["distances of front frames"][0] > 0
+    assert "distances of front frames" not in left_out_of(every)
+    assert left_out_of(some)["frames of each view"] == (19, 31)
 
 
 def test_the_same_recording_gives_the_same_clip(built, recording):
@@ -305,9 +325,12 @@ def test_rear_views_are_made_by_looking_back(recording):
     rear = "camera_rear_left_70fov"
     options = replace(OPTIONS, use_reference_motion=True, cameras=(FRONT_WIDE, rear))
     built = build_clip(recording, options)
-    assert built.plan.needed == (FRONT_WIDE, CROSS_LEFT, rear)
-    assert set(built.plan.left_out) == {CROSS_RIGHT, FRONT_TELE, "camera_rear_right_70fov", "camera_rear_tele_30fov"}
+    assert built.plan.methods == {FRONT_WIDE: "given", rear: "synthesized"}
+    assert {omission.what for omission in built.plan.left_out} == {
+        *(CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, "camera_rear_right_70fov", "camera_rear_tele_30fov")
+    }
     view = built.clip.provenance[rear]
     assert view.observed_share == view.other_times_share > 0.02
     assert not built.observed[rear][0].any()  # at first there is nothing to look back to
-    assert any("other front frames" in what for what in built.left_out)
+    drawn_on, count = left_out_of(built)["other front frames of the synthesized images"]
+    assert 0 < drawn_on < count

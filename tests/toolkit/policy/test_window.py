@@ -8,9 +8,9 @@ from olt_toolkit.policy.window import (
     IMAGE_OFFSETS_US,
     Coverage,
     check_sample_window,
+    grid_frame_indices,
     sample_times,
-    sampled_frames,
-    shown_frames,
+    sampled_frame_indices,
 )
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
@@ -82,7 +82,7 @@ def test_short_motion_is_the_reason():
 @given(st.lists(st.integers(5_000, 250_000), min_size=20, max_size=200), st.integers(-50_000, 50_000))
 def test_leaving_frames_out_changes_no_sample_on_the_grid(steps, start):
     every = start + np.cumsum(steps)
-    kept = every[shown_frames(every)]
+    kept = every[grid_frame_indices(every)]
     assert (kept[0], kept[-1]) == (every[0], every[-1])
     for t0_us in range(100_000 * -(-int(every[0] + 300_000) // 100_000), int(every[-1]) + 1, 100_000):
         times = t0_us + IMAGE_OFFSETS_US
@@ -91,13 +91,13 @@ def test_leaving_frames_out_changes_no_sample_on_the_grid(steps, start):
 
 
 def test_two_of_three_frames_at_30_hertz_are_left_out():
-    assert len(shown_frames(np.arange(300) * 1_000_000 // 30)) == 101
+    assert len(grid_frame_indices(np.arange(300) * 1_000_000 // 30)) == 101
 
 
 @given(st.lists(st.integers(5_000, 250_000), min_size=60, max_size=200))
 def test_the_samples_of_a_clip_need_no_other_frames_than_those_sampled(steps):
     every = np.cumsum([0, *steps])
-    kept = every[sampled_frames(every)]
+    kept = every[sampled_frame_indices(every)]
     ego = (int(every[0]), int(every[-1]))
     times, _ = sample_times(covered(ego, ego))
     assert sample_times(covered(ego, (int(kept[0]), int(kept[-1]))))[0] == times
@@ -108,5 +108,5 @@ def test_the_samples_of_a_clip_need_no_other_frames_than_those_sampled(steps):
 
 
 def test_what_is_too_early_or_lacks_a_future_is_not_sampled():
-    assert sampled_frames(np.arange(141) * 100_000).tolist() == list(range(14, 77))
-    assert len(sampled_frames(np.arange(50) * 100_000)) == 50
+    assert sampled_frame_indices(np.arange(141) * 100_000).tolist() == list(range(14, 77))
+    assert len(sampled_frame_indices(np.arange(50) * 100_000)) == 50

@@ -12,10 +12,12 @@ from scipy.spatial.transform import Rotation
 import olt_toolkit.clips.store as clip_store_module
 from olt_generator.cameras import FthetaCamera
 from olt_generator.errors import InputError
-from olt_toolkit.clips.clip import ViewProvenance, make_clip_id
+from olt_generator.poses import make_pose
+from olt_toolkit.clips.clip import EgoMotion, ViewProvenance, make_clip_id
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.policy.sample import SampleKey
 from olt_toolkit.rigs.rig import CROSS_LEFT, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.runtime.version import code_version
 from olt_toolkit.runtime.workers import map_parallel
 
 T0_US = 2_000_000
@@ -99,30 +101,44 @@ def test_ego_motion_and_calibration_come_back(store, make_clip):
         assert mounted.camera.fw_poly == stream.camera.fw_poly
 
 
-def test_ego_motion_is_anchored_at_the_start(make_clip):
+def test_ego_motion_is_anchored_at_the_start(make_clip, bend_poses):
+    """Place and yaw are taken out, roll and pitch stay."""
     motion = make_clip().ego_motion
-    np.testing.assert_allclose(motion.trajectory.T_world_rig[0], np.eye(4), atol=1e-12)
+    expected = bend_poses(np.zeros(1))[0]
+    assert np.abs(Rotation.from_matrix(expected[:3, :3]).as_euler("ZYX")[1:]).min() > 0.03
+    np.testing.assert_allclose(motion.trajectory.T_world_rig[0], expected, atol=1e-12)
+    moved = make_pose(Rotation.from_euler("z", 2.0).as_matrix(), [70.0, -30.0, 5.0]) @ motion.trajectory.T_world_rig
+    again = EgoMotion.from_trajectory(replace(motion.trajectory, T_world_rig=moved))
+    np.testing.assert_allclose(again.trajectory.T_world_rig, motion.trajectory.T_world_rig, atol=1e-12)
+    np.testing.assert_allclose(again.velocity, motion.velocity, atol=1e-9)
+    np.testing.assert_allclose(again.acceleration, motion.acceleration, atol=1e-9)
     np.testing.assert_allclose(motion.velocity[0], [8.0, 0.0, 0.0], atol=1e-3)
     np.testing.assert_allclose(motion.curvature, 0.02, atol=1e-4)
 
 
-def test_sample_has_the_true_poses_and_the_right_frames(store):
+def test_sample_has_the_true_poses_and_the_right_frames(store, bend_poses):
     sample = store.load_sample(key_of(store))
     assert sample.image_frames.shape == (4, 4, 3, 72, 128)
     assert sample.image_frames.dtype == np.uint8
     assert sample.camera_indices.tolist() == [0, 1, 2, 6]
     np.testing.assert_array_equal(sample.ego_history_xyz[0, -1], 0.0)
-    steps = 0.1 * np.arange(1, 65)
-    yaw = 0.16 * steps
-    expected = np.stack([np.sin(yaw) / 0.02, (1 - np.cos(yaw)) / 0.02, np.zeros(64)], axis=-1)
-    np.testing.assert_allclose(sample.ego_future_xyz[0], expected, atol=1e-4)
-    turned = Rotation.from_matrix(sample.ego_future_rot[0]).as_euler("zyx")[:, 0]
-    np.testing.assert_allclose(turned, yaw, atol=1e-5)
-    assert sample.absolute_timestamps.tolist() == [[1_700_000, 1_800_000, 1_900_000, 2_000_000]] * 4
-    np.testing.assert_allclose(sample.relative_timestamps[0], [0.0, 0.1, 0.2, 0.3], atol=1e-6)
+    poses = bend_poses(T0_US + 100_000 * np.arange(-15, 65))
+    relative = np.linalg.inv(poses[15]) @ poses
+    np.testing.assert_allclose(sample.ego_history_xyz[0], relative[:16, :3, 3], atol=1e-4)
+    np.testing.assert_allclose(sample.ego_history_rot[0], relative[:16, :3, :3], atol=1e-5)
+    np.testing.assert_allclose(sample.ego_future_xyz[0], relative[16:, :3, 3], atol=1e-4)
+    np.testing.assert_allclose(sample.ego_future_rot[0], relative[16:, :3, :3], atol=1e-5)
+    assert sample.absolute_timestamps.tolist() == [
+        [1_681_000, 1_781_000, 1_881_000, 1_981_000],
+        [1_700_000, 1_800_000, 1_900_000, 2_000_000],
+        [1_667_000, 1_767_000, 1_867_000, 1_967_000],
+        [1_675_650, 1_775_649, 1_875_648, 1_975_647],
+    ]
+    since_earliest = (sample.absolute_timestamps - 1_667_000) * 1e-6
+    np.testing.assert_allclose(sample.relative_timestamps, since_earliest, atol=1e-6)
     levels = sample.image_frames.mean(axis=(2, 3, 4))
-    expected_levels = 8 + 3 * np.arange(17, 21)[None] + np.arange(4)[:, None]
-    np.testing.assert_allclose(levels, expected_levels, atol=1.2)
+    numbers = np.array([[16, 17, 18, 19], [17, 18, 19, 20], [33, 35, 37, 39], [50, 53, 56, 59]])
+    np.testing.assert_allclose(levels, 8 + 3 * numbers + np.arange(4)[:, None], atol=1.2)
 
 
 def test_the_newest_frame_at_or_before_a_time_is_taken(store):
@@ -138,14 +154,14 @@ def test_images_can_be_scaled(store):
 
 def test_irregular_timestamps_are_kept(tmp_path, make_clip):
     clip = make_clip("jitter", 12.0)
-    times = clip.ego_motion.trajectory.timestamps_us * 1034 // 1000
-    streams = {name: replace(stream, timestamps_us=times) for name, stream in clip.streams.items()}
+    stretched = {name: stream.timestamps_us * 1034 // 1000 for name, stream in clip.streams.items()}
+    streams = {name: replace(stream, timestamps_us=stretched[name]) for name, stream in clip.streams.items()}
     store = ClipStore(tmp_path)
     store.prepare(replace(clip, streams=streams))
     store.commit([clip.clip_id])
     sample = store.load_sample(SampleKey(str(tmp_path), clip.clip_id, 3_000_000))
-    assert sample.absolute_timestamps[0].tolist() == [2_688_400, 2_791_800, 2_895_200, 2_998_600]
-    assert len(np.unique(sample.image_frames.mean(axis=(2, 3, 4))[0])) == 4
+    assert sample.absolute_timestamps[1].tolist() == [2_688_400, 2_791_800, 2_895_200, 2_998_600]
+    assert [len(np.unique(means)) for means in sample.image_frames.mean(axis=(2, 3, 4))] == [4] * 4
 
 
 def test_clip_too_short_for_a_sample_says_so(tmp_path, make_clip):
@@ -203,6 +219,18 @@ def test_each_commit_makes_a_new_chunk_and_leaves_the_old_ones(store, make_clip)
     assert [info.name for info in ClipStore(store.root).clips()] == ["bend", "other", "third"]
     store.load_sample(key_of(store, "third"))
     store.load_sample(key_of(store, "bend"))
+
+
+def test_what_other_code_prepared_is_prepared_again(store, make_clip, monkeypatch):
+    clip = make_clip("third")
+    with monkeypatch.context() as patch:
+        patch.setattr("olt_toolkit.clips.files.code_version", lambda: "0.0.9")
+        assert store.prepare(clip).created_with == "0.0.9"
+    assert not store.is_prepared(clip.clip_id)
+    with pytest.raises(InputError, match="prepare it with this code"):
+        store.commit([clip.clip_id])
+    assert store.prepare(clip).created_with == code_version()
+    assert store.commit([clip.clip_id]) == (clip.clip_id,)
 
 
 def test_many_clips_are_split_into_chunks(tmp_path, make_clip, monkeypatch):

@@ -1,11 +1,14 @@
 """Which frame a rear view looks back to."""
 
 from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
-from olt_generator.views.view_plan import VIEW_ID
 
 
 def test_offsets_are_those_of_the_rear_views():
-    assert {VIEW_ID[name]: offset for name, offset in LOOKBACK_LATENTS.items()} == {3: 4, 4: 4, 5: 6}
+    assert LOOKBACK_LATENTS == {
+        "camera_rear_left_70fov": 4,
+        "camera_rear_right_70fov": 4,
+        "camera_rear_tele_30fov": 6,
+    }
 
 
 def test_frames_of_the_last_latent_look_back_to_frame_23():

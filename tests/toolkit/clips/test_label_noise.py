@@ -7,7 +7,7 @@ from olt_generator.motion.smoother import SmootherSettings, smooth_trajectory
 from olt_generator.poses import make_pose, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.twists import exponential
-from olt_toolkit.policy.label_noise import measure_label_noise
+from olt_toolkit.clips.label_noise import measure_label_noise
 
 
 def drive(seconds=14.0, hertz=10.0):
