@@ -1,46 +1,36 @@
 """The toy policy, two-stage fine-tuning, and the main job.
 
-The names below are imported from their modules when they are first used, so that importing the package costs nothing.
+What a user of the package needs is here by name, and loaded when it is first asked for.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from olt_sft_recipes.demo.main_job import DemoSettings, run_demo
-    from olt_sft_recipes.open_loop import evaluate_open_loop
-    from olt_sft_recipes.toy.policy import ToyPolicy, load_toy
-    from olt_sft_recipes.training.stage_config import StageConfig, builtin_stage_config, read_stage_config
-    from olt_sft_recipes.training.two_stages import StageResult, train_on_mixture
+    from olt_sft_recipes.demo.main_job import DemoSettings as DemoSettings
+    from olt_sft_recipes.demo.main_job import run_demo as run_demo
+    from olt_sft_recipes.open_loop import evaluate_open_loop as evaluate_open_loop
+    from olt_sft_recipes.toy.policy import load_toy as load_toy
+    from olt_sft_recipes.training.stage_config import StageConfig as StageConfig
+    from olt_sft_recipes.training.stage_config import builtin_stage_config as builtin_stage_config
+    from olt_sft_recipes.training.stage_config import read_stage_config as read_stage_config
+    from olt_sft_recipes.training.two_stages import train_on_mixture as train_on_mixture
 
 _MODULES = {
-    "DemoSettings": "demo.main_job",
-    "StageConfig": "training.stage_config",
-    "StageResult": "training.two_stages",
-    "ToyPolicy": "toy.policy",
-    "builtin_stage_config": "training.stage_config",
-    "evaluate_open_loop": "open_loop",
-    "load_toy": "toy.policy",
-    "read_stage_config": "training.stage_config",
-    "run_demo": "demo.main_job",
-    "train_on_mixture": "training.two_stages",
+    "demo.main_job": ("DemoSettings", "run_demo"),
+    "open_loop": ("evaluate_open_loop",),
+    "toy.policy": ("load_toy",),
+    "training.stage_config": ("StageConfig", "builtin_stage_config", "read_stage_config"),
+    "training.two_stages": ("train_on_mixture",),
 }
-
-__all__ = [
-    "DemoSettings",
-    "StageConfig",
-    "StageResult",
-    "ToyPolicy",
-    "builtin_stage_config",
-    "evaluate_open_loop",
-    "load_toy",
-    "read_stage_config",
-    "run_demo",
-    "train_on_mixture",
-]
+_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _MODULES:
+    if name not in _MODULE_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    return getattr(import_module(_MODULE_OF[name]), name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_MODULE_OF]

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from olt_toolkit.commands.clip_options import CameraHeightOption, FovOption
+from olt_toolkit.commands.clip_options import FovOption
 
 app = typer.Typer(add_completion=False)
 
@@ -18,7 +18,7 @@ def demo(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="The one seed of the run.")] = 0,
     fov: FovOption = None,
-    camera_height: CameraHeightOption = None,
+    camera_height: Annotated[float | None, typer.Option(help="Height of its camera in metres, if unknown.")] = None,
     workers: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core. Results are the same.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> None:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from operator import call
@@ -128,10 +127,8 @@ def run_demo(out: Path, settings: DemoSettings, video: Path | None = None, worke
         log = JobLog(out / "steps", {"settings": asdict(settings), "video": checksum}, show)
 
         # Scenes of the synthetic world, by role; a user's video takes the place of the input.
-        plan = plan_scenes(settings)
-        if video is not None:
-            plan["input"] = []
-        scenes = log.run("scenes", lambda share: write_scenes(out, plan, share))
+        plan = plan_scenes(settings) | ({} if video is None else {"input": []})
+        scenes = log.run("scenes", lambda share: {role: write_scenes(out, drives) for role, drives in plan.items()})
 
         # One front video becomes four views and a clip; so do the long-tail drives (Syn). Of the nominal drives all
         # cameras film (GT). The input takes longest, so it starts first.
@@ -146,11 +143,18 @@ def run_demo(out: Path, settings: DemoSettings, video: Path | None = None, worke
 
         # Two mixtures of as many samples: nominal drives alone, and with the long tail; neither from a scene on which
         # the policies are judged.
-        compose = partial(compose_recipe, out, settings.seed, [*scenes["validation"], *scenes["evaluation"]])
+        def compose(name: str) -> Mixture:
+            held_out = [*scenes["validation"], *scenes["evaluation"]]
+            return compose_mixture(builtin_recipe(name), read_clip_tables([out / "clips"]), settings.seed, held_out)
+
         mixtures = log.run("mixtures", lambda share: {name: compose(name).describe() for name in RECIPES})
 
         # A policy for each mixture, trained in two stages and judged in open loop.
-        training = log.run("training", lambda share: train_policies(out, settings.seed, compose, workers, share))
+        def train(on_progress: Progress) -> dict[str, Any]:
+            trainings = [partial(train_policy, out, settings.seed, name, compose(name)) for name in RECIPES]
+            return dict(zip(RECIPES, map_parallel(call, trainings, workers, on_progress), strict=True))
+
+        training = log.run("training", train)
 
         # Both drive held-out long-tail scenes, once the gate has shown that scores mean something there.
         suite = [str(scene_path(out, name)) for name in scenes["evaluation"]]
@@ -207,16 +211,12 @@ def scene_path(out: Path, name: str) -> Path:
     return out / "scenes" / f"{name}.usda"
 
 
-def write_scenes(out: Path, plan: dict[str, list[tuple[str, int]]], on_progress: Progress) -> dict[str, list[str]]:
-    """Invent every planned scene and write it as OpenUSD; returns their names by role."""
-    names: dict[str, list[str]] = {role: [] for role in plan}
-    for done, role in enumerate(plan, start=1):
-        for category, seed in plan[role]:
-            scene = generate_scene(category, seed)
-            write_scene(scene, scene_path(out, scene.name))
-            names[role].append(scene.name)
-        on_progress(done / len(plan))
-    return names
+def write_scenes(out: Path, drives: list[tuple[str, int]]) -> list[str]:
+    """Invent the scenes of these categories and seeds and write them as OpenUSD; returns their names."""
+    scenes = [generate_scene(category, seed) for category, seed in drives]
+    for scene in scenes:
+        write_scene(scene, scene_path(out, scene.name))
+    return [scene.name for scene in scenes]
 
 
 def open_video(video: Path, settings: DemoSettings) -> Recording:
@@ -302,19 +302,6 @@ def draw_clip(pictures: Path, recording: Recording, built: BuiltClip) -> None:
         drawing = draw_trajectory(built.motion.measured, built.motion.smoothed.trajectory, recording.reference)
         with write_whole(pictures / TRAJECTORY) as path:
             path.write_text(drawing)
-
-
-def compose_recipe(out: Path, seed: int, held_out: list[str], name: str) -> Mixture:
-    """Compose a mixture of the job's clips, none of them of a scene that is held out."""
-    return compose_mixture(builtin_recipe(name), read_clip_tables([out / "clips"]), seed, held_out)
-
-
-def train_policies(
-    out: Path, seed: int, compose: Callable[[str], Mixture], workers: int, on_progress: Progress
-) -> dict[str, Any]:
-    """Train a policy on each mixture, one process each; returns what `train_policy` does, by mixture."""
-    trainings = [partial(train_policy, out, seed, name, compose(name)) for name in RECIPES]
-    return dict(zip(RECIPES, map_parallel(call, trainings, workers, on_progress), strict=True))
 
 
 def train_policy(out: Path, seed: int, name: str, mixture: Mixture) -> dict[str, Any]:

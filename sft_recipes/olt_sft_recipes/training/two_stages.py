@@ -34,8 +34,8 @@ from olt_sft_recipes.training.stage_config import StageConfig
 from olt_toolkit.policy.sample import PolicySample, SampleKey
 from olt_toolkit.runtime.version import code_version
 
-Batches = Callable[[int], Sequence[Sequence[SampleKey]]]
-"""The batches of an epoch."""
+Batches = Callable[[int, int], Sequence[Sequence[SampleKey]]]
+"""The batches of an epoch, given its number and the samples of an optimizer step (`Mixture.epoch`)."""
 
 LoadSamples = Callable[[Sequence[SampleKey]], Sequence[PolicySample]]
 LOG_FILE = "training_log.json"
@@ -79,18 +79,13 @@ def train_on_mixture(
         InputError: as `train_two_stages`, or a sample of the mixture cannot be loaded.
     """
     first, second = (stage.model_copy(update={"seed": seed}) for stage in stages)
-    return train_two_stages(
-        (first, second),
-        lambda stage: lambda epoch: mixture.epoch(epoch, stage.samples_per_step),
-        MixtureDataset(mixture, image_size=None).load_batch,
-        out,
-        on_progress=on_progress,
-    )
+    load_samples = MixtureDataset(mixture, image_size=None).load_batch
+    return train_two_stages((first, second), mixture.epoch, load_samples, out, on_progress=on_progress)
 
 
 def train_two_stages(
     stages: tuple[StageConfig, StageConfig],
-    batches: Callable[[StageConfig], Batches],
+    batches: Batches,
     load_samples: LoadSamples,
     out: Path,
     model_config: ToyPolicyConfig | None = None,
@@ -101,28 +96,26 @@ def train_two_stages(
     A stage that the same code finished with the same configuration, samples and Stage 1 is taken as it is; any other,
     and one that was interrupted, is trained anew.
 
-    Args:
-        stages: configurations of Stage 1 and Stage 2.
-        batches: gives for a stage's batch size the batches of each epoch.
-        load_samples: loads samples by key.
-        out: folder of the training.
-        model_config: sizes of the model.
-        on_progress: told the share of the work that is done.
+    The other arguments are those of `train_stage`.
 
     Raises:
-        InputError: a stage configuration does not fit, or a stage's weights do not match the model.
+        InputError: the stages are not 1 and 2, or a stage's weights do not match the model.
     """
-    first, second = stages
-    if (first.stage, second.stage) != (1, 2):
-        raise InputError(f"training: stages {first.stage} and {second.stage} were given; give stage 1, then stage 2")
-    one, two = out / "stage1", out / "policy"
+    first, second = (stage.stage for stage in stages)
+    if (first, second) != (1, 2):
+        raise InputError(f"training: stages {first} and {second} were given; give stage 1, then stage 2")
+    folders = (None, out / "stage1", out / "policy")
     return [
         train_stage(
-            first, batches(first), load_samples, None, one, model_config, lambda share: on_progress(0.5 * share)
-        ),
-        train_stage(
-            second, batches(second), load_samples, one, two, None, lambda share: on_progress(0.5 + 0.5 * share)
-        ),
+            stage,
+            batches,
+            load_samples,
+            folders[index],
+            out_stage,
+            model_config,
+            lambda share, index=index: on_progress((index + share) / 2),
+        )
+        for index, (stage, out_stage) in enumerate(zip(stages, folders[1:], strict=True))
     ]
 
 
@@ -149,7 +142,9 @@ def train_stage(
     Raises:
         InputError: Stage 2 has no checkpoint, or its weights do not match the model.
     """
-    epochs = [[list(batch) for batch in batches(epoch)] for epoch in range(stage.num_train_epochs)]
+    epochs = [
+        [list(batch) for batch in batches(epoch, stage.samples_per_step)] for epoch in range(stage.num_train_epochs)
+    ]
     keys = sorted({key for epoch in epochs for batch in epoch for key in batch})
     identity = _identify(stage, keys, checkpoint_in)
     if (out / LOG_FILE).exists():

@@ -61,6 +61,13 @@ def test_another_job_in_the_same_folder_is_refused(tmp_path):
         open_log(tmp_path / "steps", seed=2)
 
 
+def test_a_run_of_other_code_is_refused(tmp_path, monkeypatch):
+    open_log(tmp_path / "steps")
+    monkeypatch.setattr("olt_sft_recipes.demo.job_log.code_version", lambda: "another")
+    with pytest.raises(InputError, match="version of the code"):
+        open_log(tmp_path / "steps")
+
+
 def test_an_unusable_video_leaves_no_folder(tmp_path):
     video = tmp_path / "notes.mp4"
     video.write_text("not a video")

@@ -21,10 +21,9 @@ STAGE_2 = STAGE_1.model_copy(update={"stage": 2})
 def train(drives, tiny_config, tmp_path):
     """Train both stages on the fabricated drives; returns the results and the folder."""
 
-    def batches(stage):
+    def batches(epoch, size):
         keys = sorted(drives)
-        size = stage.samples_per_step
-        return lambda epoch: [keys[start : start + size] for start in range(0, len(keys), size)]
+        return [keys[start : start + size] for start in range(0, len(keys), size)]
 
     def run(first=STAGE_1, second=STAGE_2, name="run"):
         out = tmp_path / name
@@ -84,6 +83,15 @@ def test_a_finished_stage_is_kept_and_a_changed_one_is_trained_again(train):
     assert weights.stat().st_mtime_ns != written
 
 
+def test_what_other_code_trained_is_trained_again(train, monkeypatch):
+    _, out = train()
+    weights = out / "policy" / "model.safetensors"
+    written = weights.stat().st_mtime_ns
+    monkeypatch.setattr("olt_sft_recipes.training.two_stages.code_version", lambda: "another")
+    train()
+    assert weights.stat().st_mtime_ns != written
+
+
 def test_stage_2_refuses_a_checkpoint_whose_names_do_not_match(train, drives, tmp_path):
     _, out = train()
     folder = out / "stage1"
@@ -93,7 +101,7 @@ def test_stage_2_refuses_a_checkpoint_whose_names_do_not_match(train, drives, tm
     with pytest.raises(InputError, match="unknown"):
         train_stage(
             STAGE_2,
-            lambda epoch: [sorted(drives)],
+            lambda epoch, size: [sorted(drives)],
             lambda keys: [drives[key] for key in keys],
             folder,
             tmp_path / "other",
@@ -103,7 +111,11 @@ def test_stage_2_refuses_a_checkpoint_whose_names_do_not_match(train, drives, tm
 def test_stage_2_needs_a_checkpoint(drives, tmp_path):
     with pytest.raises(InputError, match="Stage 1 folder"):
         train_stage(
-            STAGE_2, lambda epoch: [sorted(drives)], lambda keys: [drives[k] for k in keys], None, tmp_path / "out"
+            STAGE_2,
+            lambda epoch, size: [sorted(drives)],
+            lambda keys: [drives[k] for k in keys],
+            None,
+            tmp_path / "out",
         )
 
 
