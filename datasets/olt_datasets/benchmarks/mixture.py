@@ -4,7 +4,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from functools import lru_cache, partial
+from functools import partial
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -34,8 +34,7 @@ def _compose(table: Path, **content: Any) -> Mixture:
     return compose_mixture(recipe, scan_clip_tables([table]), seed=0)
 
 
-@lru_cache(maxsize=1)
-def _mixture() -> Mixture:
+def _prepare_mixture() -> Callable[[], Counts]:
     """As many samples as an epoch has, 30 % of them synthesized: each is used once."""
     parts = [
         {"name": "nominal", "where": {"kind": "GT"}, "share": 1.0 - SHARE},
@@ -44,11 +43,7 @@ def _mixture() -> Mixture:
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "clips.parquet"
         write_made_up_table(table, SAMPLES)
-        return _compose(table, components=parts, samples=SAMPLES)
-
-
-def _prepare_mixture() -> Callable[[], Counts]:
-    mixture = _mixture()
+        mixture = _compose(table, components=parts, samples=SAMPLES)
     synthesized = set(mixture.samples.filter(kind="Syn")["clip_id"])
 
     def count() -> Counts:
@@ -87,18 +82,8 @@ def _settings() -> Sequence[Setting]:
     ]
 
 
-def _compose_at_scale(clips: int) -> dict[str, Any]:
-    """Number of clips and samples, seconds of wall and of processor, and peak memory in MiB, None where not told."""
-    with tempfile.TemporaryDirectory() as folder:
-        table = Path(folder) / "clips.parquet"
-        write_made_up_table(table, clips)
-        # A process of its own, so that its peak memory is that of composing.
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-            return pool.submit(_measure_composing, table, clips).result()
-
-
 def _measure_composing(table: Path, clips: int) -> dict[str, Any]:
-    """In the shape of the paper's recipes: ordinary drives and synthesized long-tail ones, one keyframe of each."""
+    """Time and memory of composing by a recipe in the shape of the paper's: one keyframe of each drive."""
     samples = min(10_000, clips // 20)
     nominal = {"kind": "GT", "source": ["pav"], "category": ["nominal"]}
     long_tail = {"kind": "Syn", "source": ["pav"], "category_not": ["nominal"]}
@@ -127,7 +112,14 @@ def _grid() -> Grid:
         {"setting": name, "fewest": int(found.min()), "most": int(found.max()), "mean": float(found.mean())}
         for name, found in counts.items()
     ]
-    scales = [_compose_at_scale(clips) for clips in SCALES]
+    scales = []
+    for clips in SCALES:
+        with tempfile.TemporaryDirectory() as folder:
+            table = Path(folder) / "clips.parquet"
+            write_made_up_table(table, clips)
+            # A process of its own, so that its peak memory is that of composing.
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+                scales.append(pool.submit(_measure_composing, table, clips).result())
     summary = [
         f"{row['setting']}: {row['fewest']} to {row['most']} synthesized items a batch, {row['mean']:.3f} in the mean"
         for row in batches

@@ -4,7 +4,6 @@ import tempfile
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -109,20 +108,7 @@ def prepare_ours(size: tuple[int, int], together: bool) -> Callable[[], Judged]:
 
 
 def prepare_devkit(size: tuple[int, int]) -> Callable[[], Judged]:
-    """The public devkit as the public recipes use it, its images scaled by area averaging."""
-    devkit = _open_devkit(exported_clip(*size))
-
-    def load_sample(t0_us: int) -> Images:
-        devkit.get_clip_feature(CLIP_ID, "egomotion")(t0_us + IMAGE_OFFSETS_US)
-        readers = [devkit.get_clip_feature(CLIP_ID, name) for name in POLICY_CAMERAS]
-        frames = [reader.decode_images_from_timestamps(t0_us + IMAGE_OFFSETS_US)[0] for reader in readers]
-        return np.stack([[shrink(frame) for frame in camera] for camera in frames])
-
-    return lambda: (size, np.stack([load_sample(t0_us) for t0_us in T0S_US]))
-
-
-def _open_devkit(root: Path) -> Any:
-    """Open a folder with the devkit, offline. It reads a hub cache only, so a cache is made that points to the folder.
+    """The public devkit as the public recipes use it, offline, its images scaled by area averaging.
 
     Raises:
         InputError: the devkit is not installed.
@@ -132,12 +118,21 @@ def _open_devkit(root: Path) -> Any:
         from physical_ai_av import PhysicalAIAVDatasetInterface
     except ImportError as error:
         raise InputError("physical-ai-av is not installed; install the extra `interop`") from error
+    # It reads a hub cache only, so a cache is made that points to the folder.
     cache = Path(tempfile.mkdtemp(prefix="olt-devkit-"))
     snapshots = cache / "datasets--nvidia--PhysicalAI-Autonomous-Vehicles" / "snapshots"
     snapshots.mkdir(parents=True)
-    (snapshots / REVISION).symlink_to(root, target_is_directory=True)
+    (snapshots / REVISION).symlink_to(exported_clip(*size), target_is_directory=True)
     huggingface_hub.constants.HF_HUB_OFFLINE = True
-    return PhysicalAIAVDatasetInterface(REVISION, cache_dir=cache, token=False)
+    devkit = PhysicalAIAVDatasetInterface(REVISION, cache_dir=cache, token=False)
+
+    def load_sample(t0_us: int) -> Images:
+        devkit.get_clip_feature(CLIP_ID, "egomotion")(t0_us + IMAGE_OFFSETS_US)
+        readers = [devkit.get_clip_feature(CLIP_ID, name) for name in POLICY_CAMERAS]
+        frames = [reader.decode_images_from_timestamps(t0_us + IMAGE_OFFSETS_US)[0] for reader in readers]
+        return np.stack([[shrink(frame) for frame in camera] for camera in frames])
+
+    return lambda: (size, np.stack([load_sample(t0_us) for t0_us in T0S_US]))
 
 
 def shrink(frame: Images) -> Images:

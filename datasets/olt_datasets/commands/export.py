@@ -69,13 +69,26 @@ def export(
 
 def _show(summary: dict[str, Any]) -> None:
     from olt_generator.omissions import Omission, word_omission
-    from olt_toolkit.runtime.console import print_line
+    from olt_toolkit.runtime.console import print_line, print_table
 
+    title = f"{summary['out']}: {summary['clips']} clips of split {summary['split']}"
     if summary["format"] == Format.PAI.value:
-        _show_chunks(summary)
+        columns = ("component", "kind", "source", "clips", "chunk_ids")
+        print_table(title, columns, [[group[column] for column in columns] for group in summary["groups"]])
+        for how, part in summary["chunks"].items():
+            if part["count"]:
+                print_line(f"{part['count']} chunks {how}, {part['bytes'] / 1e6:.1f} MB")
+        print_line(
+            f"{summary['clips_with_default_keyframe']} clips give a sample at the recipes' default keyframe, 5.1 s"
+        )
+        print_line("for the public recipes (a range of chunks leaves out its last number):")
+        for name, part in summary["components"].items():
+            prefix, chunk_ids = "data.train_dataset", part["chunk_ids"]
+            overrides = f'{prefix}.local_dir={summary["out"]} {prefix}.chunk_ids="{chunk_ids}"'
+            print_line(f"  {name}: {overrides} {prefix}.use_default_keyframe=false")
     else:
         episodes = ", ".join(f"{name} {count}" for name, count in summary["episodes"].items())
-        print_line(f"{summary['out']}: {summary['clips']} clips of split {summary['split']} as episodes: {episodes}")
+        print_line(f"{title} as episodes: {episodes}")
         print_line(f"{summary['frames']} frames, {summary['samples']} of them sample times (is_sample)")
     for omission in summary["left_out"]:
         print_line(f"left out: {word_omission(Omission(**omission))}")
@@ -85,19 +98,3 @@ def _show(summary: dict[str, Any]) -> None:
         print_line(f"note: {note}")
     for clip, reason in summary["failures"].items():
         print_line(f"failed: {clip}: {reason}")
-
-
-def _show_chunks(summary: dict[str, Any]) -> None:
-    from olt_toolkit.runtime.console import print_line, print_table
-
-    columns = ("component", "kind", "source", "clips", "chunk_ids")
-    title = f"{summary['out']}: {summary['clips']} clips of split {summary['split']}"
-    print_table(title, columns, [[group[column] for column in columns] for group in summary["groups"]])
-    for how, part in summary["chunks"].items():
-        if part["count"]:
-            print_line(f"{part['count']} chunks {how}, {part['bytes'] / 1e6:.1f} MB")
-    print_line(f"{summary['clips_with_default_keyframe']} clips give a sample at the recipes' default keyframe, 5.1 s")
-    print_line("for the public recipes (a range of chunks leaves out its last number):")
-    for name, part in summary["components"].items():
-        overrides = f'data.train_dataset.local_dir={summary["out"]} data.train_dataset.chunk_ids="{part["chunk_ids"]}"'
-        print_line(f"  {name}: {overrides} data.train_dataset.use_default_keyframe=false")

@@ -3,15 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from olt_datasets.commands.align import align
 from olt_datasets.mixtures.training_arithmetic import PAPER_STAGES, parse_stage, training_arithmetic
-
-if TYPE_CHECKING:
-    from olt_datasets.mixtures.recipe import Recipe
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Compose training mixtures from clips by recipes.")
 app.command()(align)
@@ -66,14 +63,21 @@ def show(
 ) -> None:
     """Show a composed mixture, or what a recipe asks for."""
     from olt_datasets.mixtures.mixture_file import MIXTURE_SUFFIXES, read_mixture
-    from olt_datasets.mixtures.recipe import find_recipe
+    from olt_datasets.mixtures.recipe import Component, find_recipe
+    from olt_toolkit.runtime.console import print_json, print_table
 
     if mixture.endswith(MIXTURE_SUFFIXES):
         training = _training(stage)
         composed = read_mixture(Path(mixture))
         _show_mixture(composed.describe(epoch) | {"training": training(len(composed)), "file": mixture}, as_json)
-    else:
-        _show_recipe(find_recipe(mixture), as_json)
+        return
+    recipe = find_recipe(mixture)
+    if as_json:
+        print_json(recipe.model_dump(mode="json"))
+        return
+    columns = list(Component.model_fields)
+    rows = [[_cell(getattr(part, column) or None) for column in columns] for part in recipe.components]
+    print_table(f"{recipe.name}, split {recipe.split}: {recipe.description}", columns, rows)
 
 
 @app.command()
@@ -115,14 +119,34 @@ def diff(
 ) -> None:
     """Show what differs between two composed mixtures: their recipes, samples and shares."""
     from olt_datasets.mixtures.comparison import compare_mixtures, differing_samples
+    from olt_datasets.mixtures.mixture import GROUPS
     from olt_datasets.mixtures.mixture_file import read_mixture
     from olt_generator.files import write_whole
+    from olt_toolkit.runtime.console import print_json, print_table
 
     mixtures = read_mixture(first), read_mixture(second)
     if out is not None:
         with write_whole(out) as temporary:
             differing_samples(*mixtures).write_parquet(temporary)
-    _show_difference(compare_mixtures(*mixtures) | {"file": None if out is None else str(out)}, as_json)
+    summary = compare_mixtures(*mixtures)
+    if as_json:
+        print_json(summary | {"file": None if out is None else str(out)})
+        return
+    facts = {name: summary[name] for name in ("seeds", "samples_per_epoch")} | summary["recipe"]
+    rows = [(name, _cell(before), _cell(after)) for name, (before, after) in facts.items() if before != after]
+    heads = [f"{place}: {name}" for place, name in zip(("first", "second"), summary["recipes"], strict=True)]
+    print_table("What was asked", ("", *heads), rows)
+    samples = {"all": summary["samples"]} | summary["components"]
+    columns = ("both", "only_first", "only_second")
+    rows = [(name, *(numbers[column] for column in columns)) for name, numbers in samples.items()]
+    print_table("Distinct samples", ("component", "in both", "first only", "second only"), rows)
+    rows = [
+        (group, value, f"{before:.2%}", f"{after:.2%}", f"{after - before:+.2%}")
+        for group in GROUPS
+        for value, (before, after) in summary[f"by_{group}"].items()
+        if before != after
+    ]
+    print_table("Shares that differ", ("by", "value", "first", "second", "difference"), rows)
 
 
 def _training(stages: Sequence[str]) -> Any:
@@ -156,42 +180,6 @@ def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:
     rows = [(stage, *(numbers[column] for column in columns)) for stage, numbers in summary["training"].items()]
     heads = ("devices x batch x accumulation x epochs", *(column.replace("_", " ") for column in columns))
     print_table("Steps of training", heads, rows)
-
-
-def _show_difference(summary: dict[str, Any], as_json: bool) -> None:
-    from olt_datasets.mixtures.mixture import GROUPS
-    from olt_toolkit.runtime.console import print_json, print_table
-
-    if as_json:
-        print_json(summary)
-        return
-    first, second = summary["recipes"]
-    facts = {name: summary[name] for name in ("seeds", "samples_per_epoch")} | summary["recipe"]
-    rows = [(name, _cell(before), _cell(after)) for name, (before, after) in facts.items() if before != after]
-    print_table("What was asked", ("", f"first: {first}", f"second: {second}"), rows)
-    samples = {"all": summary["samples"]} | summary["components"]
-    columns = ("both", "only_first", "only_second")
-    rows = [(name, *(numbers[column] for column in columns)) for name, numbers in samples.items()]
-    print_table("Distinct samples", ("component", "in both", "first only", "second only"), rows)
-    rows = [
-        (group, value, f"{before:.2%}", f"{after:.2%}", f"{after - before:+.2%}")
-        for group in GROUPS
-        for value, (before, after) in summary[f"by_{group}"].items()
-        if before != after
-    ]
-    print_table("Shares that differ", ("by", "value", "first", "second", "difference"), rows)
-
-
-def _show_recipe(recipe: "Recipe", as_json: bool) -> None:
-    from olt_datasets.mixtures.recipe import Component
-    from olt_toolkit.runtime.console import print_json, print_table
-
-    if as_json:
-        print_json(recipe.model_dump(mode="json"))
-        return
-    columns = list(Component.model_fields)
-    rows = [[_cell(getattr(part, column) or None) for column in columns] for part in recipe.components]
-    print_table(f"{recipe.name}, split {recipe.split}: {recipe.description}", columns, rows)
 
 
 def _cell(value: object) -> object:

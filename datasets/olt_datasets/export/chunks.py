@@ -6,7 +6,7 @@ that a range of numbers selects a group or a component.
 """
 
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -57,8 +57,20 @@ class ChunkResult:
 def divide_into_chunks(groups: Sequence[ExportGroup]) -> list[ExportChunk]:
     """The chunks of all groups, one group after the other, numbered from 0."""
     stores = {item.store: ClipStore(item.store).chunks() for group in groups for item in group.items}
-    parts = [(index, *part) for index, group in enumerate(groups) for part in _split_group(group, stores)]
-    return [ExportChunk(number, *part) for number, part in enumerate(parts)]
+    chunks: list[ExportChunk] = []
+    for index, group in enumerate(groups):
+        unchanged = {(item.store, item.clip_id): item for item in group.items if item.listed_as == item.clip_id}
+        linked: set[str] = set()
+        for store in sorted({item.store for item in group.items}):
+            for number, clip_ids in sorted(stores[store].items()):
+                if all((store, clip_id) in unchanged for clip_id in clip_ids):
+                    linked.update(clip_ids)
+                    items = tuple(unchanged[store, clip_id] for clip_id in clip_ids)
+                    chunks.append(ExportChunk(len(chunks), index, items, (store, number)))
+        rest = [item for item in group.items if item.listed_as not in linked]
+        for start in range(0, len(rest), CLIPS_PER_CHUNK):
+            chunks.append(ExportChunk(len(chunks), index, tuple(rest[start : start + CLIPS_PER_CHUNK])))
+    return chunks
 
 
 def write_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult:
@@ -74,21 +86,6 @@ def write_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult
     result = _link_chunk(root, chunk, keep_going) or _pack_chunk(root, chunk, keep_going)
     note_finished(root, name, asdict(result))
     return result
-
-
-def _split_group(
-    group: ExportGroup, stores: dict[Path, dict[int, list[str]]]
-) -> Iterator[tuple[tuple[ExportItem, ...], tuple[Path, int] | None]]:
-    unchanged = {(item.store, item.clip_id): item for item in group.items if item.listed_as == item.clip_id}
-    linked: set[str] = set()
-    for store in sorted({item.store for item in group.items}):
-        for chunk, clip_ids in sorted(stores[store].items()):
-            if all((store, clip_id) in unchanged for clip_id in clip_ids):
-                linked.update(clip_ids)
-                yield tuple(unchanged[store, clip_id] for clip_id in clip_ids), (store, chunk)
-    rest = [item for item in group.items if item.listed_as not in linked]
-    for start in range(0, len(rest), CLIPS_PER_CHUNK):
-        yield tuple(rest[start : start + CLIPS_PER_CHUNK]), None
 
 
 def _link_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult | None:

@@ -11,7 +11,7 @@ from itertools import groupby
 from operator import attrgetter, itemgetter
 from pathlib import Path
 
-from olt_datasets.mixtures.mixture import Mixture, MixtureComponent
+from olt_datasets.mixtures.mixture import Mixture
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
 from olt_toolkit.clips.clip import Split, make_clip_id
@@ -95,7 +95,16 @@ def contents_of_mixture(mixture: Mixture) -> Contents:
     table = next((store for store in sorted(stores) if Path(store).is_file()), None)
     if table is not None:
         raise InputError(f"{table}: its clips are indexed and not built; build them with `olt data build`")
-    groups = [group for part in mixture.components for group in _component_groups(part)]
+    groups = []
+    for part in mixture.components:
+        rows = sorted(part.samples.select("kind", "source", "store", "clip_id", "t0_us").unique().rows())
+        for (kind, source), group in groupby(rows, itemgetter(0, 1)):
+            items = [
+                ExportItem(Path(store), clip, make_clip_id("further use", clip, t0_us) if use else clip, (t0_us,))
+                for (store, clip), uses in groupby(group, itemgetter(2, 3))
+                for use, (*_, t0_us) in enumerate(uses)
+            ]
+            groups.append(ExportGroup(part.component.name, kind, source, tuple(items)))
     return Contents(_check(groups), mixture.recipe.split, notes=tuple(_notes(mixture)))
 
 
@@ -134,18 +143,6 @@ def contents_of_stores(stores: Sequence[Path], split: Split) -> Contents:
             groups.append(ExportGroup(store.name, kind, source, tuple(items)))
     omissions = [Omission(what, why, count, total) for (what, why), count in left_out.items()]
     return Contents(_check(groups), split, tuple(omissions))
-
-
-def _component_groups(part: MixtureComponent) -> Iterator[ExportGroup]:
-    columns = ("kind", "source", "store", "clip_id", "t0_us")
-    rows = sorted(part.samples.select(*columns).unique().rows())
-    for (kind, source), group in groupby(rows, itemgetter(0, 1)):
-        items = [
-            ExportItem(Path(store), clip_id, make_clip_id("further use", clip_id, t0_us) if use else clip_id, (t0_us,))
-            for (store, clip_id), uses in groupby(group, itemgetter(2, 3))
-            for use, (*_, t0_us) in enumerate(uses)
-        ]
-        yield ExportGroup(part.component.name, kind, source, tuple(items))
 
 
 def _notes(mixture: Mixture) -> Iterator[str]:

@@ -172,7 +172,13 @@ def _write_meta(
         "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
         "features": _features(image_size),
     }
-    stats = {name: _vector_stats(values) for name, values in columns.items() if values.dtype != np.bool_}
+    stats = {}
+    for name, values in columns.items():
+        if values.dtype != np.bool_:
+            rows = values.reshape(len(values), -1)
+            stats[name] = {each: getattr(np, each)(rows, axis=0).tolist() for each in ("min", "max", "mean", "std")}
+            quantiles = np.quantile(rows, list(QUANTILES.values()), axis=0).tolist()
+            stats[name] |= {"count": [len(rows)]} | dict(zip(QUANTILES, quantiles, strict=True))
     stats |= {video_key(camera): _image_stats(episodes, camera) for camera in POLICY_CAMERAS}
     for name, content in {"info": info, "stats": stats}.items():
         with write_file(meta / f"{name}.json") as temporary:
@@ -241,13 +247,6 @@ def _episode_rows(episodes: Sequence[_Episode]) -> list[dict[str, Any]]:
         rows.append(row)
         begin += len(episode)
     return rows
-
-
-def _vector_stats(values: NDArray[Any]) -> dict[str, list[Any]]:
-    values = values.reshape(len(values), -1)
-    stats = {name: getattr(np, name)(values, axis=0).tolist() for name in ("min", "max", "mean", "std")}
-    quantiles = np.quantile(values, list(QUANTILES.values()), axis=0).tolist()
-    return stats | {"count": [len(values)]} | dict(zip(QUANTILES, quantiles, strict=True))
 
 
 def _image_stats(episodes: Sequence[_Episode], camera: str) -> dict[str, list[Any]]:

@@ -18,7 +18,13 @@ def compare_mixtures(first: Mixture, second: Mixture) -> dict[str, Any]:
     `recipe` lists the keys whose values differ, `samples` and `components` count the distinct samples of both, of the
     first only and of the second only, and the shares are those of the items of epoch 0.
     """
-    summaries = [mixture.describe() for mixture in (first, second)]
+    shares = [
+        {
+            f"by_{group}": {value: numbers["got"] / len(mixture) for value, numbers in summary[f"by_{group}"].items()}
+            for group in GROUPS
+        }
+        for mixture, summary in ((first, first.describe()), (second, second.describe()))
+    ]
     parts = [{part.component.name: part.samples for part in mixture.components} for mixture in (first, second)]
     asked = _pair([_flatten(mixture.recipe) for mixture in (first, second)], None)
     return {
@@ -29,7 +35,7 @@ def compare_mixtures(first: Mixture, second: Mixture) -> dict[str, Any]:
         "samples": _count_samples(first.samples, second.samples),
         "components": {name: _count_samples(*samples) for name, samples in _pair(parts, first.samples.clear()).items()},
         **{
-            f"by_{group}": dict(sorted(_pair([_shares(each, f"by_{group}") for each in summaries], 0.0).items()))
+            f"by_{group}": dict(sorted(_pair([each[f"by_{group}"] for each in shares], 0.0).items()))
             for group in GROUPS
         },
     }
@@ -53,10 +59,6 @@ def _count_samples(first: pl.DataFrame, second: pl.DataFrame) -> dict[str, int]:
 def _pair(both: Sequence[Mapping[str, Any]], absent: Any) -> dict[str, list[Any]]:
     """The values of both by key, with `absent` where there is none."""
     return {key: [values.get(key, absent) for values in both] for key in {**both[0], **both[1]}}
-
-
-def _shares(summary: Mapping[str, Any], group: str) -> dict[str, float]:
-    return {value: numbers["got"] / summary["samples_per_epoch"] for value, numbers in summary[group].items()}
 
 
 def _flatten(recipe: Recipe) -> dict[str, Any]:

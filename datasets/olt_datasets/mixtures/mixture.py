@@ -19,12 +19,10 @@ import polars as pl
 from numpy.typing import NDArray
 
 from olt_datasets.mixtures.batches import batch_counts
-from olt_datasets.mixtures.draws import PRIORITY, draw_samples
 from olt_datasets.mixtures.recipe import Component, Recipe
 from olt_datasets.mixtures.selection import (
     AbsentValue,
     ClipTable,
-    Selection,
     Shortage,
     count_items,
     find_absent_values,
@@ -230,8 +228,10 @@ def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes
     if shortages:
         raise InputError(word_shortage(shortages[0]))
     items = samples_per_epoch(recipe, selections)
+    columns = [name for name in dict.fromkeys([*SAMPLE_SCHEMA, *LEAK_COLUMNS]) if name != "t0_us"]
     drawn = [
-        _draw(selection, count, seed) for selection, count in zip(selections, most_items(recipe, items), strict=True)
+        selection.draw(most, seed, columns)
+        for selection, most in zip(selections, most_items(recipe, items), strict=True)
     ]
     leaks = _find_leaks(
         [samples.lazy().unique(["store", "clip_id"]) for samples in drawn], table, recipe, held_out_scenes
@@ -279,24 +279,6 @@ def _find_leaks(
         return []
     used = pl.concat([part.select(LEAK_COLUMNS) for part in clips])
     return find_leaks(used, table, recipe.split, [*recipe.held_out_scenes, *held_out_scenes])
-
-
-def _draw(selection: Selection, most: int, seed: int) -> pl.DataFrame:
-    """Draw the samples of a component that gives at most so many items to an epoch; with `LEAK_COLUMNS` besides."""
-    component, count = selection.component, min(most, selection.available)
-    category = pl.col("category")
-    others = selection.clips.filter(~category.is_in(list(component.caps)))
-    pools = [(others, selection.other_samples, count)] + [
-        (selection.clips.filter(category == name), available, min(count, component.caps[name]))
-        for name, available in selection.capped_samples.items()
-    ]
-    columns = tuple(name for name in dict.fromkeys([*SAMPLE_SCHEMA, *LEAK_COLUMNS]) if name != "t0_us")
-    drawn = [
-        draw_samples(clips, component, available, min(wanted, available), seed, columns)
-        for clips, available, wanted in pools
-    ]
-    first = pl.concat(drawn).sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
-    return first.sort("clip_id", "kind", "source", "store", "t0_us")
 
 
 def _count_uses(values: pl.Series, uses: Rows) -> dict[str, dict[str, int]]:

@@ -4,14 +4,14 @@ Tables are scanned, never held: what is kept of ten million rows are counts.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import polars as pl
 
 from olt_datasets.mixtures.batches import epoch_counts
-from olt_datasets.mixtures.draws import sample_count
+from olt_datasets.mixtures.draws import PRIORITY, draw_samples, sample_count
 from olt_datasets.mixtures.recipe import Component, Filter, Recipe
 from olt_generator.errors import InputError
 
@@ -49,6 +49,26 @@ class Selection:
     def capacity(self) -> int:
         """The most items that the component can give to one epoch."""
         return self.available * self.component.repeats
+
+    def draw(self, most: int, seed: int, columns: Collection[str]) -> pl.DataFrame:
+        """Draw the samples of a component that gives at most so many items to an epoch.
+
+        Returns:
+            `columns` of the clips and `t0_us`, ordered by clip and time.
+        """
+        count = min(most, self.available)
+        category = pl.col("category")
+        others = self.clips.filter(~category.is_in(list(self.component.caps)))
+        pools = [(others, self.other_samples, count)] + [
+            (self.clips.filter(category == name), available, min(count, self.component.caps[name]))
+            for name, available in self.capped_samples.items()
+        ]
+        drawn = [
+            draw_samples(clips, self.component, available, min(wanted, available), seed, tuple(columns))
+            for clips, available, wanted in pools
+        ]
+        first = pl.concat(drawn).sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
+        return first.sort("clip_id", "kind", "source", "store", "t0_us").drop(PRIORITY)
 
 
 @dataclass(frozen=True)
