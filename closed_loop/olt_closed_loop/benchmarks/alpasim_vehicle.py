@@ -1,12 +1,13 @@
 """AlpaSim's vehicle, written from its description (docs/formats/alpasim.md): what controllers are measured on.
 
 It shares no code with `vehicle.models`, so an error in those equations shows as an error of tracking.
-All functions take and give whole batches of vehicles.
 """
 
 import numpy as np
 
+from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres
 from olt_generator.poses import Array
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 MASS, YAW_INERTIA = 2014.4, 3414.2
 WHEELBASE, REAR_TO_GRAVITY = 2.85, 1.59
@@ -15,6 +16,11 @@ FRONT_STIFFNESS, REAR_STIFFNESS = 2.0 * 93534.5, 2.0 * 176162.1
 LAG = 0.1
 SWITCH_SPEED = 5.0
 SUBSTEPS = 10
+
+
+def alpasim_vehicle(friction: float = np.inf) -> VehicleParameters:
+    """The same vehicle for `vehicle.models`; linear tyres, as AlpaSim has them, unless a friction is given."""
+    return vehicle_with_tyres(DEFAULT_VEHICLE, friction)
 
 
 def drive_step(state: Array, control: Array, step: float) -> Array:

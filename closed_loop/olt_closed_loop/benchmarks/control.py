@@ -3,15 +3,15 @@
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from olt_closed_loop.benchmarks.alpasim_vehicle import REAR_TO_GRAVITY, drive_step
+from olt_closed_loop.benchmarks.alpasim_vehicle import REAR_TO_GRAVITY, alpasim_vehicle, drive_step
 from olt_closed_loop.benchmarks.control_extremes import control_grid
 from olt_closed_loop.benchmarks.control_references import Reference, alpasim_references
 from olt_closed_loop.control.tracking import ControlSettings, TrackingController
-from olt_closed_loop.vehicle.models import VehicleParameters
-from olt_closed_loop.vehicle.presets import alpasim_vehicle
+from olt_closed_loop.vehicle.parameters import VehicleParameters
 from olt_generator.poses import Array
 from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
@@ -55,7 +55,11 @@ def track(references: Sequence[Reference], parameters: VehicleParameters, settin
     states[:, 3] = [reference.speed for reference in references]
     errors, seen, seconds = np.zeros((len(references), STEPS)), [], np.zeros((STEPS, len(references)))
     for step in range(STEPS):
-        seen.append(_seen(states, parameters))
+        # AlpaSim's states in the order of `vehicle.state`, as many numbers as the controller's vehicle has.
+        x, y, yaw, forward, left, yaw_rate, steering, acceleration = states.T
+        rear_left = left - REAR_TO_GRAVITY * yaw_rate
+        ordered = [x, y, yaw, forward, steering, acceleration, rear_left, yaw_rate]
+        seen.append(np.stack(ordered[: parameters.state_size], axis=-1))
         controls = np.zeros((len(references), 2))
         for row, (reference, controller) in enumerate(zip(references, controllers, strict=True)):
             plan, began = reference.plan(step), time.thread_time()
@@ -65,22 +69,15 @@ def track(references: Sequence[Reference], parameters: VehicleParameters, settin
         wanted = np.stack([reference.poses[step + 1] for reference in references])
         errors[:, step] = np.linalg.norm(states[:, :2] - wanted[:, :2], axis=1)
     copies = np.array([reference.copies for reference in references], dtype=np.float64)
-    failed = sum(controller.events.failed for controller in controllers)
+    failed = sum(controller.counts.failed for controller in controllers)
     return Tracking(errors, copies, np.stack(seen), seconds, failed)
 
 
-def _seen(states: Array, parameters: VehicleParameters) -> Array:
-    """States of AlpaSim's vehicle (n, 8) in the order of `vehicle.models`, as many numbers as it needs."""
-    x, y, yaw, forward, left, yaw_rate, steering, acceleration = states.T
-    rear_left = left - REAR_TO_GRAVITY * yaw_rate
-    ordered = [x, y, yaw, forward, steering, acceleration, rear_left, yaw_rate]
-    return np.stack(ordered[: parameters.state_size], axis=-1)
-
-
+DEFAULT = "linear MPC, 1 s ahead"
 WAYS: dict[str, tuple[VehicleParameters, ControlSettings]] = {
     "LQR, 1 s ahead": (WITH_TYRES, ControlSettings(method="lqr")),
     "linear MPC, 0.5 s ahead": (WITH_TYRES, ControlSettings(horizon=5)),
-    "linear MPC, 1 s ahead": (WITH_TYRES, ControlSettings()),
+    DEFAULT: (WITH_TYRES, ControlSettings()),
     "linear MPC, 2 s ahead": (WITH_TYRES, ControlSettings(horizon=20)),
     "linear MPC, 4 s ahead": (WITH_TYRES, ControlSettings(horizon=40)),
     "linear MPC, 1 s, 3 rounds": (WITH_TYRES, ControlSettings(rounds=3)),
@@ -115,18 +112,13 @@ def tracking_figures(tracking: Tracking) -> dict[str, float]:
     }
 
 
-def _settings() -> Sequence[Setting]:
-    default = (WITH_TYRES, ControlSettings())
-    return [Setting(name, lambda way=way: _prepare(*way), default=way == default) for name, way in WAYS.items()]
-
-
 BENCHMARK = Benchmark(
     name="control",
     title="Tracking of AlpaSim's 120 references of 10 s on AlpaSim's vehicle; time of 400 calls",
     error_name="position error, rms",
     error_unit="m",
     reference="the references themselves; the vehicle is AlpaSim's, written a second time in numpy",
-    settings=_settings,
+    settings=lambda: [Setting(name, partial(_prepare, *way), name == DEFAULT) for name, way in WAYS.items()],
     measure_error=lambda tracking: tracking.rms,
     figures=tracking_figures,
     grid=control_grid,

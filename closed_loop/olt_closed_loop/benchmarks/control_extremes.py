@@ -9,16 +9,16 @@ Each case is driven for eight seconds by a vehicle that moves as its own equatio
 """
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.control.plans import PlanRefused, WorldPlan
-from olt_closed_loop.control.tracking import ControlEvents, ControlMethod, ControlSettings, TrackingController
+from olt_closed_loop.control.tracking import ControlMethod, ControlSettings, SolveCounts, TrackingController
 from olt_closed_loop.vehicle.integrators import make_stepper
-from olt_closed_loop.vehicle.models import VehicleParameters, with_rolling_tyres
-from olt_closed_loop.vehicle.presets import alpasim_vehicle
+from olt_closed_loop.vehicle.parameters import VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle.tyres import GRAVITY
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -99,17 +99,17 @@ class Case:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class DrivenCase:
     """What became of a case.
 
     Attributes:
         errors: (80,) distances in metres to where the plan wants the rig, at the end of every step.
-        events: of the controller.
+        counts: how the controller's calls went.
         refused: why it was not driven, or nothing.
     """
 
-    errors: Array = field(default_factory=lambda: np.zeros(0))
-    events: ControlEvents = field(default_factory=ControlEvents)
+    errors: Array = field(default_factory=lambda: np.full(1, np.nan))
+    counts: SolveCounts = field(default_factory=SolveCounts)
     refused: str = ""
 
     @property
@@ -118,11 +118,11 @@ class Outcome:
         return float(self.errors[-round(1.0 / STEP_SECONDS) :].mean())
 
     @property
-    def word(self) -> str:
+    def outcome(self) -> str:
         """How it ended, in a word of the module's text."""
         if self.refused:
             return "refused"
-        if self.events.failed or self.events.late:
+        if self.counts.failed or self.counts.late:
             return "held"
         return "tracked" if self.last_error <= TRACKED else "off the plan"
 
@@ -173,7 +173,7 @@ def curve(speed: float, lateral_acceleration: float) -> Path:
     return lambda time: np.stack([np.interp(time, fine, column) for column in (x, y, yaw)], axis=-1)
 
 
-def drive(case: Case, parameters: VehicleParameters, method: ControlMethod) -> Outcome:
+def drive(case: Case, parameters: VehicleParameters, method: ControlMethod) -> DrivenCase:
     """Track a case with a vehicle that moves as its own equations say."""
     parameters = replace(parameters, reverse_gear=case.reverse)
     controller = TrackingController(parameters, ControlSettings(method=method, deadline_seconds=case.deadline))
@@ -187,8 +187,8 @@ def drive(case: Case, parameters: VehicleParameters, method: ControlMethod) -> O
             wanted = case.meant(now).at(np.array([(step + 1) * STEP_US]))[0]
             errors[step] = np.linalg.norm(state[:2] - wanted[:2])
     except (PlanRefused, InputError) as refusal:
-        return Outcome(refused=str(refusal))
-    return Outcome(errors, controller.events)
+        return DrivenCase(refused=str(refusal))
+    return DrivenCase(errors, controller.counts)
 
 
 def control_grid() -> Grid:
@@ -196,38 +196,25 @@ def control_grid() -> Grid:
     rows: list[dict[str, object]] = []
     summary = [f"extreme cases of {SECONDS:g} s; tracked: within {TRACKED:g} m in the last second"]
     for vehicle, method in WAYS:
-        parameters = VEHICLES[vehicle]
-        driven = [(case, drive(case, parameters, method)) for case in cases(_friction(parameters))]
-        rows += [_row(case, vehicle, method, outcome) for case, outcome in driven]
-        summary.append(f"{vehicle}, {method}: {_told(driven)}")
+        parameters, counts, missed = VEHICLES[vehicle], Counter[str](), []
+        for case in cases(parameters.tyres.friction if parameters.tyres else np.inf):
+            driven = drive(case, parameters, method)
+            counts[driven.outcome] += 1
+            if case.possible and driven.outcome == "off the plan":
+                missed.append(f"{case.name} ({driven.last_error:.2f} m)")
+            rows.append(
+                {
+                    "case": case.name,
+                    "possible": case.possible,
+                    "vehicle": vehicle,
+                    "method": method,
+                    "outcome": driven.outcome,
+                    "largest_error_m": None if driven.refused else float(driven.errors.max()),
+                    "last_error_m": None if driven.refused else driven.last_error,
+                    "events": asdict(driven.counts),
+                    "refused": driven.refused,
+                }
+            )
+        told = ", ".join(f"{counts[word]} {word}" for word in ("tracked", "held", "refused", "off the plan"))
+        summary.append(f"{vehicle}, {method}: {told}; could have been tracked: {', '.join(missed) or 'none'}")
     return Grid(rows, summary)
-
-
-def _friction(parameters: VehicleParameters) -> float:
-    return np.inf if parameters.tyres is None else parameters.tyres.friction
-
-
-def _row(case: Case, vehicle: str, method: ControlMethod, outcome: Outcome) -> dict[str, object]:
-    driven = not outcome.refused
-    return {
-        "case": case.name,
-        "possible": case.possible,
-        "vehicle": vehicle,
-        "method": method,
-        "outcome": outcome.word,
-        "largest_error_m": float(outcome.errors.max()) if driven else None,
-        "last_error_m": outcome.last_error if driven else None,
-        "events": asdict(outcome.events),
-        "refused": outcome.refused,
-    }
-
-
-def _told(driven: Sequence[tuple[Case, Outcome]]) -> str:
-    counts = Counter(outcome.word for _, outcome in driven)
-    told = ", ".join(f"{counts[word]} {word}" for word in ("tracked", "held", "refused", "off the plan"))
-    missed = [
-        f"{case.name} ({outcome.last_error:.2f} m)"
-        for case, outcome in driven
-        if case.possible and outcome.word == "off the plan"
-    ]
-    return f"{told}; could have been tracked: {', '.join(missed) or 'none'}"

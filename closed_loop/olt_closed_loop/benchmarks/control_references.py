@@ -25,7 +25,6 @@ TOP_CIRCLE_SPEED = 15.0
 _TIME: Array = STEP_SECONDS * np.arange(round(REFERENCE_SECONDS / STEP_SECONDS) + 1, dtype=np.float64)
 _RAMPS = ((5, 15), (10, 20), (5, 25), (15, 25), (8, 18), (20, 10), (25, 15), (15, 5), (20, 5), (18, 8))
 _TURNING_RAMPS = ((50, 10, 15), (-50, 10, 15), (100, 15, 10), (-100, 15, 10), (75, 8, 12))
-_TURNS_FROM_REST = tuple(product((10.0, 15.0), (50.0, -50.0, 100.0, -100.0)))
 
 
 @dataclass(frozen=True)
@@ -52,42 +51,28 @@ class Reference:
 
 def alpasim_references() -> list[Reference]:
     """The 70 different drives, with their numbers of copies."""
-    return [*_straights(), *_circles(), *_ramps(), *_turning_ramps(), *_moving_off(), *_stopping()]
+    return list(_different_drives())
 
 
-def _straights() -> Iterator[Reference]:
+def _different_drives() -> Iterator[Reference]:
+    """Straights and circles at even speed; straights and turns of changing speed; turns from rest and to rest."""
     spread = make_generator(42, "control", "straight").uniform(-1.0, 1.0, size=(6, 4))
     for speed in (np.array([[1.0], [5.0], [10.0], [15.0], [20.0], [25.0]]) + spread).ravel():
         x = speed * _TIME
         yield Reference(f"straight {speed:.1f} m/s", 1, np.stack([x, 0.0 * x, 0.0 * x], axis=-1), float(speed))
-
-
-def _circles() -> Iterator[Reference]:
     for side, radius in product((1.0, -1.0), (20.0, 50.0, 100.0, 200.0, 500.0)):
         speed = min(TOP_CIRCLE_SPEED, float(np.sqrt(LATERAL_ACCELERATION * radius)))
         angle = speed * _TIME / radius
         poses = np.stack([radius * np.sin(angle), side * radius * (1.0 - np.cos(angle)), side * angle], axis=-1)
         yield Reference(f"circle {side * radius:.0f} m", 4, poses, speed)
-
-
-def _ramps() -> Iterator[Reference]:
     for first, last in _RAMPS:
         yield _integrated(f"straight {first}-{last} m/s", 3, _ramp(0.0, 7.5, first, last), np.inf)
-
-
-def _turning_ramps() -> Iterator[Reference]:
     for (radius, first, last), (wider, slower, faster) in product(_TURNING_RAMPS, ((1, 1, 1), (1.2, 0.9, 1.1))):
         name = f"turn {wider * radius:.0f} m, {slower * first:.1f}-{faster * last:.1f} m/s"
         yield _integrated(name, 1, _ramp(0.0, 7.5, slower * first, faster * last), wider * radius)
-
-
-def _moving_off() -> Iterator[Reference]:
-    for speed, radius in _TURNS_FROM_REST:
+    for speed, radius in product((10.0, 15.0), (50.0, -50.0, 100.0, -100.0)):
         yield _integrated(f"turn {radius:.0f} m, moving off to {speed:.0f} m/s", 1, _ramp(7.5, 15.0, 0, speed), radius)
-
-
-def _stopping() -> Iterator[Reference]:
-    for speed, radius in _TURNS_FROM_REST:
+    for speed, radius in product((10.0, 15.0), (50.0, -50.0, 100.0, -100.0)):
         yield _integrated(f"turn {radius:.0f} m, {speed:.0f} m/s to rest", 1, _ramp(3.75, 11.25, speed, 0), radius)
 
 

@@ -1,7 +1,8 @@
 """The whole closed loop without cameras: as many rollouts as the paper simulates, with gate and scores."""
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Any
 
 import numpy as np
 
@@ -13,10 +14,6 @@ from olt_toolkit.bench.benchmark import Benchmark, Setting
 
 SCENES, ROLLOUTS = 53, 2
 DURATION_US = 20_000_000
-DEFAULT = "2 processes"
-
-_EVERYTHING = SimulationSettings(skip=False)
-_REFERENCE = SimulationSettings(skip=False, integrator="cvodes")
 
 
 @lru_cache(maxsize=1)
@@ -25,26 +22,15 @@ def make_scenes() -> tuple[Scene, ...]:
     return tuple(generate_scene(CATEGORIES[index % len(CATEGORIES)], index, DURATION_US) for index in range(SCENES))
 
 
-def _run(settings: SimulationSettings, workers: int) -> list[Result]:
-    return run_closed_loop(make_scenes(), "route", ROLLOUTS, settings=settings, workers=workers)
-
-
-def _prepare(settings: SimulationSettings, workers: int) -> Callable[[], list[Result]]:
-    make_scenes()
-    return lambda: _run(settings, workers)
-
-
-def _settings() -> Sequence[Setting]:
-    return [
-        Setting(DEFAULT, lambda: _prepare(SimulationSettings(), 2), default=True),
-        Setting("1 process", lambda: _prepare(SimulationSettings(), 1)),
-        Setting("2 processes, nothing left out", lambda: _prepare(_EVERYTHING, 2)),
-    ]
+def _prepare(workers: int = 2, **settings: Any) -> Callable[[], list[Result]]:
+    return partial(
+        run_closed_loop, make_scenes(), "route", ROLLOUTS, settings=SimulationSettings(**settings), workers=workers
+    )
 
 
 @lru_cache(maxsize=1)
 def _reference() -> list[Result]:
-    return _run(_REFERENCE, 2)
+    return _prepare(skip=False, integrator="cvodes")()
 
 
 def _measure_error(results: list[Result]) -> float:
@@ -61,6 +47,10 @@ BENCHMARK = Benchmark(
     error_name="largest deviation of the ego",
     error_unit="m",
     reference="the same rollouts with the vehicle integrated by CVODES and nothing left out",
-    settings=_settings,
+    settings=lambda: [
+        Setting("2 processes", _prepare, default=True),
+        Setting("1 process", partial(_prepare, workers=1)),
+        Setting("2 processes, nothing left out", partial(_prepare, skip=False)),
+    ],
     measure_error=_measure_error,
 )

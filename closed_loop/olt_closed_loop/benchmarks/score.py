@@ -1,25 +1,30 @@
-"""Scoring: how far AS and CR are off when a drive is sampled coarsely, and what scoring costs, by definition."""
+"""Scoring: how far scores and times of contact are off when a drive is sampled coarsely, and what scoring costs."""
 
-from collections.abc import Callable, Sequence
-from functools import lru_cache
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, partial
+from itertools import product
 
 import numpy as np
 
-from olt_closed_loop.benchmarks.score_drives import known_drives
+from olt_closed_loop.benchmarks.score_drives import DURATION_US, HANDOVER_US, crowded_drive, known_drives
 from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord
-from olt_closed_loop.scoring.definitions import Definition, score_record
+from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_contact
+from olt_closed_loop.scoring.contacts import first_contacts
+from olt_closed_loop.scoring.definitions import DEFINITIONS, Definition, score_record
+from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
 from olt_generator.poses import Array
 from olt_toolkit.bench.benchmark import Benchmark, Setting
 
 DRIVES = 40
 REFERENCE_STEP_US = 1000
-DEFAULT = ("strict", 100)
+CROWDS = (20, 60)
 
-_STEPS_MS: dict[Definition, tuple[int, ...]] = {"strict": (500, 200, 100, 50, 20), "alpasim": (500, 200, 100, 50)}
+Measure = Callable[[Sequence[RolloutRecord]], Array]
+"""Of drives: AS and CR (2,), or the time of the first contact (drives,) in microseconds, infinite if there is none."""
 
 
-def _average(records: Sequence[RolloutRecord], definition: Definition) -> Array:
+def average_scores(records: Sequence[RolloutRecord], definition: Definition) -> Array:
     """AS and CR (2,) of drives."""
     row = summarize_scores([score_record(record, definition) for record in records]).overall
     return np.array([row.alpasim_score, row.collision_rate], dtype=np.float64)
@@ -27,40 +32,104 @@ def _average(records: Sequence[RolloutRecord], definition: Definition) -> Array:
 
 @lru_cache(maxsize=1)
 def reference_average() -> Array:
-    """AS (strict, at 1 kHz) and CR (outlines bisected on the exact motion) of the drives."""
+    """AS (strict, at 1 kHz) and CR (outlines bisected on the exact motion), (2,), of the drives."""
     drives = known_drives(DRIVES)
     collided = sum(bool(np.isfinite(drive.contact_us())) for drive in drives) / len(drives)
-    score, _ = _average([drive.sampled(REFERENCE_STEP_US) for drive in drives], "strict")
+    score, _ = average_scores([drive.sampled(REFERENCE_STEP_US) for drive in drives], "strict")
     return np.array([score, collided], dtype=np.float64)
 
 
-def _prepare(definition: Definition, step_ms: int) -> Callable[[], Array]:
-    records = [drive.sampled(1000 * step_ms) for drive in known_drives(DRIVES)]
-    return lambda: _average(records, definition)
+def continuous_contact(record: RolloutRecord) -> float:
+    """First contact in microseconds by `scoring.contacts`; infinite if there is none."""
+    boxes = [agent_box(agent) for agent in record.agents]
+    return HANDOVER_US + float(first_contacts(ego_box(record), boxes, HANDOVER_US, DURATION_US).min())
 
 
-def _settings() -> Sequence[Setting]:
+def sampled_contact(record: RolloutRecord) -> float:
+    """The first sample in microseconds at which AlpaSim's outlines touch; infinite if there is none."""
+    series = measure_contact(Surroundings(record))["collision_any"].within(HANDOVER_US, DURATION_US)
+    touching = series.times_us[series.values > 0.0]
+    return float(touching[0]) if len(touching) else np.inf
+
+
+@lru_cache(maxsize=1)
+def reference_contacts() -> Array:
+    """Contact times (drives,) in microseconds on the exact motion."""
+    return np.array([drive.contact_us() for drive in known_drives(DRIVES)])
+
+
+def _contact_error(contacts: Array) -> float:
+    """Mean error in seconds; a contact that is missed or invented counts as one second."""
+    found, real = np.isfinite(contacts), np.isfinite(reference_contacts())
+    errors = np.where(found == real, 0.0, 1.0)
+    both = found & real
+    errors[both] = np.minimum(np.abs(contacts[both] - reference_contacts()[both]) * 1e-6, 1.0)
+    return float(errors.mean())
+
+
+def _sampled_settings(
+    measures: Mapping[str, Measure], steps_ms: Mapping[str, Sequence[int]], default: str
+) -> list[Setting]:
+    """Each measure of the known drives, sampled at each of its steps; `default` at 100 ms is the default."""
+
+    def prepare(measure: Measure, step_ms: int) -> Callable[[], Array]:
+        return partial(measure, [drive.sampled(1000 * step_ms) for drive in known_drives(DRIVES)])
+
     return [
-        Setting(
-            f"{definition}, {step_ms} ms",
-            lambda definition=definition, step_ms=step_ms: _prepare(definition, step_ms),
-            default=(definition, step_ms) == DEFAULT,
-        )
-        for definition, steps in _STEPS_MS.items()
-        for step_ms in steps
+        Setting(f"{name}, {step_ms} ms", partial(prepare, measure, step_ms), default=(name, step_ms) == (default, 100))
+        for name, measure in measures.items()
+        for step_ms in steps_ms[name]
     ]
 
 
-def _measure_error(averages: Array) -> float:
-    return float(np.abs(averages - reference_average()).max())
-
-
-BENCHMARK = Benchmark(
+SCORE = Benchmark(
     name="score",
     title=f"Scoring {DRIVES} drives of 8 s with one agent each, sampled at different steps",
     error_name="larger error of AS and CR",
     error_unit="share",
     reference="CR: outlines (shapely) bisected to 1 us on the exact motion; AS: the definition strict at 1 kHz",
-    settings=_settings,
-    measure_error=_measure_error,
+    settings=lambda: _sampled_settings(
+        {definition: partial(average_scores, definition=definition) for definition in DEFINITIONS},
+        {"strict": (500, 200, 100, 50, 20), "alpasim": (500, 200, 100, 50)},
+        "strict",
+    ),
+    measure_error=lambda averages: float(np.abs(averages - reference_average()).max()),
+)
+
+CONTACTS = Benchmark(
+    name="contacts",
+    title=f"First contact in {DRIVES} drives of 8 s with one agent each, sampled at different steps",
+    error_name="mean error of the contact time",
+    error_unit="s",
+    reference="outlines (shapely) bisected to 1 us on the exact motion; a missed contact counts as 1 s",
+    settings=lambda: _sampled_settings(
+        {
+            "continuous": lambda records: np.array([continuous_contact(record) for record in records]),
+            "alpasim": lambda records: np.array([sampled_contact(record) for record in records]),
+        },
+        dict.fromkeys(("continuous", "alpasim"), (500, 200, 100, 50, 20)),
+        "continuous",
+    ),
+    measure_error=_contact_error,
+)
+
+
+def _prepare_crowd(definition: Definition, count: int) -> Callable[[], tuple[int, float]]:
+    # What each definition calls the smallest distance to an agent.
+    nearest = {"strict": "min_distance_to_agents_m", "alpasim": "min_distance_to_obstacle_m"}[definition]
+    record = crowded_drive(count).record()
+    return lambda: (count, float(score_record(record, definition).metrics[nearest] or 0.0))
+
+
+TRAFFIC = Benchmark(
+    name="score_traffic",
+    title="Scoring one rollout of 20 s, with a plan every 0.1 s, among vehicles on a busy road",
+    error_name="error of the smallest distance to an agent",
+    error_unit="m",
+    reference="distance of the exact outlines (shapely), every millisecond",
+    settings=lambda: [
+        Setting(f"{definition}, {count} agents", partial(_prepare_crowd, definition, count), default=not index)
+        for index, (definition, count) in enumerate(product(DEFINITIONS, CROWDS))
+    ],
+    measure_error=lambda result: abs(result[1] - crowded_drive(result[0]).nearest_m(HANDOVER_US)),
 )

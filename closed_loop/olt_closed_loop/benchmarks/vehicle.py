@@ -1,17 +1,17 @@
 """Vehicle integration: how far each integrator is from the exact motion, and what a step of it costs."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.benchmarks.vehicle_grid import vehicle_grid
-from olt_closed_loop.vehicle.integrators import Method, make_batch_stepper, make_stepper
-from olt_closed_loop.vehicle.models import MODELS, Model, VehicleParameters, with_rolling_tyres
-from olt_closed_loop.vehicle.presets import DRY_FRICTION, alpasim_vehicle
+from olt_closed_loop.vehicle.integrators import Method, make_stepper
+from olt_closed_loop.vehicle.parameters import DRY_FRICTION, MODELS, Model, VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import Array
 from olt_toolkit.bench.benchmark import Benchmark, Setting
@@ -73,17 +73,16 @@ def manoeuvres(model: Model) -> tuple[Array, Array]:
 
 
 def drive(integration: Integration) -> Array:
-    """Positions (n, 10, 2) after every hold."""
+    """Positions (n, 10, 2) after every hold, metres."""
     return _prepare_drive(integration)()
 
 
 def _prepare_drive(integration: Integration) -> Callable[[], Array]:
-    states, controls = manoeuvres(integration.model)
     stepper = make_stepper(VEHICLES[integration.model], integration.method, integration.substeps, integration.step)
-    return lambda: _drive(stepper, states, controls, round(HOLD / integration.step))
+    return partial(_positions, stepper, *manoeuvres(integration.model), round(HOLD / integration.step))
 
 
-def _drive(stepper: Callable[[Array, Array], Array], states: Array, controls: Array, steps: int) -> Array:
+def _positions(stepper: Callable[[Array, Array], Array], states: Array, controls: Array, steps: int) -> Array:
     positions = np.zeros((*controls.shape[:2], 2))
     for row, (state, held) in enumerate(zip(states, controls, strict=True)):
         for index, control in enumerate(held):
@@ -96,16 +95,13 @@ def _drive(stepper: Callable[[Array, Array], Array], states: Array, controls: Ar
 @lru_cache(maxsize=3)
 def reference_positions(model: Model) -> Array:
     """Positions (n, 10, 2) after every hold, by DOP853 at 1e-12, started anew where the control changes."""
-    states, controls = manoeuvres(model)
-    vehicle = VEHICLES[model]
 
     def advance(state: Array, control: Array) -> Array:
-        def derivative(time: float, now: Array) -> Array:
-            return exact_derivative(time, now, control, vehicle)
+        arguments = (control, VEHICLES[model])
+        solved = solve_ivp(exact_derivative, (0.0, HOLD), state, "DOP853", rtol=1e-12, atol=1e-12, args=arguments)
+        return solved.y[:, -1]
 
-        return solve_ivp(derivative, (0.0, HOLD), state, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
-
-    return _drive(advance, states, controls, 1)
+    return _positions(advance, *manoeuvres(model), 1)
 
 
 def exact_derivative(_time: float, state: Array, control: Array, vehicle: VehicleParameters) -> Array:
@@ -158,7 +154,7 @@ def _rotation(angle: float) -> Array:
 def batch_microseconds(integration: Integration) -> float:
     """Median CPU time of a step for each vehicle of a batch, all under a steering step of 0.3 rad at 20 m/s."""
     vehicle = VEHICLES[integration.model]
-    stepper = make_batch_stepper(vehicle, BATCH, integration.method, integration.substeps, integration.step)
+    stepper = make_stepper([vehicle] * BATCH, integration.method, integration.substeps, integration.step)
     states = with_rolling_tyres(np.tile([0.0, 0.0, 0.0, 20.0, 0.0, 0.0], (BATCH, 1)), vehicle)
     controls = np.tile([0.3, 0.0], (BATCH, 1))
     seconds = []
@@ -169,28 +165,24 @@ def batch_microseconds(integration: Integration) -> float:
     return 1e6 * float(np.median(seconds)) / BATCH
 
 
-def _prepare(integration: Integration) -> Callable[[], tuple[int, Array, float]]:
+def _prepare(integration: Integration) -> Callable[[], tuple[Model, Array, float]]:
     call, batch = _prepare_drive(integration), batch_microseconds(integration)
-    return lambda: (MODELS.index(integration.model), call(), batch)
+    return lambda: (integration.model, call(), batch)
 
 
-def _settings() -> Sequence[Setting]:
-    default = Integration("kinematic", "auto", None, 0.1)
-    return [Setting(each.name, partial(_prepare, each), default=each == default) for each in integrations()]
-
-
-def _measure_error(result: tuple[int, Array, float]) -> float:
+def _measure_error(result: tuple[Model, Array, float]) -> float:
     model, positions, _ = result
-    return float(np.linalg.norm(positions - reference_positions(MODELS[model]), axis=-1).max())
+    return float(np.linalg.norm(positions - reference_positions(model), axis=-1).max())
 
 
+DEFAULT = Integration("kinematic", "auto", None, 0.1)
 BENCHMARK = Benchmark(
     name="vehicle",
     title="Vehicle models, 7 manoeuvres of 2 s: 140 steps of 0.1 s",
     error_name="largest position error",
     error_unit="m",
     reference="the same equations written in numpy, integrated by DOP853 (scipy) at tolerance 1e-12",
-    settings=_settings,
+    settings=lambda: [Setting(each.name, partial(_prepare, each), default=each == DEFAULT) for each in integrations()],
     measure_error=_measure_error,
     figures=lambda result: {"batch (us a step)": result[2]},
     grid=vehicle_grid,

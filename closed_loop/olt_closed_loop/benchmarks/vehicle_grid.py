@@ -7,14 +7,15 @@ follow: emergency braking to standstill, a held brake, reversing, far coordinate
 import itertools
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.vehicle.implicit import cvodes_function
-from olt_closed_loop.vehicle.integrators import make_batch_stepper, make_stepper
-from olt_closed_loop.vehicle.models import VehicleParameters
-from olt_closed_loop.vehicle.presets import DRY_FRICTION, alpasim_vehicle
+from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.parameters import DRY_FRICTION, VehicleParameters
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -69,9 +70,13 @@ def cell_errors(cells: Sequence[Cell]) -> Array:
     errors = np.zeros(len(cells))
     reference = reference_states(cells)
     for step in {cell.step for cell in cells}:
-        chosen = [index for index, cell in enumerate(cells) if cell.step == step]
-        ends = _drive([cells[index] for index in chosen], step)
-        errors[chosen] = np.linalg.norm((ends - reference[chosen])[:, :2], axis=1)
+        rows = [index for index, cell in enumerate(cells) if cell.step == step]
+        chosen = [cells[index] for index in rows]
+        stepper = make_stepper([cell.vehicle for cell in chosen], step=step)
+        states, controls = _start(chosen)
+        for _ in range(round(SECONDS / step)):
+            states = stepper(states, controls)
+        errors[rows] = np.linalg.norm((states - reference[rows])[:, :2], axis=1)
     return errors
 
 
@@ -83,14 +88,6 @@ def reference_states(cells: Sequence[Cell]) -> Array:
         states, controls = _start([cell])
         known[cell] = exact(states[0], controls[0], cell.vehicle.numbers, SECONDS).full().ravel()
     return np.stack([known[replace(cell, step=0.0)] for cell in cells])
-
-
-def _drive(cells: Sequence[Cell], step: float) -> Array:
-    stepper = make_batch_stepper([cell.vehicle for cell in cells], len(cells), step=step)
-    states, controls = _start(cells)
-    for _ in range(round(SECONDS / step)):
-        states = stepper(states, controls)
-    return states
 
 
 def _start(cells: Sequence[Cell]) -> tuple[Array, Array]:
@@ -107,8 +104,7 @@ def classify(error: float) -> str:
     return "stable" if error <= STABLE else "unstable"
 
 
-@dataclass(frozen=True)
-class SpecialCase:
+class SpecialCase(NamedTuple):
     """A manoeuvre with a number that must stay at or below its limit; no number where it has to be refused."""
 
     name: str
@@ -118,17 +114,24 @@ class SpecialCase:
 
 def special_cases() -> list[SpecialCase]:
     """Braking to standstill, a held brake, reversing, far coordinates, and a control of NaN."""
+
+    def last_speed(*arguments: float, reverse: bool = False) -> float:
+        return _drive_alone(*arguments, reverse=reverse)[-1, STATE.speed]
+
+    def moved() -> float:
+        return float(np.abs(_drive_alone(0.0, -2.0, 60.0)[-1, :3]).max())
+
+    def far_difference() -> float:
+        near, far = (_drive_alone(15.0, 0.0, 10.0, offset=offset)[:, :2] - offset for offset in (0.0, FAR))
+        return float(np.abs(near - far).max())
+
     return [
-        SpecialCase(
-            "braking from 60 m/s: speed left after 15 s (m/s)", lambda: _last(60.0, -8.0, 15.0)[STATE.speed], 1e-9
-        ),
+        SpecialCase("braking from 60 m/s: speed left after 15 s (m/s)", lambda: last_speed(60.0, -8.0, 15.0), 1e-9),
         SpecialCase("braking: lowest speed (m/s, negated)", lambda: -_drive_alone(20.0, -8.0, 5.0)[:, 3].min(), 0.0),
-        SpecialCase(
-            "held brake, 60 s: distance moved (m)", lambda: float(np.abs(_last(0.0, -2.0, 60.0)[:3]).max()), 0.0
-        ),
-        SpecialCase("reversing for 5 s: speed (m/s)", lambda: _last(0.0, -1.0, 5.0, reverse=True)[STATE.speed], -4.0),
-        SpecialCase("coordinates at 5e6 m: distance to the same drive at 0 (m)", _far_difference, 1e-7),
-        SpecialCase("control of NaN: refused", lambda: _last(10.0, np.nan, 1.0)[STATE.speed], -np.inf),
+        SpecialCase("held brake, 60 s: distance moved (m)", moved, 0.0),
+        SpecialCase("reversing for 5 s: speed (m/s)", lambda: last_speed(0.0, -1.0, 5.0, reverse=True), -4.0),
+        SpecialCase("coordinates at 5e6 m: distance to the same drive at 0 (m)", far_difference, 1e-7),
+        SpecialCase("control of NaN: refused", lambda: last_speed(10.0, np.nan, 1.0), -np.inf),
     ]
 
 
@@ -136,21 +139,11 @@ def _drive_alone(
     speed: float, acceleration: float, seconds: float, reverse: bool = False, offset: float = 0.0
 ) -> Array:
     """States (n, 8), the steering commanded to 0.2 rad."""
-    vehicle = replace(alpasim_vehicle(DRY_FRICTION), reverse_gear=reverse)
-    stepper = make_stepper(vehicle)
+    stepper = make_stepper(replace(alpasim_vehicle(DRY_FRICTION), reverse_gear=reverse))
     states = [np.array([offset, offset, 0.0, speed, 0.0, 0.0, 0.0, 0.0])]
     for _ in range(round(seconds / 0.1)):
         states.append(stepper(states[-1], np.array([0.2, acceleration])))
     return np.stack(states)
-
-
-def _last(speed: float, acceleration: float, seconds: float, reverse: bool = False) -> Array:
-    return _drive_alone(speed, acceleration, seconds, reverse)[-1]
-
-
-def _far_difference() -> float:
-    near, far = (_drive_alone(15.0, 0.0, 10.0, offset=offset)[:, :2] - offset for offset in (0.0, FAR))
-    return float(np.abs(near - far).max())
 
 
 def special_row(case: SpecialCase) -> dict[str, object]:
@@ -165,23 +158,17 @@ def special_row(case: SpecialCase) -> dict[str, object]:
 def vehicle_grid() -> Grid:
     """Drive every cell and every special case."""
     cells = grid_cells()
-    errors = cell_errors(cells)
-    names = [field.name for field in fields(Cell)]
-    rows: list[dict[str, object]] = [
-        {**dict(zip(names, astuple(cell), strict=True)), "error_m": float(error), "outcome": classify(error)}
-        for cell, error in zip(cells, errors, strict=True)
+    rows: list[dict[str, Any]] = [
+        {**asdict(cell), "error_m": float(error), "outcome": classify(error)}
+        for cell, error in zip(cells, cell_errors(cells), strict=True)
     ]
-    specials = [special_row(case) for case in special_cases()]
-    return Grid([*rows, *specials], _summary(cells, errors) + [" | ".join(map(str, row.values())) for row in specials])
-
-
-def _summary(cells: Sequence[Cell], errors: Array) -> list[str]:
-    lines = [f"{len(cells)} cells of {SECONDS:g} s: accurate within {ACCURATE:g} m, stable within {STABLE:g} m"]
+    summary = [f"{len(cells)} cells of {SECONDS:g} s: accurate within {ACCURATE:g} m, stable within {STABLE:g} m"]
     for friction in FRICTIONS:
-        chosen = [error for cell, error in zip(cells, errors, strict=True) if cell.friction == friction]
-        counts = Counter(map(classify, chosen))
+        chosen = [row for row in rows if row["friction"] == friction]
+        counts, errors = Counter(row["outcome"] for row in chosen), [row["error_m"] for row in chosen]
         told = ", ".join(f"{counts[outcome]} {outcome}" for outcome in ("accurate", "stable", "unstable"))
-        lines.append(
-            f"friction {friction:g}: {told}; median error {np.median(chosen):.1e} m, largest {max(chosen):.1e} m"
+        summary.append(
+            f"friction {friction:g}: {told}; median error {np.median(errors):.1e} m, largest {max(errors):.1e} m"
         )
-    return lines
+    specials = [special_row(case) for case in special_cases()]
+    return Grid([*rows, *specials], [*summary, *(" | ".join(map(str, row.values())) for row in specials)])

@@ -2,11 +2,14 @@
 
 import numpy as np
 
-from olt_closed_loop.control.solver import SolveFailed
 from olt_generator.poses import Array
 
 _MAX_ITERATIONS = 30
 _TOLERANCE = 1e-9
+
+
+class SolveFailed(Exception):
+    """A solver of `control` found no solution; the message says why."""
 
 
 def minimise_in_box(hessian: Array, gradient: Array, low: Array, high: Array) -> Array:
@@ -26,17 +29,13 @@ def minimise_in_box(hessian: Array, gradient: Array, low: Array, high: Array) ->
         free = ~(((x <= low) & (slope > 0.0)) | ((x >= high) & (slope < 0.0)))
         if np.all(np.abs(slope[free]) <= tolerance):
             return x
-        x = _cut_step(hessian, slope, x, _newton_step(hessian, slope, free), low, high)
+        step = np.zeros_like(slope)
+        if free.all():
+            step[:] = np.linalg.solve(hessian, -slope)
+        else:
+            step[free] = np.linalg.solve(hessian[np.ix_(free, free)], -slope[free])
+        x = _cut_step(hessian, slope, x, step, low, high)
     raise SolveFailed(f"the quadratic program was not solved in {_MAX_ITERATIONS} steps")
-
-
-def _newton_step(hessian: Array, slope: Array, free: np.ndarray) -> Array:
-    step = np.zeros_like(slope)
-    if free.all():
-        step[:] = np.linalg.solve(hessian, -slope)
-    else:
-        step[free] = np.linalg.solve(hessian[np.ix_(free, free)], -slope[free])
-    return step
 
 
 def _cut_step(hessian: Array, slope: Array, x: Array, step: Array, low: Array, high: Array) -> Array:

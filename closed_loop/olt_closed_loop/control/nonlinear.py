@@ -15,12 +15,12 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from olt_closed_loop.control.box_quadratic import SolveFailed
 from olt_closed_loop.control.cost import ACTUATORS, TrackingCost
 from olt_closed_loop.control.linear import LinearSolver
 from olt_closed_loop.control.prediction import predicted_step
-from olt_closed_loop.control.solver import Solution, SolveFailed
 from olt_closed_loop.vehicle.buffered import BufferedFunction
-from olt_closed_loop.vehicle.models import VehicleParameters
+from olt_closed_loop.vehicle.parameters import VehicleParameters
 from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
 from olt_generator.poses import Array
 
@@ -30,48 +30,50 @@ _ROUNDS = 4
 
 
 class NonlinearSolver:
-    """Solves the nonlinear tracking problem; arguments as of `control.linear.LinearSolver`."""
+    """Solves the nonlinear tracking problem; arguments as of `control.linear.LinearSolver`.
+
+    Attributes:
+        given_up: solves that fatrop gave up, whether or not the fallback found commands.
+    """
 
     def __init__(self, parameters: VehicleParameters, cost: TrackingCost, horizon: int) -> None:
         step = predicted_step(parameters)
+        self.given_up = 0
         self._horizon, self._state_size = horizon, step.size1_in(0)
         self._predict = BufferedFunction(step.mapaccum("horizon", horizon))
         self._program = _program(parameters, cost, horizon)
         self._gauss_newton = LinearSolver(parameters, cost, horizon, rounds=_ROUNDS, limited=True)
-        limits, ties = parameters.control_limits, np.zeros(self._state_size + CONTROL_SIZE)
-        self._low, self._high = (_constraint_limits(limit, ties, horizon) for limit in limits)
+        # Of the constraints in their order: ties to the next step, in the first step to the start, and limits.
+        ties = np.zeros(self._state_size + CONTROL_SIZE)
+        self._low, self._high = (
+            np.concatenate([ties, ties, limit, *[np.concatenate([ties, limit])] * (horizon - 1)])
+            for limit in parameters.control_limits
+        )
 
-    def solve(self, start: Array, guesses: Sequence[Array], target: Array) -> Solution:
-        """See `control.solver.Solver`."""
+    def solve(self, start: Array, guesses: Sequence[Array], target: Array) -> Array:
+        """As of `control.linear.LinearSolver`."""
         controls = self._gauss_newton.cheapest(start, guesses, target)
         if not np.isfinite(self._gauss_newton.cost(start, controls, target)):
             raise SolveFailed("the predicted drive is not finite")
-        solution = self._program(
-            x0=self._guess(start, controls), p=np.concatenate([start, target.ravel()]), lbg=self._low, ubg=self._high
-        )
-        if not self._program.stats()["success"]:
-            return self._solve_otherwise(start, controls, target)
-        stages = np.asarray(solution["x"]).ravel()[: -self._state_size - CONTROL_SIZE].reshape(self._horizon, -1)
-        return Solution(stages[:, -CONTROL_SIZE:])
-
-    def _solve_otherwise(self, start: Array, controls: Array, target: Array) -> Solution:
-        try:
-            return Solution(self._gauss_newton.solve(start, [controls], target).commands, given_up=True)
-        except SolveFailed as failure:
-            raise SolveFailed(f"fatrop gave up, and so did Gauss-Newton: {failure}", given_up=True) from failure
-
-    def _guess(self, start: Array, controls: Array) -> Array:
-        """All unknowns in their order: the state, the command before and the command of each step, and the end."""
+        # All unknowns in their order: the state, the command before and the command of each step, and the end.
         (reached,) = self._predict(start, controls)
         states = np.concatenate([start[None], reached])
         before = np.concatenate([start[None, ACTUATORS], controls])
-        stages = np.concatenate([states[:-1], before[:-1], controls], axis=1)
-        return np.concatenate([stages.ravel(), states[-1], before[-1]])
-
-
-def _constraint_limits(limit: Array, ties: Array, horizon: int) -> Array:
-    """Bounds of the constraints in their order: ties to the next step, in the first step to the start, and limits."""
-    return np.concatenate([ties, ties, limit, *[np.concatenate([ties, limit])] * (horizon - 1)])
+        guess = np.concatenate([states[:-1], before[:-1], controls], axis=1)
+        solution = self._program(
+            x0=np.concatenate([guess.ravel(), states[-1], before[-1]]),
+            p=np.concatenate([start, target.ravel()]),
+            lbg=self._low,
+            ubg=self._high,
+        )
+        if self._program.stats()["success"]:
+            unknowns = np.asarray(solution["x"]).ravel()[: -self._state_size - CONTROL_SIZE]
+            return unknowns.reshape(self._horizon, -1)[:, -CONTROL_SIZE:]
+        self.given_up += 1
+        try:
+            return self._gauss_newton.solve(start, [controls], target)
+        except SolveFailed as failure:
+            raise SolveFailed(f"fatrop gave up, and so did Gauss-Newton: {failure}") from failure
 
 
 @lru_cache(maxsize=8)

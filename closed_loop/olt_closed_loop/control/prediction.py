@@ -8,7 +8,8 @@ of that is used, and the derivatives of the step take the matrix as given.
 
 import casadi as ca
 
-from olt_closed_loop.vehicle.models import VehicleParameters, vehicle_equations
+from olt_closed_loop.vehicle.models import vehicle_equations
+from olt_closed_loop.vehicle.parameters import VehicleParameters
 from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
 from olt_toolkit.policy.contract import STEP_SECONDS
 
@@ -26,7 +27,12 @@ def linearised_step(parameters: VehicleParameters) -> ca.Function:
     """(state, control) -> the state 0.1 s later and its derivatives by state and by control."""
     equations = vehicle_equations(parameters)
     state, control = ca.SX.sym("state", equations.size1_in(0)), ca.SX.sym("control", CONTROL_SIZE)
-    stiff = ca.SX.sym("stiff", _stiff_entries(state.numel()))
+    # The Jacobian is large where a quantity lags or fades by itself, and where tyres hold their two by each other.
+    tyres = range(STATE.acceleration + 1, state.numel())
+    entries = [(index, index) for index in (STATE.speed, STATE.steering, STATE.acceleration)]
+    entries += [(row, column) for row in tyres for column in tyres]
+    sparsity = ca.Sparsity.triplet(state.numel(), state.numel(), *zip(*entries, strict=True))
+    stiff = ca.SX.sym("stiff", sparsity)
     system = ca.SX.eye(state.numel()) - _GAMMA * STEP_SECONDS * stiff
     derivative = equations(state, control)
     first = ca.solve(system, derivative)
@@ -35,14 +41,5 @@ def linearised_step(parameters: VehicleParameters) -> ca.Function:
     step = ca.Function(
         "step", [state, control, stiff], [following, ca.jacobian(following, state), ca.jacobian(following, control)]
     )
-    present = ca.project(ca.jacobian(derivative, state), stiff.sparsity())
+    present = ca.project(ca.jacobian(derivative, state), sparsity)
     return ca.Function("linearised_step", [state, control], ca.cse([*step(state, control, present)]))
-
-
-def _stiff_entries(size: int) -> ca.Sparsity:
-    """Where the Jacobian can be large: each lagging or fading quantity by itself, and what tyres hold by each other."""
-    entries = [(index, index) for index in (STATE.speed, STATE.steering, STATE.acceleration)]
-    tyres = range(STATE.acceleration + 1, size)
-    entries += [(row, column) for row in tyres for column in tyres]
-    rows, columns = zip(*entries, strict=True)
-    return ca.Sparsity.triplet(size, size, rows, columns)

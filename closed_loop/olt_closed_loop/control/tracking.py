@@ -26,18 +26,26 @@ from typing import Literal
 
 import numpy as np
 
+from olt_closed_loop.control.box_quadratic import SolveFailed
 from olt_closed_loop.control.cost import TrackingCost
 from olt_closed_loop.control.linear import LinearSolver
 from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.plans import WorldPlan
-from olt_closed_loop.control.solver import SolveFailed, Solver
-from olt_closed_loop.vehicle.models import VehicleParameters
+from olt_closed_loop.vehicle.parameters import VehicleParameters
 from olt_closed_loop.vehicle.state import STATE, steering_for
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
 
 ControlMethod = Literal["lqr", "linear", "nonlinear"]
+
+STANDING_DISTANCE, STANDING_SPEED = 0.1, 0.3
+"""A plan that stays within this many metres of a vehicle over the horizon, the vehicle being slower than this many m/s,
+is a plan to stand."""
+ASTRAY_DISTANCE = 0.3
+"""A vehicle farther than this many metres from its plan has left it."""
+HOLDING_BRAKE = 2.0
+"""Deceleration with which a vehicle is held at the end, m/s^2."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +58,6 @@ class ControlSettings:
         rounds: how often `lqr` and `linear` linearise and solve in a call.
         cost: what is minimised.
         deadline_seconds: a solve that takes longer is late. None: never late, and equal drives stay equal.
-        standing_distance, standing_speed: a plan that stays within this many metres of a vehicle over the horizon,
-            the vehicle being slower than this many m/s, is a plan to stand.
-        astray_distance: a vehicle farther than this many metres from its plan has left it.
-        holding_brake: deceleration with which a vehicle is held at the end, m/s^2.
     """
 
     method: ControlMethod = "linear"
@@ -61,15 +65,11 @@ class ControlSettings:
     rounds: int = 1
     cost: TrackingCost = field(default_factory=TrackingCost)
     deadline_seconds: float | None = None
-    standing_distance: float = 0.1
-    standing_speed: float = 0.3
-    astray_distance: float = 0.3
-    holding_brake: float = 2.0
 
 
-@dataclass(frozen=True)
-class ControlEvents:
-    """How the calls of a controller went.
+@dataclass
+class SolveCounts:
+    """How the calls of a controller went so far.
 
     Attributes:
         solves: calls that looked for commands; the others held a standing vehicle.
@@ -91,10 +91,15 @@ class TrackingController:
     def __init__(self, parameters: VehicleParameters, settings: ControlSettings | None = None) -> None:
         self._parameters = parameters
         self._settings = settings or ControlSettings()
-        self._solver = _make_solver(parameters, self._settings)
-        self._brake = self._settings.holding_brake * (1.0 if parameters.reverse_gear else -1.0)
+        cost, horizon, method = self._settings.cost, self._settings.horizon, self._settings.method
+        self._solver: LinearSolver | NonlinearSolver
+        if method == "nonlinear":
+            self._solver = NonlinearSolver(parameters, cost, horizon)
+        else:
+            self._solver = LinearSolver(parameters, cost, horizon, self._settings.rounds, limited=method == "linear")
+        self._brake = HOLDING_BRAKE * (1.0 if parameters.reverse_gear else -1.0)
         self._feasible: _TimedCommands | None = None
-        self.events = ControlEvents()
+        self.counts = SolveCounts()
 
     def control(self, state: Array, plan: WorldPlan, time_us: int) -> Array:
         """The control (2,) to hold from `time_us` for 0.1 s, in the vehicle's limits.
@@ -111,11 +116,11 @@ class TrackingController:
             raise InputError(f"vehicle state at {time_us} us is not finite; nothing can be tracked from there")
         horizon_us = time_us + STEP_US * np.arange(self._settings.horizon + 1, dtype=np.int64)
         target = _in_rig(plan.at(horizon_us), state)
-        slow = abs(state[STATE.speed]) < self._settings.standing_speed
-        if slow and np.abs(target[:, : STATE.yaw]).max() < self._settings.standing_distance:
+        slow = abs(state[STATE.speed]) < STANDING_SPEED
+        if slow and np.abs(target[:, : STATE.yaw]).max() < STANDING_DISTANCE:
             self._feasible = None
             return np.array([state[STATE.steering], self._brake])
-        astray = np.hypot(*target[0, : STATE.yaw]) > self._settings.astray_distance
+        astray = np.hypot(*target[0, : STATE.yaw]) > ASTRAY_DISTANCE
         feasible, guesses = self._feasible, []
         if feasible is not None:
             guesses.append(feasible.guess(time_us))
@@ -129,27 +134,21 @@ class TrackingController:
         self, start: Array, guesses: list[Array], target: Array, feasible: "_TimedCommands", time_us: int
     ) -> Array:
         """The first command of a new solution or, where that fails or is late, the present one of the feasible."""
-        held = feasible.at(time_us, self._brake)
-        began = time.perf_counter()
+        held, began = feasible.at(time_us, self._brake), time.perf_counter()
+        self.counts.solves += 1
         try:
-            solution = self._solver.solve(start, guesses, target)
-        except SolveFailed as failure:
+            commands = self._solver.solve(start, guesses, target)
+        except SolveFailed:
             self._feasible = feasible
-            self._count(failed=True, given_up=failure.given_up)
+            self.counts.failed += 1
             return held
-        late = self._is_late(time.perf_counter() - began)
-        self._feasible = _TimedCommands(time_us, solution.commands)
-        self._count(late=late, given_up=solution.given_up)
-        return held if late else solution.commands[0]
-
-    def _is_late(self, seconds: float) -> bool:
-        return self._settings.deadline_seconds is not None and seconds > self._settings.deadline_seconds
-
-    def _count(self, failed: bool = False, late: bool = False, given_up: bool = False) -> None:
-        before = self.events
-        self.events = ControlEvents(
-            before.solves + 1, before.failed + failed, before.late + late, before.given_up + given_up
-        )
+        finally:
+            self.counts.given_up = self._solver.given_up
+        deadline = self._settings.deadline_seconds
+        late = deadline is not None and time.perf_counter() - began > deadline
+        self.counts.late += late
+        self._feasible = _TimedCommands(time_us, commands)
+        return held if late else commands[0]
 
     def _suggested_commands(self, target: Array, present_speed: float) -> Array:
         """Commands (horizon, 2) to start from: the plan's steering, and the even acceleration that covers its way."""
@@ -180,13 +179,6 @@ class _TimedCommands:
         last = len(self.commands) - 1
         index = (time_us - self.time_us) // STEP_US + np.arange(last + 1)
         return self.commands[np.minimum(index, last)]
-
-
-def _make_solver(parameters: VehicleParameters, settings: ControlSettings) -> Solver:
-    if settings.method == "nonlinear":
-        return NonlinearSolver(parameters, settings.cost, settings.horizon)
-    limited = settings.method == "linear"
-    return LinearSolver(parameters, settings.cost, settings.horizon, settings.rounds, limited)
 
 
 def _in_rig(poses: Array, state: Array) -> Array:

@@ -38,17 +38,17 @@ class PathTracker:
         return float(self._starts[-1])
 
     def start_at(self, point: Array) -> None:
-        """Place the position at the nearest point of the whole path to `point` (2,)."""
+        """Place the position at the nearest point of the whole path to `point` (2,), metres."""
         self._search(point, 0.0, self.length)
 
     def advance(self, point: Array) -> float:
-        """Move on to `point` (2,); returns the new arc length in metres."""
+        """Move on to `point` (2,), metres; returns the new arc length in metres."""
         reach = LOOK_AHEAD + 2.0 * math.dist(point, self._last_point)
         self._search(point, self.arc_length, min(self.arc_length + reach, self.length))
         return self.arc_length
 
     def points_ahead(self, distances: Array) -> Array:
-        """Points (m, 2) of the path at these distances from the position; those beyond its end are left out."""
+        """Points (m, 2) of the path at distances (n,) ahead, metres; those beyond its end are left out."""
         asked = self.arc_length + distances
         asked = asked[asked <= self.length]
         return np.stack([np.interp(asked, self._starts, column) for column in self._points.T], axis=-1)

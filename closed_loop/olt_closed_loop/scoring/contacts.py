@@ -9,7 +9,7 @@ is missed between samples, and the answer does not depend on how a drive was sam
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,7 @@ _PARTS = 16
 _RESOLUTION_US = 1.0
 
 
-@dataclass(frozen=True)
-class _Pieces:
+class _Pieces(NamedTuple):
     """Pieces (k,) of the common time of the ego and one other box each: the poses (k, 4) of both at the two ends."""
 
     other: NDArray[np.int64]
@@ -34,13 +33,6 @@ class _Pieces:
     ego_end: Array
     other_start: Array
     other_end: Array
-
-    def __len__(self) -> int:
-        return len(self.other)
-
-    def select(self, chosen: NDArray[np.bool_]) -> "_Pieces":
-        """Some of the pieces."""
-        return _Pieces(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def split(self) -> "_Pieces":
         """Each piece in 16 equal ones."""
@@ -65,7 +57,7 @@ def first_contacts(ego: MovingBox, others: Sequence[MovingBox], start_us: int, e
     contacts = np.full(len(others), np.inf)
     halves = np.array([box.half_size for box in others]).reshape(-1, 3)
     pieces = _common_pieces(ego, others, start_us, end_us)
-    while len(pieces):
+    while len(pieces.other):
         theirs = halves[pieces.other]
         gaps, offsets = separations(pieces.ego_start, ego.half_size, pieces.other_start, theirs)
         end_gaps, end_offsets = separations(pieces.ego_end, ego.half_size, pieces.other_end, theirs)
@@ -76,7 +68,7 @@ def first_contacts(ego: MovingBox, others: Sequence[MovingBox], start_us: int, e
         apart = same_side & (np.minimum(gaps, end_gaps) - _bend(pieces, ego, theirs) > TOUCH)
         open_ = ~apart.any(axis=1) & (pieces.start_us < contacts[pieces.other])
         long = pieces.end_us - pieces.start_us > _RESOLUTION_US
-        pieces = pieces.select(open_ & long).split()
+        pieces = _Pieces._make(part[open_ & long] for part in pieces).split()
     return contacts
 
 
@@ -108,4 +100,4 @@ def _common_pieces(ego: MovingBox, others: Sequence[MovingBox], start_us: int, e
         after, ours, theirs = (times - start_us).astype(np.float64), ego.at(times), box.at(times)
         other = np.full(len(times) - 1, index)
         groups.append(_Pieces(other, after[:-1], after[1:], ours[:-1], ours[1:], theirs[:-1], theirs[1:]))
-    return _Pieces(*(np.concatenate([getattr(group, field.name) for group in groups]) for field in fields(_Pieces)))
+    return _Pieces._make(np.concatenate(parts) for parts in zip(*groups, strict=True))

@@ -8,7 +8,7 @@
   end of the rollout; where that is under 5 m the progress score is 1. It is not counted from the first time on at which
   the ego is 4 m or more from the recorded path.
 
-Where the two differ, and the case that shows it (`tests/closed_loop/scoring/test_scoring_definitions.py` holds each):
+Where the two differ, and the case that shows it (`tests/closed_loop/scoring/test_definitions.py` holds each):
 
 | | `alpasim` | `strict` | case |
 | --- | --- | --- | --- |

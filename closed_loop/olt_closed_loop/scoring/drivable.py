@@ -41,7 +41,7 @@ class DrivableArea:
     edges: BaseGeometry | None
 
     def leaves(self, poses: Array, half_size: Array) -> Flags:
-        """Which of the boxes at poses (n, 4) are partly or wholly off the road."""
+        """Which boxes (n,) at poses (n, 4), half as large as `half_size` (3,), are partly or wholly off the road."""
         points = corners(poses, half_size) - self.origin
         boxes = np.asarray(shapely.polygons(points))
         uncovered = ~np.asarray(shapely.covers(self.area, boxes))
@@ -54,7 +54,7 @@ class DrivableArea:
         return uncovered
 
     def may_be_left(self, poses: Array, distance: float) -> Flags:
-        """Around which of the positions (n, 2 or more) the area does not cover everything within a distance."""
+        """Around which positions (n, 2 or more) the area does not cover everything within a distance in metres."""
         x, y = (poses[:, :2] - self.origin).T
         surroundings = shapely.box(x - distance, y - distance, x + distance, y + distance)
         return ~np.asarray(shapely.covers(self.area, surroundings))

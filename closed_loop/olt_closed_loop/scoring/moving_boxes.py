@@ -19,14 +19,17 @@ _SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 @dataclass(frozen=True)
 class MovingBox:
-    """A box over time: centre x, y, z and unwrapped yaw (n, 4) at times (n,), and half its length, width, height."""
+    """A box over time: poses (n, 4) at times (n,), and half its length, width and height (3,) in metres.
+
+    A pose is x, y, z of the centre in the world, metres, and unwrapped yaw, radians.
+    """
 
     timestamps_us: NDArray[np.int64]
     poses: Array
     half_size: Array
 
     def at(self, timestamps_us: NDArray[np.int64], columns: int = 4) -> Array:
-        """Poses (m, 4), or only their first columns, at times within the box's own."""
+        """Poses (m, 4), or only their first columns, at times (m,) within the box's own."""
         first = self.timestamps_us[0]
         known, asked = self.timestamps_us - first, timestamps_us - first
         return np.stack([np.interp(asked, known, column) for column in self.poses[:, :columns].T], axis=-1)
@@ -61,8 +64,8 @@ def separations(ego: Array, ego_half: Array, other: Array, other_half: Array) ->
     """How far boxes are apart along each axis.
 
     Args:
-        ego, other: poses (n, 4).
-        ego_half, other_half: half sizes (3,) or (n, 3).
+        ego, other: poses (n, 4), as in `MovingBox`.
+        ego_half, other_half: half sizes (3,) or (n, 3), metres.
 
     Returns:
         Signed gaps (n, 5) in metres along the axes of the ego (2), of the other box (2), and height, negative where
@@ -85,7 +88,12 @@ def separations(ego: Array, ego_half: Array, other: Array, other_half: Array) ->
 
 
 def corners(poses: Array, half_size: Array) -> Array:
-    """Corners (..., 4, 2) in the plane of boxes at poses (..., 4): front left, rear left, rear right, front right."""
+    """Corners (..., 4, 2) in the plane, metres: front left, rear left, rear right, front right.
+
+    Args:
+        poses: (..., 4), as in `MovingBox`.
+        half_size: (3,) or (..., 3), metres.
+    """
     cos, sin = np.cos(poses[..., 3, None]), np.sin(poses[..., 3, None])
     local = _SIGNS * half_size[..., None, :2]
     x = poses[..., 0, None] + cos * local[..., 0] - sin * local[..., 1]

@@ -45,19 +45,12 @@ class ObservationBatch:
 
     def row(self, index: int) -> "ObservationBatch":
         """The batch of the one rollout at `index`."""
-        part = slice(index, index + 1)
-        return ObservationBatch(
-            self.history_xyz[part],
-            self.history_rotation[part],
-            self.route_xy[part],
-            self.time_us[part],
-            self.seeds[part],
-        )
+        return ObservationBatch(**{name: values[index : index + 1] for name, values in vars(self).items()})
 
 
 @dataclass(frozen=True)
 class PlannedTrajectoryBatch:
-    """The plans of n rollouts: xyz (n, 64, 3) and rotation (n, 64, 3, 3), as in `PlannedTrajectory`."""
+    """What is planned in n rollouts: xyz (n, 64, 3) and rotation (n, 64, 3, 3), as in `PlannedTrajectory`."""
 
     xyz: Array
     rotation: Array

@@ -74,12 +74,6 @@ class _Obstacle:
         self.pose, self.size = pose, size
         self.velocity = speed * np.array([np.cos(pose[2]), np.sin(pose[2])])
 
-    def half_extents(self, yaw: Array) -> tuple[Array, Array]:
-        """Half of its extent along and across directions (n,)."""
-        cos, sin = np.abs(np.cos(self.pose[2] - yaw)), np.abs(np.sin(self.pose[2] - yaw))
-        length, width = self.size
-        return 0.5 * (length * cos + width * sin), 0.5 * (length * sin + width * cos)
-
 
 class _Driver:
     """One vehicle: its clock in microseconds from its first sample, its speed, and the way that was recorded.
@@ -164,7 +158,10 @@ def _leader(way: Array, agent: Agent, obstacle: _Obstacle) -> tuple[float, float
     offset = obstacle.pose[:2] - way[:, :2]
     cos, sin = np.cos(way[:, 2]), np.sin(way[:, 2])
     along, across = cos * offset[:, 0] + sin * offset[:, 1], cos * offset[:, 1] - sin * offset[:, 0]
-    half_length, half_width = obstacle.half_extents(way[:, 2])
+    turn, (length, width) = obstacle.pose[2] - way[:, 2], obstacle.size
+    turned_cos, turned_sin = np.abs(np.cos(turn)), np.abs(np.sin(turn))
+    half_length = 0.5 * (length * turned_cos + width * turned_sin)
+    half_width = 0.5 * (length * turned_sin + width * turned_cos)
     touched = (np.abs(across) < half_width + 0.5 * agent.width) & (np.abs(along) < half_length + 0.5 * _SPACING)
     if not touched.any():
         return None

@@ -20,7 +20,7 @@ from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
 from olt_closed_loop.vehicle.integrators import make_stepper
-from olt_closed_loop.vehicle.models import with_rolling_tyres
+from olt_closed_loop.vehicle.parameters import with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE, STATE_SIZE
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
@@ -213,7 +213,7 @@ class RunningRollout:
         """What has been driven."""
         count = self._driven + 1
         plans = [plan.poses for plan in self._plans]
-        solves, integration = self._controller.events, self._stepper.report()
+        solves, integration = self._controller.counts, self._stepper.report()
         return Rollout(
             scene=self._scene.name,
             category=self._scene.category,

@@ -10,8 +10,7 @@ from olt_closed_loop.control.tracking import ControlSettings
 from olt_closed_loop.rollouts.rollout import Traffic
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.vehicle.integrators import DEFAULT_METHOD, Method
-from olt_closed_loop.vehicle.models import VehicleParameters
-from olt_closed_loop.vehicle.presets import vehicle_with_tyres
+from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres
 from olt_generator.errors import InputError
 from olt_toolkit.policy.contract import IMAGE_FRAMES, STEP_US
 
@@ -29,7 +28,7 @@ class SimulationSettings:
         planner_delay_us: how long after it was asked for a plan is in force, a multiple of 0.1 s; the first is asked
             for within the warm-up.
         traffic: "recorded", or "idm" for vehicles that brake for the ego (`simulation.reactive_agents`).
-        vehicle: "kinematic", or "tyres" for tyres that slip and saturate (`vehicle.presets`).
+        vehicle: "kinematic", or "tyres" for tyres that slip and saturate (`vehicle.parameters`).
         integrator: how the vehicle is integrated (`vehicle.integrators`).
         control: how plans are tracked (`control.tracking`).
         skip: whether what cannot change the result is left out; the result is the same without, only slower.

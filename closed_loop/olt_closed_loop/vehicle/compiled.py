@@ -1,18 +1,19 @@
 """Explicit steps of whole batches of vehicles in one call: generated C where there is a compiler, else interpreted.
 
 A program is a handful of CasADi functions: explicit sub-steps, and a plan that says for a vehicle at this moment which
-of them to take and how often. Both drives run the same program, each vehicle by itself, so a vehicle moves alike alone
-and in any batch, compiled or not. Positions are integrated from the step's start: far coordinates cost no precision.
+of them to take and how often. `CompiledStep` and `InterpretedStep` run the same program, each vehicle by itself, so a
+vehicle moves alike alone and in any batch, compiled or not. Positions are integrated from the step's start: far
+coordinates cost no precision.
 """
 
 import ctypes
 import shutil
 import subprocess
 import tempfile
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
 from functools import lru_cache
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -26,8 +27,7 @@ MOST_SUBSTEPS = 4096
 """In one step. Where more are needed an implicit method is cheaper."""
 
 
-@dataclass(frozen=True)
-class StepProgram:
+class StepProgram(NamedTuple):
     """What happens in one step.
 
     Attributes:
@@ -40,84 +40,86 @@ class StepProgram:
     plan: ca.Function
 
 
-class Drive(Protocol):
-    """The map over one step for n vehicles.
+class BatchStep(ABC):
+    """The map over one step of n vehicles whose states have s numbers.
 
     A vehicle that would need more than `MOST_SUBSTEPS` is not moved, and its plan names one past the last sub-step.
+
+    Args:
+        numbers: (n, `NUMBERS_SIZE`) of the vehicles.
+        step: seconds.
+        state_size: s.
+        ways: how many sub-step functions there are.
 
     Attributes:
         plans: (n, 3) what the last call did, in the form of `StepProgram.plan`.
         taken: (sub-step functions + 1, 2) how many steps were taken with each, and how many sub-steps.
     """
 
-    plans: Array
-    taken: Array
+    def __init__(self, numbers: Array, step: float, state_size: int, ways: int) -> None:
+        self._numbers, self._step = np.ascontiguousarray(numbers, dtype=np.float64), step
+        self._ends = np.zeros((len(numbers), state_size))
+        self.plans, self.taken = np.zeros((len(numbers), 3)), np.zeros((ways + 1, 2))
 
+    @abstractmethod
     def __call__(self, states: Array, controls: Array) -> Array:
         """States (n, s) one step later; overwritten by the next call. Raises `InputError` for what is not finite."""
-        ...
 
 
-def make_drive(program: StepProgram, numbers: Array, step: float) -> Drive:
+def make_explicit_step(program: StepProgram, numbers: Array, step: float) -> BatchStep:
     """The map over `step` seconds of vehicles with the given numbers (n, `NUMBERS_SIZE`)."""
     library = compile_program(program)
     if library is None:
-        return InterpretedDrive(program, numbers, step)
-    return CompiledDrive(library, program, numbers, step)
+        return InterpretedStep(program, numbers, step)
+    return CompiledStep(library, program, numbers, step)
 
 
 def check_finite(states: Array, controls: Array) -> None:
-    """Raise `InputError` naming the first vehicle whose state or control holds a NaN or an infinity."""
+    """Raise `InputError` naming the first vehicle whose state (n, s) or control (n, 2) holds a NaN or an infinity."""
     for index, (state, control) in enumerate(zip(states, controls, strict=True)):
         for name, values in (("state", state), ("control", control)):
             if not np.isfinite(values).all():
                 raise InputError(f"vehicle {index}: its {name} is {values.tolist()}; every number must be finite")
 
 
-class CompiledDrive:
+class CompiledStep(BatchStep):
     """Runs a program in C."""
 
     def __init__(self, library: ctypes.CDLL, program: StepProgram, numbers: Array, step: float) -> None:
-        count = len(numbers)
-        self._states = np.zeros((count, program.plan.size1_in(0)))
-        self._controls = np.zeros((count, program.plan.size1_in(1)))
-        self._numbers = np.ascontiguousarray(numbers, dtype=np.float64)
-        self._ends = np.zeros_like(self._states)
-        self.plans, self.taken = np.zeros((count, 3)), np.zeros((len(program.substeps) + 1, 2))
+        super().__init__(numbers, step, program.plan.size1_in(0), len(program.substeps))
+        self._states, self._controls = np.zeros_like(self._ends), np.zeros((len(numbers), program.plan.size1_in(1)))
         arrays = (self._states, self._controls, self._numbers, self._ends, self.plans, self.taken)
         pointers = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
-        self._arguments = (ctypes.c_longlong(count), ctypes.c_double(step), *pointers)
-        self._drive = library.drive
+        self._arguments = (ctypes.c_longlong(len(numbers)), ctypes.c_double(step), *pointers)
+        self._step_all = library.step_all
 
     def __call__(self, states: Array, controls: Array) -> Array:
         """States one step later."""
         self._states[...] = states
         self._controls[...] = controls
-        if not self._drive(*self._arguments):
+        if not self._step_all(*self._arguments):
             check_finite(self._states, self._controls)
         return self._ends
 
 
-class InterpretedDrive:
+class InterpretedStep(BatchStep):
     """Runs a program in CasADi's virtual machine: the same numbers, some fifteen times slower."""
 
     def __init__(self, program: StepProgram, numbers: Array, step: float) -> None:
+        super().__init__(numbers, step, program.plan.size1_in(0), len(program.substeps))
         self._substeps = [BufferedFunction(function) for function in program.substeps]
         self._plan = BufferedFunction(program.plan)
-        self._numbers, self._step = numbers, step
-        self._ends = np.zeros((len(numbers), program.plan.size1_in(0)))
-        self.plans, self.taken = np.zeros((len(numbers), 3)), np.zeros((len(program.substeps) + 1, 2))
 
     def __call__(self, states: Array, controls: Array) -> Array:
         """States one step later."""
         states, controls = np.atleast_2d(states, controls)
         check_finite(states, controls)
         for index, vehicle in enumerate(zip(states, controls, self._numbers, strict=True)):
-            self._ends[index], self.plans[index] = self._drive(*vehicle)
+            self._ends[index], self.plans[index] = self._step_one(*vehicle)
             self.taken[int(self.plans[index, 0])] += 1.0, self.plans[index, 1]
         return self._ends
 
-    def _drive(self, state: Array, control: Array, numbers: Array) -> tuple[Array, Array]:
+    def _step_one(self, state: Array, control: Array, numbers: Array) -> tuple[Array, Array]:
         (plan,) = self._plan(state, control, numbers, self._step)
         end = self._advance(state, control, numbers, plan)
         while plan[2] and plan[1] <= MOST_SUBSTEPS:
@@ -140,7 +142,7 @@ class InterpretedDrive:
         return state
 
 
-_DRIVER = """
+_STEP_ALL = """
 #include <math.h>
 #include <string.h>
 typedef int (*function)(const double **, double **, long long int *, double *, int);
@@ -163,8 +165,8 @@ static void advance(double step, const double *state, const double *control, con
   memcpy(end, buffers[k % 2], sizeof(buffers[0]));
 }}
 
-static void drive_one(double step, const double *state, const double *control, const double *numbers, double *end,
-                      double *chosen) {{
+static void step_one(double step, const double *state, const double *control, const double *numbers, double *end,
+                     double *chosen) {{
   double work[{work}], coarse[{size}];
   long long int integers[{integers}];
   const double *inputs[{inputs}];
@@ -189,13 +191,13 @@ static void drive_one(double step, const double *state, const double *control, c
 }}
 
 /* Returns 0, with nothing done, where a state or control is not finite. */
-int drive(long long int count, double step, const double *states, const double *controls, const double *numbers,
+int step_all(long long int count, double step, const double *states, const double *controls, const double *numbers,
           double *ends, double *plans, double *taken) {{
   long long int i, which;
   for (i = 0; i < {size} * count; ++i) if (!isfinite(states[i])) return 0;
   for (i = 0; i < {controls} * count; ++i) if (!isfinite(controls[i])) return 0;
   for (i = 0; i < count; ++i) {{
-    drive_one(step, states + {size} * i, controls + {controls} * i, numbers + {parameters} * i, ends + {size} * i,
+    step_one(step, states + {size} * i, controls + {controls} * i, numbers + {parameters} * i, ends + {size} * i,
               plans + 3 * i);
     which = (long long int) plans[3 * i];
     taken[2 * which] += 1.0;
@@ -212,30 +214,10 @@ def compile_program(program: StepProgram) -> ctypes.CDLL | None:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         return None
-    with tempfile.TemporaryDirectory() as folder:
-        source, library = Path(folder, "program.c"), Path(folder, "program.so")
-        source.write_text(_generate_functions(program) + _driver_of(program))
-        # Without contraction into fused operations the numbers are those of the interpreter.
-        flags = ["-O2", "-ffp-contract=off", "-shared", "-fPIC"]
-        built = subprocess.run([compiler, *flags, str(source), "-o", str(library), "-lm"], capture_output=True)
-        if built.returncode:
-            return None
-        try:
-            return ctypes.CDLL(str(library))
-        except OSError:  # temporary folders that may hold no programs
-            return None
-
-
-def _generate_functions(program: StepProgram) -> str:
-    generator = ca.CodeGenerator("functions.c")
-    for function in (*program.substeps, program.plan):
+    functions, generator = (*program.substeps, program.plan), ca.CodeGenerator("functions.c")
+    for function in functions:
         generator.add(function)
-    return generator.dump()
-
-
-def _driver_of(program: StepProgram) -> str:
-    functions = (*program.substeps, program.plan)
-    return _DRIVER.format(
+    step_all = _STEP_ALL.format(
         names=", ".join(function.name() for function in program.substeps),
         plan=program.plan.name(),
         count=len(program.substeps),
@@ -248,3 +230,15 @@ def _driver_of(program: StepProgram) -> str:
         inputs=max(function.sz_arg() for function in functions),
         outputs=max(function.sz_res() for function in functions),
     )
+    with tempfile.TemporaryDirectory() as folder:
+        source, library = Path(folder, "program.c"), Path(folder, "program.so")
+        source.write_text(generator.dump() + step_all)
+        # Without contraction into fused operations the numbers are those of the interpreter.
+        flags = ["-O2", "-ffp-contract=off", "-shared", "-fPIC"]
+        built = subprocess.run([compiler, *flags, str(source), "-o", str(library), "-lm"], capture_output=True)
+        if built.returncode:
+            return None
+        try:
+            return ctypes.CDLL(str(library))
+        except OSError:  # temporary folders that may hold no programs
+            return None

@@ -6,14 +6,19 @@ the whole equations, lags included, over the time scaled to 0..1, so one functio
 """
 
 from functools import lru_cache
-from typing import Any, Literal
+from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from olt_closed_loop.vehicle.models import NUMBERS_SIZE, Model, VehicleNumbers, model_state_size, state_derivative
-from olt_closed_loop.vehicle.state import CONTROL_SIZE
+from olt_closed_loop.vehicle.buffered import BufferedFunction
+from olt_closed_loop.vehicle.compiled import BatchStep, check_finite
+from olt_closed_loop.vehicle.models import state_derivative, step_symbols
+from olt_closed_loop.vehicle.parameters import Model, VehicleNumbers, model_state_size
+from olt_closed_loop.vehicle.state import STATE
+from olt_generator.errors import InputError
+from olt_generator.poses import Array
 
-ImplicitMethod = Literal["radau", "cvodes"]
 RADAU_STAGES = 3
 NEWTON_TOLERANCE = 1e-12
 CVODES_TOLERANCE = 1e-10
@@ -45,12 +50,36 @@ def cvodes_function(model: Model, tolerance: float = CVODES_TOLERANCE) -> ca.Fun
 
 
 def _step_function(model: Model, plugin: str, options: dict[str, Any]) -> ca.Function:
-    state = ca.SX.sym("state", model_state_size(model))
-    control, numbers, step = ca.SX.sym("control", CONTROL_SIZE), ca.SX.sym("numbers", NUMBERS_SIZE), ca.SX.sym("step")
+    state, control, numbers, step = step_symbols(model_state_size(model))
     derivative = step * state_derivative(model, state, control, VehicleNumbers(*ca.vertsplit(numbers)))
     problem = {"x": state, "p": ca.vertcat(control, numbers, step), "ode": derivative}
     integrator = ca.integrator("integrator", plugin, problem, 0.0, 1.0, options)
-    arguments = [ca.MX.sym("state", state.numel()), ca.MX.sym("control", CONTROL_SIZE)]
-    arguments += [ca.MX.sym("numbers", NUMBERS_SIZE), ca.MX.sym("step")]
+    arguments = [ca.MX.sym("argument", symbol.numel()) for symbol in (state, control, numbers, step)]
     end = integrator(x0=arguments[0], p=ca.vertcat(*arguments[1:]))["xf"]
     return ca.Function(f"{model}_{plugin}", arguments, [end])
+
+
+class ImplicitStep(BatchStep):
+    """Steps one vehicle after the other with an implicit function."""
+
+    def __init__(self, function: ca.Function, numbers: Array, step: float) -> None:
+        super().__init__(numbers, step, function.size1_in(0), ways=1)
+        self._function = BufferedFunction(function)
+
+    def __call__(self, states: Array, controls: Array) -> Array:
+        """States one step later. Raises `InputError` also where the equations cannot be solved."""
+        states, controls = np.atleast_2d(states, controls)
+        check_finite(states, controls)
+        for index, (state, control) in enumerate(zip(states, controls, strict=True)):
+            local = np.concatenate([[0.0, 0.0], state[STATE.yaw :]])
+            try:
+                (end,) = self._function(local, control, self._numbers[index], self._step)
+            except RuntimeError as error:
+                raise InputError(
+                    f"{self._function.name}: no solution from state {state.tolist()} under control "
+                    f"{control.tolist()} over {self._step:g} s; take a shorter step, more elements, or the method auto"
+                ) from error
+            end[: STATE.yaw] += state[: STATE.yaw]
+            self._ends[index] = end
+        self.taken[0, 0] += len(states)
+        return self._ends

@@ -15,146 +15,108 @@ The cheapest of the family that moves the vehicle within `tolerance` metres of t
   two results agree within the tolerance. With Runge-Kutta 4 the finer one is then some fifteen times closer.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 
 from olt_closed_loop.vehicle.actuators import clip
 from olt_closed_loop.vehicle.compiled import MOST_SUBSTEPS
-from olt_closed_loop.vehicle.models import (
-    MODELS,
-    NUMBERS_SIZE,
-    Model,
-    VehicleNumbers,
-    limited_commands,
-    model_state_size,
-)
-from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
+from olt_closed_loop.vehicle.models import limited_commands, step_symbols
+from olt_closed_loop.vehicle.parameters import MODELS, Model, VehicleNumbers, model_state_size
+from olt_closed_loop.vehicle.state import STATE
 from olt_closed_loop.vehicle.substeps import EVALUATIONS, EXPLICIT_METHODS, ExplicitMethod
 from olt_closed_loop.vehicle.tyres import GRAVITY, inverse_speed
 
 STABLE_RATE_TIMES_LENGTH = 2.0
 
 
-@dataclass(frozen=True)
-class _ErrorConstants:
+class ErrorModel(NamedTuple):
+    """The order of a method, and the constants of the three terms of its error."""
+
+    order: int
     swaying: float
     bending: float
     pulling: float
 
 
-ERROR_CONSTANTS: dict[ExplicitMethod, _ErrorConstants] = {
-    "midpoint": _ErrorConstants(swaying=0.05, bending=0.25, pulling=0.2),
-    "rk4": _ErrorConstants(swaying=0.4, bending=0.005, pulling=0.02),
+ERROR_MODELS: dict[ExplicitMethod, ErrorModel] = {
+    "midpoint": ErrorModel(2, swaying=0.05, bending=0.25, pulling=0.2),
+    "rk4": ErrorModel(4, swaying=0.4, bending=0.005, pulling=0.02),
 }
-ORDERS: dict[ExplicitMethod, int] = {"midpoint": 2, "rk4": 4}
 SLIDING = 0.4
 """Share of the friction limit beyond which the error is measured instead of estimated."""
 FIRST_SHARE = 0.6
 """Of the estimated sub-steps, those with which measuring starts: one doubling makes up for it."""
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """An explicit way of taking a step."""
-
-    model: Model
-    method: ExplicitMethod
-
-
-def candidates(model: Model) -> tuple[Candidate, ...]:
-    """What the plan chooses from, in the order of its answers."""
+def candidates(model: Model) -> tuple[tuple[Model, ExplicitMethod], ...]:
+    """The models and methods that the plan chooses from, in the order of its answers."""
     family = MODELS[: MODELS.index(model) + 1]
-    return tuple(Candidate(each, method) for each in family for method in EXPLICIT_METHODS)
+    return tuple((each, method) for each in family for method in EXPLICIT_METHODS)
 
 
 @lru_cache(maxsize=32)
 def automatic_plan(model: Model, tolerance: float) -> ca.Function:
     """(state, control, numbers, step) -> (candidate, sub-steps, tolerance to check or 0)."""
-    moment = _Moment.of(model)
-    deviations = {"kinematic": moment.tyre_deviation(), "linear": moment.saturation_deviation(), "saturating": 0.0}
-    chosen = _plan_of(moment, model, tolerance)
+    demands = _Demands(model)
+    deviations = {"kinematic": demands.tyre_deviation(), "linear": demands.saturation_deviation(), "saturating": 0.0}
+    chosen = _plan_of(demands, model, tolerance)
     for index in reversed(range(MODELS.index(model))):
         simpler = MODELS[index]
         chosen = ca.if_else(
-            deviations[simpler] <= 0.5 * tolerance, _plan_of(moment, simpler, 0.5 * tolerance), chosen, True
+            deviations[simpler] <= 0.5 * tolerance, _plan_of(demands, simpler, 0.5 * tolerance), chosen, True
         )
-    return _plan_function(moment, chosen)
+    return demands.plan(chosen)
 
 
 @lru_cache(maxsize=32)
 def stiffness_plan(model: Model, method: ExplicitMethod, tolerance: float) -> ca.Function:
     """The same for one method of the full model, the only sub-step of its program."""
-    moment = _Moment.of(model)
-    return _plan_function(moment, ca.vertcat(0.0, moment.substeps(model, method, tolerance), 0.0))
+    demands = _Demands(model)
+    return demands.plan(ca.vertcat(0.0, demands.substeps(model, method, tolerance), 0.0))
 
 
 @lru_cache(maxsize=32)
 def fixed_plan(model: Model, substeps: int) -> ca.Function:
     """The same for a number of sub-steps that is given."""
-    return _plan_function(_Moment.of(model), ca.SX(ca.DM([0.0, substeps, 0.0])))
+    return _Demands(model).plan(ca.SX(ca.DM([0.0, substeps, 0.0])))
 
 
-def _plan_of(moment: "_Moment", model: Model, tolerance: float) -> Any:
+def _plan_of(demands: "_Demands", model: Model, tolerance: float) -> Any:
     """The cheaper of the methods for a model, as an answer of the plan."""
-    midpoint, rk4 = (moment.substeps(model, method, tolerance) for method in EXPLICIT_METHODS)
+    midpoint, rk4 = (demands.substeps(model, method, tolerance) for method in EXPLICIT_METHODS)
     cheaper = EVALUATIONS["midpoint"] * midpoint < EVALUATIONS["rk4"] * rk4
     first = len(EXPLICIT_METHODS) * MODELS.index(model)
     answer = ca.if_else(cheaper, ca.vertcat(first, midpoint, 0.0), ca.vertcat(first + 1, rk4, 0.0))
     if model == "saturating":
         measured = ca.vertcat(first + 1, ca.ceil(FIRST_SHARE * rk4), tolerance)
-        return ca.if_else(moment.sliding() > SLIDING, measured, answer)
+        return ca.if_else(demands.sliding() > SLIDING, measured, answer)
     return answer
 
 
-def _plan_function(moment: "_Moment", answer: Any) -> ca.Function:
-    return ca.Function("plan", list(moment.arguments), [ca.densify(ca.cse(answer))])
+class _Demands:
+    """What a vehicle does now and is asked to do in the step."""
 
-
-@dataclass(frozen=True)
-class _Moment:
-    """What a vehicle does now and is asked to do next."""
-
-    arguments: tuple[Any, Any, Any, Any]
-    vehicle: VehicleNumbers
-    speed: Any
-    steering: Any
-    steering_change: Any
-    driving: Any
-    braking: Any
-    commanded_change: Any
-    lateral_speed: Any
-    yaw_rate: Any
-    has_tyres: bool
-
-    @classmethod
-    def of(cls, model: Model) -> "_Moment":
-        state, control = ca.SX.sym("state", model_state_size(model)), ca.SX.sym("control", CONTROL_SIZE)
-        numbers, step = ca.SX.sym("numbers", NUMBERS_SIZE), ca.SX.sym("step")
-        vehicle = VehicleNumbers(*ca.vertsplit(numbers))
+    def __init__(self, model: Model) -> None:
+        self.arguments = step_symbols(model_state_size(model))
+        state, control, numbers, self.step = self.arguments
+        self.vehicle = vehicle = VehicleNumbers(*ca.vertsplit(numbers))
         steering_command, acceleration_command = limited_commands(control, vehicle)
         rolling = state[STATE.speed] * ca.tan(state[STATE.steering]) / vehicle.wheelbase
         along = vehicle.gear * state[STATE.acceleration], vehicle.gear * acceleration_command
-        has_tyres = model != "kinematic"
-        return cls(
-            arguments=(state, control, numbers, step),
-            vehicle=vehicle,
-            speed=ca.fabs(state[STATE.speed]),
-            steering=ca.fmax(ca.fabs(state[STATE.steering]), ca.fabs(steering_command)),
-            steering_change=ca.fabs(steering_command - state[STATE.steering]),
-            driving=ca.fmax(ca.fmax(*along), 0.0),
-            braking=ca.fmax(-ca.fmin(*along), 0.0),
-            commanded_change=ca.fabs(acceleration_command - state[STATE.acceleration]),
-            lateral_speed=ca.fabs(state[STATE.lateral_speed]) if has_tyres else 0.0,
-            yaw_rate=ca.fabs(state[STATE.yaw_rate] - rolling) if has_tyres else 0.0,
-            has_tyres=has_tyres,
-        )
+        self.speed = ca.fabs(state[STATE.speed])
+        self.steering = ca.fmax(ca.fabs(state[STATE.steering]), ca.fabs(steering_command))
+        self.steering_change = ca.fabs(steering_command - state[STATE.steering])
+        self.driving, self.braking = ca.fmax(ca.fmax(*along), 0.0), ca.fmax(-ca.fmin(*along), 0.0)
+        self.commanded_change = ca.fabs(acceleration_command - state[STATE.acceleration])
+        self.has_tyres = model != "kinematic"
+        self.lateral_speed = ca.fabs(state[STATE.lateral_speed]) if self.has_tyres else 0.0
+        self.yaw_rate = ca.fabs(state[STATE.yaw_rate] - rolling) if self.has_tyres else 0.0
 
-    @property
-    def step(self) -> Any:
-        return self.arguments[3]
+    def plan(self, answer: Any) -> ca.Function:
+        """The plan that answers so."""
+        return ca.Function("plan", list(self.arguments), [ca.densify(ca.cse(answer))])
 
     @property
     def pull(self) -> Any:
@@ -225,15 +187,14 @@ class _Moment:
 
     def substeps(self, model: Model, method: ExplicitMethod, tolerance: float) -> Any:
         """Sub-steps that stability and the error ask for."""
-        rate, order, speed = self.rate(model), ORDERS[method], self.highest_speed()
-        constants = ERROR_CONSTANTS[method]
+        rate, speed, errors = self.rate(model), self.highest_speed(), ERROR_MODELS[method]
         slipping = self.steering_change + self.front_slip() + self.rear_slip()
-        swaying = constants.swaying * (1.0 + speed) * rate * slipping
+        swaying = errors.swaying * (1.0 + speed) * rate * slipping
         bent = speed * self.turning_rate() + self.pull
-        bending = constants.bending * bent * self.step * self.turning_rate() ** (order - 1)
-        pulling = constants.pulling * self.pull_change() / self.vehicle.acceleration_lag ** (order - 2)
+        bending = errors.bending * bent * self.step * self.turning_rate() ** (errors.order - 1)
+        pulling = errors.pulling * self.pull_change() / self.vehicle.acceleration_lag ** (errors.order - 2)
         stable = rate * self.step / STABLE_RATE_TIMES_LENGTH
-        accurate = self.step * ((swaying + bending + pulling) / tolerance) ** (1.0 / order)
+        accurate = self.step * ((swaying + bending + pulling) / tolerance) ** (1.0 / errors.order)
         return ca.ceil(clip(ca.fmax(stable, accurate), 1.0, MOST_SUBSTEPS + 1.0))
 
     def turning_rate(self) -> Any:

@@ -17,158 +17,22 @@ below about two times v_stand as v / (v^4 + v_stand^4)^(1/4). Speed decays towar
 brake keeps a standing vehicle exactly still. In the reverse gear negative acceleration drives and positive brakes.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Any
 
 import casadi as ca
-import numpy as np
 
 from olt_closed_loop.vehicle.actuators import actuator_rate, clip
-from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE, STATE_SIZE, TYRE_STATE_SIZE
+from olt_closed_loop.vehicle.parameters import NUMBERS_SIZE, Model, VehicleNumbers, VehicleParameters
+from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
 from olt_closed_loop.vehicle.tyres import GRAVITY, friction_share, inverse_speed, linear_force
-from olt_generator.poses import Array
-from olt_toolkit.rigs.rig import VehicleDimensions
-
-Model = Literal["kinematic", "linear", "saturating"]
-MODELS: tuple[Model, ...] = ("kinematic", "linear", "saturating")
 
 
-@dataclass(frozen=True)
-class TyreParameters:
-    """What tyres and body add to the kinematic bicycle.
-
-    Attributes:
-        mass: kg.
-        yaw_inertia: about the centre of gravity, kg m^2.
-        rear_axle_to_centre: from the rear axle forward to the centre of gravity, metres.
-        front_stiffness, rear_stiffness: cornering stiffness of a whole axle, N/rad.
-        friction: between tyres and road; infinite for linear tyres.
-        slip_speed: v_slip of `vehicle.tyres`, m/s.
-    """
-
-    mass: float
-    yaw_inertia: float
-    rear_axle_to_centre: float
-    front_stiffness: float
-    rear_stiffness: float
-    friction: float = np.inf
-    slip_speed: float = 3.0
-
-
-@dataclass(frozen=True)
-class VehicleParameters:
-    """What the equations need to know of a vehicle; `vehicle.presets` makes those with tyres.
-
-    Lags and acceleration limits are AlpaSim's (docs/formats/alpasim.md). The steering limit is its 45 degrees
-    too: on the default wheelbase that is a curvature of 0.35 1/m, just above the 0.33 1/m that a policy can ask for
-    (docs/formats/alpamayo.md), so every plan within the policy's bounds can be steered.
-
-    Attributes:
-        wheelbase: metres.
-        steering_lag, acceleration_lag: time constants of the actuators, seconds.
-        max_steering: largest steering angle to either side, radians.
-        min_acceleration, max_acceleration: limits of the acceleration command, m/s^2; the reverse gear swaps them.
-        standing_speed: v_stand of the module's equations, m/s.
-        max_steering_rate: of the front wheel, rad/s.
-        max_jerk: of the set acceleration, m/s^3.
-        reverse_gear: whether negative acceleration drives and positive brakes.
-        tyres: None for the kinematic model.
-    """
-
-    wheelbase: float
-    steering_lag: float = 0.1
-    acceleration_lag: float = 0.1
-    max_steering: float = np.pi / 4
-    min_acceleration: float = -8.0
-    max_acceleration: float = 6.0
-    standing_speed: float = 0.5
-    max_steering_rate: float = np.inf
-    max_jerk: float = np.inf
-    reverse_gear: bool = False
-    tyres: TyreParameters | None = None
-
-    @classmethod
-    def from_dimensions(cls, dimensions: VehicleDimensions) -> "VehicleParameters":
-        """The kinematic parameters of a vehicle of the given size."""
-        return cls(wheelbase=dimensions.wheelbase)
-
-    @property
-    def model(self) -> Model:
-        """The member of the family that these parameters describe."""
-        if self.tyres is None:
-            return "kinematic"
-        return "saturating" if np.isfinite(self.tyres.friction) else "linear"
-
-    @property
-    def state_size(self) -> int:
-        """How many numbers a state of this vehicle has."""
-        return model_state_size(self.model)
-
-    @property
-    def control_limits(self) -> Array:
-        """Lowest and highest control, (2, 2): rows low and high, columns steering and acceleration."""
-        low, high = self.min_acceleration, self.max_acceleration
-        if self.reverse_gear:
-            low, high = -high, -low
-        return np.array([[-self.max_steering, low], [self.max_steering, high]], dtype=np.float64)
-
-    @property
-    def numbers(self) -> Array:
-        """The parameters in the order of `VehicleNumbers`; those of absent tyres are 1."""
-        (_, low), (_, high) = self.control_limits
-        tyres = self.tyres or TyreParameters(*np.ones(7))
-        return np.array(
-            [
-                *(self.wheelbase, self.steering_lag, self.acceleration_lag, self.max_steering, low, high),
-                *(self.standing_speed, self.max_steering_rate, self.max_jerk, -1.0 if self.reverse_gear else 1.0),
-                *(tyres.mass, tyres.yaw_inertia, tyres.rear_axle_to_centre),
-                *(tyres.front_stiffness, tyres.rear_stiffness, tyres.friction, tyres.slip_speed),
-            ]
-        )
-
-
-class VehicleNumbers(NamedTuple):
-    """The parameters as the equations use them: numbers or CasADi symbols. `gear` is 1 or, in reverse, -1."""
-
-    wheelbase: Any
-    steering_lag: Any
-    acceleration_lag: Any
-    max_steering: Any
-    min_acceleration: Any
-    max_acceleration: Any
-    standing_speed: Any
-    max_steering_rate: Any
-    max_jerk: Any
-    gear: Any
-    mass: Any
-    yaw_inertia: Any
-    rear_axle_to_centre: Any
-    front_stiffness: Any
-    rear_stiffness: Any
-    friction: Any
-    slip_speed: Any
-
-    @property
-    def front_axle_to_centre(self) -> Any:
-        """From the centre of gravity forward to the front axle, metres."""
-        return self.wheelbase - self.rear_axle_to_centre
-
-
-NUMBERS_SIZE = len(VehicleNumbers._fields)
-
-
-def model_state_size(model: Model) -> int:
-    """How many numbers a state of this model has."""
-    return STATE_SIZE if model == "kinematic" else TYRE_STATE_SIZE
-
-
-def with_rolling_tyres(states: Array, parameters: VehicleParameters) -> Array:
-    """States (..., 6) continued to the size that `parameters` need, as if no tyre slipped yet."""
-    if parameters.tyres is None:
-        return states
-    yaw_rate = states[..., STATE.speed] * np.tan(states[..., STATE.steering]) / parameters.wheelbase
-    return np.concatenate([states, np.zeros_like(yaw_rate)[..., None], yaw_rate[..., None]], axis=-1)
+def step_symbols(state_size: int) -> tuple[Any, Any, Any, Any]:
+    """Symbols of a step: state, control, numbers of the vehicle in the order of `VehicleNumbers`, length in seconds."""
+    sizes = {"state": state_size, "control": CONTROL_SIZE, "numbers": NUMBERS_SIZE, "step": 1}
+    state, control, numbers, step = (ca.SX.sym(name, size) for name, size in sizes.items())
+    return state, control, numbers, step
 
 
 @lru_cache(maxsize=32)
@@ -207,7 +71,9 @@ def motion_of(state: Any) -> Any:
 def motion_derivative(model: Model, motion: Any, steering: Any, acceleration: Any, vehicle: VehicleNumbers) -> Any:
     """Time derivative of `motion_of` a state, the actuators being where they are."""
     yaw, speed = motion[STATE.yaw], motion[STATE.speed]
-    pull = _effective_acceleration(speed, acceleration, vehicle)
+    driving = ca.fmax(vehicle.gear * acceleration, 0.0)
+    braking = ca.fmax(-vehicle.gear * acceleration, 0.0)
+    pull = vehicle.gear * driving - braking * speed * inverse_speed(speed, vehicle.standing_speed)
     if model == "kinematic":
         yaw_rate = speed * ca.tan(steering) / vehicle.wheelbase
         return ca.vertcat(speed * ca.cos(yaw), speed * ca.sin(yaw), yaw_rate, pull)
@@ -217,12 +83,6 @@ def motion_derivative(model: Model, motion: Any, steering: Any, acceleration: An
     )
     forward, sideways, turning = _body_accelerations(model, speed, lateral_speed, yaw_rate, steering, pull, vehicle)
     return ca.vertcat(velocity, yaw_rate, forward, sideways, turning)
-
-
-def _effective_acceleration(speed: Any, acceleration: Any, vehicle: VehicleNumbers) -> Any:
-    driving = ca.fmax(vehicle.gear * acceleration, 0.0)
-    braking = ca.fmax(-vehicle.gear * acceleration, 0.0)
-    return vehicle.gear * driving - braking * speed * inverse_speed(speed, vehicle.standing_speed)
 
 
 def _body_accelerations(

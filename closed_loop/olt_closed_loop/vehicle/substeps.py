@@ -11,24 +11,14 @@ from typing import Any, Literal
 import casadi as ca
 
 from olt_closed_loop.vehicle.actuators import actuator_after
-from olt_closed_loop.vehicle.models import (
-    NUMBERS_SIZE,
-    Model,
-    VehicleNumbers,
-    limited_commands,
-    model_state_size,
-    motion_derivative,
-    motion_of,
-)
-from olt_closed_loop.vehicle.state import CONTROL_SIZE, STATE
+from olt_closed_loop.vehicle.models import limited_commands, motion_derivative, motion_of, step_symbols
+from olt_closed_loop.vehicle.parameters import Model, VehicleNumbers, model_state_size
+from olt_closed_loop.vehicle.state import STATE
 
 ExplicitMethod = Literal["midpoint", "rk4"]
 EXPLICIT_METHODS: tuple[ExplicitMethod, ...] = ("midpoint", "rk4")
 EVALUATIONS: dict[ExplicitMethod, int] = {"midpoint": 2, "rk4": 4}
 """Of the equations, in one sub-step."""
-
-_Slope = Callable[[Any, float], Any]
-"""(motion, share of the sub-step that has passed) -> derivative of the motion."""
 
 
 @lru_cache(maxsize=32)
@@ -38,37 +28,31 @@ def substep_function(model: Model, method: ExplicitMethod, state_size: int) -> c
     A state larger than the model's is one of a model with tyres: its last two entries come out as those of tyres that
     roll without slip.
     """
-    state, control = ca.SX.sym("state", state_size), ca.SX.sym("control", CONTROL_SIZE)
-    numbers, length = ca.SX.sym("numbers", NUMBERS_SIZE), ca.SX.sym("length")
-    vehicle = VehicleNumbers(*ca.vertsplit(numbers))
-    following = explicit_substep(model, method, state[: model_state_size(model)], control, vehicle, length)
+    full, control, numbers, length = step_symbols(state_size)
+    vehicle, state = VehicleNumbers(*ca.vertsplit(numbers)), full[: model_state_size(model)]
+    steering, acceleration = limited_commands(control, vehicle)
+
+    def actuators(time: Any) -> tuple[Any, Any]:
+        return (
+            actuator_after(time, state[STATE.steering], steering, vehicle.steering_lag, vehicle.max_steering_rate),
+            actuator_after(time, state[STATE.acceleration], acceleration, vehicle.acceleration_lag, vehicle.max_jerk),
+        )
+
+    stages = {share: actuators(share * length) for share in (0.5, 1.0)}
+    stages[0.0] = state[STATE.steering], state[STATE.acceleration]
+    advance = {"midpoint": _midpoint, "rk4": _rk4}[method]
+    motion = advance(
+        lambda motion, share: motion_derivative(model, motion, *stages[share], vehicle), motion_of(state), length
+    )
+    following = ca.vertcat(motion[: STATE.steering], *stages[1.0], motion[STATE.steering :])
     if following.numel() < state_size:
         yaw_rate = following[STATE.speed] * ca.tan(following[STATE.steering]) / vehicle.wheelbase
         following = ca.vertcat(following, 0.0, yaw_rate)
-    return ca.Function(f"{model}_{method}", [state, control, numbers, length], [ca.densify(ca.cse(following))])
+    return ca.Function(f"{model}_{method}", [full, control, numbers, length], [ca.densify(ca.cse(following))])
 
 
-def explicit_substep(
-    model: Model, method: ExplicitMethod, state: Any, control: Any, vehicle: VehicleNumbers, length: Any
-) -> Any:
-    """The state `length` seconds later."""
-    actuators = {share: _actuators_after(share * length, state, control, vehicle) for share in (0.5, 1.0)}
-    actuators[0.0] = state[STATE.steering], state[STATE.acceleration]
-
-    def slope(motion: Any, share: float) -> Any:
-        return motion_derivative(model, motion, *actuators[share], vehicle)
-
-    advance = {"midpoint": _midpoint, "rk4": _rk4}[method]
-    motion = advance(slope, motion_of(state), length)
-    return ca.vertcat(motion[: STATE.steering], *actuators[1.0], motion[STATE.steering :])
-
-
-def _actuators_after(time: Any, state: Any, control: Any, vehicle: VehicleNumbers) -> tuple[Any, Any]:
-    steering, acceleration = limited_commands(control, vehicle)
-    return (
-        actuator_after(time, state[STATE.steering], steering, vehicle.steering_lag, vehicle.max_steering_rate),
-        actuator_after(time, state[STATE.acceleration], acceleration, vehicle.acceleration_lag, vehicle.max_jerk),
-    )
+_Slope = Callable[[Any, float], Any]
+"""(motion, share of the sub-step that has passed) -> derivative of the motion."""
 
 
 def _midpoint(slope: _Slope, motion: Any, length: Any) -> Any:

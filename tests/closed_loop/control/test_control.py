@@ -4,7 +4,7 @@ import pytest
 from olt_closed_loop.control.plans import PlanRefused, WorldPlan, place_plan
 from olt_closed_loop.control.tracking import TrackingController
 from olt_closed_loop.vehicle.integrators import make_stepper
-from olt_closed_loop.vehicle.models import VehicleParameters
+from olt_closed_loop.vehicle.parameters import VehicleParameters
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import planar_pose
 from olt_toolkit.policy.contract import PlannedTrajectory

@@ -2,12 +2,11 @@ import numpy as np
 import pytest
 
 from olt_closed_loop.benchmarks import control_extremes
-from olt_closed_loop.benchmarks.alpasim_vehicle import drive_step
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle, drive_step
 from olt_closed_loop.benchmarks.control import BENCHMARK, WITH_TYRES, track, tracking_figures
 from olt_closed_loop.benchmarks.control_references import alpasim_references
 from olt_closed_loop.control.tracking import ControlSettings
 from olt_closed_loop.vehicle.integrators import make_stepper
-from olt_closed_loop.vehicle.presets import alpasim_vehicle
 
 CASES = {case.name: case for case in control_extremes.cases(0.9)}
 
@@ -46,30 +45,30 @@ def test_one_setting_is_the_default():
 
 @pytest.mark.parametrize("speed", control_extremes.SPEEDS[1:])
 def test_curves_are_tracked_at_every_speed(speed):
-    outcome = control_extremes.drive(CASES[f"curve at {speed:g} m/s"], WITH_TYRES, "linear")
-    assert outcome.word == "tracked"
-    assert outcome.errors.max() < 0.1
+    driven = control_extremes.drive(CASES[f"curve at {speed:g} m/s"], WITH_TYRES, "linear")
+    assert driven.outcome == "tracked"
+    assert driven.errors.max() < 0.1
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.3])
 @pytest.mark.parametrize("name", ["curve at 60 m/s", "15 m/s to rest", "jump of 1 m at 30 m/s"])
 def test_slippery_roads_are_driven(friction, name):
     case = next(case for case in control_extremes.cases(friction) if case.name == name)
-    outcome = control_extremes.drive(case, alpasim_vehicle(friction), "linear")
-    assert outcome.word == "tracked"
+    driven = control_extremes.drive(case, alpasim_vehicle(friction), "linear")
+    assert driven.outcome == "tracked"
 
 
 def test_a_curve_that_no_tyre_holds_is_left_without_a_failure():
-    outcome = control_extremes.drive(CASES["curve beyond the grip at 15 m/s"], alpasim_vehicle(0.3), "linear")
-    assert outcome.word == "off the plan" and outcome.events.failed == 0
-    assert np.isfinite(outcome.errors).all()
+    driven = control_extremes.drive(CASES["curve beyond the grip at 15 m/s"], alpasim_vehicle(0.3), "linear")
+    assert driven.outcome == "off the plan" and driven.counts.failed == 0
+    assert np.isfinite(driven.errors).all()
 
 
 @pytest.mark.parametrize("speed", [5.0, 30.0, 60.0])
 def test_a_plan_that_jumps_sideways_is_met_again(speed):
-    outcome = control_extremes.drive(CASES[f"jump of 1 m at {speed:g} m/s"], WITH_TYRES, "linear")
-    assert outcome.errors.max() == pytest.approx(1.0, abs=0.05)
-    assert outcome.errors[-1] < 0.02
+    driven = control_extremes.drive(CASES[f"jump of 1 m at {speed:g} m/s"], WITH_TYRES, "linear")
+    assert driven.errors.max() == pytest.approx(1.0, abs=0.05)
+    assert driven.errors[-1] < 0.02
 
 
 @pytest.mark.parametrize(
@@ -81,16 +80,16 @@ def test_unusual_plans_are_tracked(case, limit):
 
 
 def test_at_the_end_of_a_plan_the_vehicle_stands():
-    outcome = control_extremes.drive(CASES["the plan ends after 3 s"], WITH_TYRES, "linear")
-    assert np.ptp(outcome.errors[-10:]) < 1e-3
-    assert outcome.errors[-1] < 2.0
+    driven = control_extremes.drive(CASES["the plan ends after 3 s"], WITH_TYRES, "linear")
+    assert np.ptp(driven.errors[-10:]) < 1e-3
+    assert driven.errors[-1] < 2.0
 
 
 @pytest.mark.parametrize(("case", "failed", "late"), [("every solve late", 0, 80), ("every solve of 1 s fails", 10, 0)])
 def test_failed_and_late_solves_are_counted_and_what_is_held_stays_on_the_plan(case, failed, late):
-    outcome = control_extremes.drive(CASES[case], WITH_TYRES, "linear")
-    assert (outcome.events.failed, outcome.events.late) == (failed, late)
-    assert outcome.word == "held" and outcome.errors.max() < 0.1
+    driven = control_extremes.drive(CASES[case], WITH_TYRES, "linear")
+    assert (driven.counts.failed, driven.counts.late) == (failed, late)
+    assert driven.outcome == "held" and driven.errors.max() < 0.1
 
 
 @pytest.mark.slow

@@ -3,17 +3,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_closed_loop.control.box_quadratic import minimise_in_box
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
+from olt_closed_loop.control.box_quadratic import SolveFailed, minimise_in_box
 from olt_closed_loop.control.cost import TrackingCost
 from olt_closed_loop.control.linear import LinearSolver
 from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.plans import WorldPlan
 from olt_closed_loop.control.prediction import linearised_step, predicted_step
-from olt_closed_loop.control.solver import SolveFailed
 from olt_closed_loop.control.tracking import ControlSettings, TrackingController
 from olt_closed_loop.vehicle.integrators import make_stepper
-from olt_closed_loop.vehicle.models import VehicleParameters, with_rolling_tyres
-from olt_closed_loop.vehicle.presets import alpasim_vehicle
+from olt_closed_loop.vehicle.parameters import VehicleParameters, with_rolling_tyres
 from olt_generator.errors import InputError
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
@@ -67,24 +66,25 @@ def test_a_predicted_step_is_close_to_the_exact_one_and_its_slope_true(parameter
 @pytest.mark.parametrize("parameters", VEHICLES.values(), ids=VEHICLES)
 def test_all_methods_minimise_the_same_cost(parameters):
     start, guess = starting(parameters), np.zeros((20, 2))
-    exact = solver_of("nonlinear", parameters).solve(start, [guess], TARGET).commands
+    exact = solver_of("nonlinear", parameters).solve(start, [guess], TARGET)
     for method in ("lqr", "linear"):
-        found = solver_of(method, parameters, rounds=8).solve(start, [guess], TARGET).commands
+        found = solver_of(method, parameters, rounds=8).solve(start, [guess], TARGET)
         np.testing.assert_allclose(found, exact, atol=0.01)
 
 
 def test_a_solver_starts_from_the_cheapest_guess():
     start, good, bad = starting(KINEMATIC), np.zeros((20, 2)), np.tile([0.7, -8.0], (20, 1))
     solver = solver_of("linear", KINEMATIC)
-    expected = solver.solve(start, [good], TARGET).commands
-    np.testing.assert_array_equal(solver.solve(start, [bad, good], TARGET).commands, expected)
-    assert np.abs(solver.solve(start, [bad], TARGET).commands - expected).max() > 0.01
+    expected = solver.solve(start, [good], TARGET)
+    np.testing.assert_array_equal(solver.solve(start, [bad, good], TARGET), expected)
+    assert np.abs(solver.solve(start, [bad], TARGET) - expected).max() > 0.01
 
 
 def test_limits_that_are_met_are_part_of_the_problem():
     start, guess = starting(KINEMATIC, 2.0), np.zeros((20, 2))
-    solutions = [solver_of(method, KINEMATIC, rounds=3).solve(start, [guess], TARGET) for method in ("lqr", "linear")]
-    cut, limited = (solution.commands for solution in solutions)
+    cut, limited = (
+        solver_of(method, KINEMATIC, rounds=3).solve(start, [guess], TARGET) for method in ("lqr", "linear")
+    )
     low, high = KINEMATIC.control_limits
     for commands in (cut, limited):
         assert np.all((commands >= low) & (commands <= high))
@@ -123,7 +123,7 @@ def test_failed_solves_are_counted_and_the_last_feasible_commands_go_on(monkeypa
         monkeypatch.setattr(LinearSolver, "solve", failing if 20 <= step < 29 else solve)
 
     states, controls = drive(controller, KINEMATIC, plan, np.array([0, 0, 0, 15.0, 0, 0]), fail=fail)
-    assert controller.events.failed == 9 and controller.events.solves == 60
+    assert controller.counts.failed == 9 and controller.counts.solves == 60
     assert np.all(controls[20:29, 0] > 0.02)
     assert errors(states, plan).max() < 0.3
 
@@ -138,13 +138,13 @@ def test_without_any_solution_the_plan_is_steered_and_then_the_brake_held(monkey
     assert np.all(controls[:20, 0] == pytest.approx(np.arctan(KINEMATIC.wheelbase / 100.0), abs=1e-3))
     assert np.all(controls[20:, 1] == -2.0)
     assert states[-1, 3] < 0.1
-    assert controller.events.failed > 80
+    assert controller.counts.failed > 80
 
 
 def test_late_solves_are_counted_and_serve_from_the_next_call():
     plan, late = curve(), TrackingController(KINEMATIC, ControlSettings(deadline_seconds=0.0))
     states, _ = drive(late, KINEMATIC, plan, np.array([0, 0, 0, 15.0, 0, 0]))
-    assert late.events.late == late.events.solves == 60
+    assert late.counts.late == late.counts.solves == 60
     assert errors(states, plan).max() < 0.3
 
 
@@ -154,7 +154,7 @@ def move_off_with_the_nonlinear_method():
     plan = WorldPlan(times, np.stack([5e-6 * times, 0.0 * times, 0.0 * times], axis=-1))
     controller = TrackingController(KINEMATIC, ControlSettings(method="nonlinear"))
     states, controls = drive(controller, KINEMATIC, plan, np.zeros(6), steps=15)
-    return controller.events, states, controls
+    return controller.counts, states, controls
 
 
 def test_what_fatrop_gives_up_is_counted_and_solved_otherwise():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from olt_closed_loop.benchmarks.contacts import continuous_contact, sampled_contact
+from olt_closed_loop.benchmarks.score import continuous_contact, sampled_contact
 from olt_closed_loop.benchmarks.score_drives import KINDS, known_drives
 from olt_closed_loop.scoring.definitions import score_record
 from olt_toolkit.bench.runner import load_benchmark

@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.benchmarks.vehicle import (
     BENCHMARK,
     VEHICLES,
@@ -14,9 +15,8 @@ from olt_closed_loop.benchmarks.vehicle import (
 )
 from olt_closed_loop.benchmarks.vehicle_grid import Cell, cell_errors, special_cases, special_row
 from olt_closed_loop.vehicle import compiled
-from olt_closed_loop.vehicle.integrators import make_batch_stepper, make_stepper, step_function
-from olt_closed_loop.vehicle.models import MODELS
-from olt_closed_loop.vehicle.presets import alpasim_vehicle
+from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.parameters import MODELS
 from olt_generator.errors import InputError
 
 
@@ -83,7 +83,7 @@ def test_the_benchmark_tells_error_and_batch_time_of_a_setting():
 @pytest.mark.parametrize("model", MODELS)
 def test_a_batch_steps_every_vehicle_as_if_it_were_alone(model):
     states, controls = manoeuvres(model)
-    stepper, batch = make_stepper(VEHICLES[model]), make_batch_stepper(VEHICLES[model], len(states))
+    stepper, batch = make_stepper(VEHICLES[model]), make_stepper([VEHICLES[model]] * len(states))
     alone = np.stack([stepper(state, held[3]) for state, held in zip(states, controls, strict=True)])
     np.testing.assert_array_equal(batch(states, controls[:, 3]), alone)
 
@@ -91,19 +91,11 @@ def test_a_batch_steps_every_vehicle_as_if_it_were_alone(model):
 def test_compiled_and_interpreted_steps_are_equal(monkeypatch):
     states, controls = manoeuvres("saturating")
     vehicle = VEHICLES["saturating"]
-    with_compiler = make_batch_stepper(vehicle, len(states))
+    with_compiler = make_stepper([vehicle] * len(states))
     monkeypatch.setattr(compiled, "compile_program", lambda program: None)
-    without = make_batch_stepper(vehicle, len(states))
+    without = make_stepper([vehicle] * len(states))
     np.testing.assert_array_equal(without(states, controls[:, 2]), with_compiler(states, controls[:, 2]))
     assert without.report() == with_compiler.report()
-
-
-def test_the_function_for_derivatives_is_the_same_map():
-    states, controls = manoeuvres("saturating")
-    function = step_function(VEHICLES["saturating"], "rk4", 10, 0.1)
-    stepper = make_stepper(VEHICLES["saturating"], "rk4", 10)
-    expected = stepper(states[1], controls[1, 0])
-    np.testing.assert_allclose(function(states[1], controls[1, 0]).full().ravel(), expected, rtol=1e-12, atol=1e-13)
 
 
 def test_results_are_not_overwritten_by_the_next_call():
@@ -145,8 +137,8 @@ def test_stiffer_moments_take_more_substeps():
     for speed in (2.0, 30.0):
         stepper = make_stepper(alpasim_vehicle(), "rk4", tolerance=1e-3)
         stepper(np.array([0.0, 0.0, 0.0, speed, 0.0, 0.0, 0.0, 0.0]), np.array([0.01, 0.0]))
-        (count,) = stepper.report().substeps.values()
-        counts.append(count)
+        (substeps,) = stepper.report().substeps.values()
+        counts.append(substeps)
     assert counts[0] > counts[1]
 
 
@@ -166,7 +158,7 @@ def test_special_cases_come_out_as_they_should(case):
 
 @pytest.mark.parametrize("method", ["auto", "radau"])
 def test_what_is_not_finite_is_refused_by_name(method):
-    stepper = make_batch_stepper(alpasim_vehicle(), 2, method)
+    stepper = make_stepper([alpasim_vehicle()] * 2, method)
     controls = np.zeros((2, 2))
     controls[1, 0] = np.nan
     with pytest.raises(InputError, match=r"vehicle 1: its control is \[nan, 0.0\]"):

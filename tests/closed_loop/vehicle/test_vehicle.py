@@ -6,9 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
-from olt_closed_loop.vehicle.integrators import make_batch_stepper, make_stepper
-from olt_closed_loop.vehicle.models import VehicleParameters, vehicle_equations, with_rolling_tyres
-from olt_closed_loop.vehicle.presets import alpasim_vehicle, vehicle_with_tyres
+from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
+from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.models import vehicle_equations
+from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres, with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE, steering_for
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
@@ -127,7 +128,7 @@ def test_motion_is_smooth_in_the_first_speed():
         speeds = np.arange(-2.0, 60.0, spacing)
         states = np.zeros((len(speeds), 8))
         states[:, STATE.speed] = speeds
-        stepper = make_batch_stepper(VEHICLES["saturating"], len(speeds))
+        stepper = make_stepper([VEHICLES["saturating"]] * len(speeds))
         for _ in range(5):
             states = stepper(states, np.tile([0.02, -1.0], (len(speeds), 1)))
         return np.abs(np.diff(states, n=2, axis=0)).max()

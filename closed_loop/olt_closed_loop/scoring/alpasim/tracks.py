@@ -121,25 +121,20 @@ class BoxTracks:
         if not exists.all():
             first, last = (np.broadcast_to(ends, exists.shape)[np.argmin(exists)] for ends in self._spans(tracks))
             raise UnmeasuredError(f"a time outside {first} to {last} us is asked for")
-        before, after = self._neighbours(times_us, tracks)
-        span = np.maximum(self.times_us[after] - self.times_us[before], 1)
-        share = (times_us - self.times_us[before]) / span
-        start, end = self.positions[before], self.positions[after]
-        positions = (start + (end - start) * share[:, None].astype(np.float32)).astype(np.float32)
-        yaws = self.yaws[before] + (self.yaws[after] - self.yaws[before]) * share
-        return positions, np.arctan2(np.sin(yaws), np.cos(yaws)).astype(np.float32)
-
-    def _neighbours(self, times_us: Times, tracks: Indices | int) -> tuple[Indices, Indices]:
-        """Rows (m,) of the samples at or before, and after; a track of one sample has that for both.
-
-        BoxTracks are put one behind the other on one axis of time, so that one search finds the samples of all.
-        """
+        # Tracks are put one behind the other on one axis of time, so that one search finds the samples of all. The only
+        # sample of a track is both before and after.
         start, owners = self.times_us[:1], np.repeat(np.arange(len(self)), np.diff(self.firsts))
         length = 2 * np.abs(self.times_us - start).max(initial=0) + 1
         known, asked = self.times_us - start + length * owners, times_us - start + length * np.asarray(tracks)
         first, last = self.firsts[tracks], self.firsts[np.add(tracks, 1)] - 1
         after = np.clip(np.searchsorted(known, asked, side="right"), first + 1, np.maximum(last, first + 1))
-        return after - 1, np.minimum(after, last)
+        before, after = after - 1, np.minimum(after, last)
+        span = np.maximum(self.times_us[after] - self.times_us[before], 1)
+        share = (times_us - self.times_us[before]) / span
+        begin, end = self.positions[before], self.positions[after]
+        positions = (begin + (end - begin) * share[:, None].astype(np.float32)).astype(np.float32)
+        yaws = self.yaws[before] + (self.yaws[after] - self.yaws[before]) * share
+        return positions, np.arctan2(np.sin(yaws), np.cos(yaws)).astype(np.float32)
 
 
 def ego_track(times_us: Times, rig_poses: Array, box: EgoBox) -> BoxTracks:
