@@ -1,13 +1,13 @@
 """A policy judged on recorded samples, without driving (metrics of docs/formats/alpamayo.md)."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from olt_generator.poses import Array
-from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.policy.contract import STEP_SECONDS, Observation, Policy
-from olt_toolkit.policy.sample import PolicySample, SampleKey
+from olt_toolkit import ClipStore, Observation, Policy, PolicySample, SampleKey
+from olt_toolkit.policy.contract import STEP_SECONDS
 
 HORIZONS_SECONDS = (0.5, 1.0, 3.0, 5.0)
 # Length, width and height in metres of the box whose corners are compared; it is centred on the trajectory.
@@ -28,7 +28,16 @@ def evaluate_open_loop(
     """
     errors = []
     for sample in samples:
-        plans = [policy.plan(_observe(sample, seed + index)) for index in range(plans_per_sample)]
+        observation = Observation(
+            images=sample.image_frames,
+            camera_indices=sample.camera_indices,
+            history_xyz=sample.ego_history_xyz[0].astype(np.float64),
+            history_rotation=sample.ego_history_rot[0].astype(np.float64),
+            route_xy=np.zeros((0, 2)),
+            time_us=sample.t0_us,
+            seed=seed,
+        )
+        plans = [policy.plan(replace(observation, seed=seed + index)) for index in range(plans_per_sample)]
         xyz, rotation = np.stack([plan.xyz for plan in plans]), np.stack([plan.rotation for plan in plans])
         true_xyz = sample.ego_future_xyz[0].astype(np.float64)
         true_rotation = sample.ego_future_rot[0].astype(np.float64)
@@ -83,15 +92,3 @@ def corner_distance(predicted_xyz: Array, predicted_rotation: Array, true_xyz: A
 def _place_box(xyz: Array, rotation: Array) -> Array:
     """Corners (..., T, 8, 3) of the box at every pose."""
     return xyz[..., None, :] + _CORNERS @ np.swapaxes(rotation, -1, -2)
-
-
-def _observe(sample: PolicySample, seed: int) -> Observation:
-    return Observation(
-        images=sample.image_frames,
-        camera_indices=sample.camera_indices,
-        history_xyz=sample.ego_history_xyz[0].astype(np.float64),
-        history_rotation=sample.ego_history_rot[0].astype(np.float64),
-        route_xy=np.zeros((0, 2)),
-        time_us=sample.t0_us,
-        seed=seed,
-    )

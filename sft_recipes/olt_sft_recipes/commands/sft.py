@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from olt_datasets.mixtures.mixture import Mixture
+    from olt_datasets import Mixture
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Train the toy policy, and judge it in open loop.")
 
@@ -60,10 +60,10 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Print displacement errors."""
-    from olt_closed_loop.simulation.policies import make_policy
+    from olt_closed_loop import make_policy
     from olt_generator.errors import InputError
     from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
-    from olt_toolkit.clips.store import ClipStore
+    from olt_toolkit import ClipStore
     from olt_toolkit.runtime.console import print_json, print_table
 
     chosen = make_policy(policy)
@@ -81,10 +81,7 @@ def evaluate(
 
 
 def _choose_mixture(mixture: Path | None, recipe: str | None, stores: list[Path], seed: int) -> "Mixture":
-    from olt_datasets.mixtures.mixture import compose_mixture
-    from olt_datasets.mixtures.mixture_file import read_mixture
-    from olt_datasets.mixtures.recipe import find_recipe
-    from olt_datasets.tables.clip_table import read_clip_tables
+    from olt_datasets import compose_mixture, find_recipe, read_clip_tables, read_mixture
     from olt_generator.errors import InputError
 
     if mixture is not None and recipe is None:

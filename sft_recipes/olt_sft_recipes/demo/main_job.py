@@ -21,9 +21,8 @@ from olt_closed_loop import (
 from olt_closed_loop.evaluation.evaluation import count_left_out, pass_gate
 from olt_closed_loop.scenes.procedural import CATEGORIES
 from olt_closed_loop.sensors.recorder import record_drive
-from olt_datasets.mixtures.mixture import Mixture, compose_mixture
+from olt_datasets import Mixture, compose_mixture, read_clip_tables
 from olt_datasets.mixtures.recipe import builtin_recipe
-from olt_datasets.tables.clip_table import read_clip_tables
 from olt_generator.files import write_whole
 from olt_generator.omissions import Omission
 from olt_generator.progress import Progress
@@ -272,8 +271,9 @@ def build_training_clip(
 
 def store_clips(out: Path, made: list[dict[str, Any]]) -> dict[str, Any]:
     """Commit the prepared clips; returns the numbers of the input, and those of the training clips together."""
-    ClipStore(out / "clips").commit([clip["clip"]["clip_id"] for clip in made])
-    training = made[1:]
+    store, (given, *training) = ClipStore(out / "clips"), made
+    store.commit([given["clip"]["clip_id"]])
+    store.commit([clip["clip"]["clip_id"] for clip in training])
     kinds = [clip["clip"]["kind"] for clip in training]
     errors = [clip["pose_errors"]["metric"]["ate_m"] for clip in training if clip["pose_errors"]]
     views = [view for clip in training for view in clip["clip"]["views"].values() if view["kind"] == "warped"]
@@ -287,7 +287,7 @@ def store_clips(out: Path, made: list[dict[str, Any]]) -> dict[str, Any]:
         "frames_left_out_of_each_view": sum(clip["frames_left_out"] for clip in training),
         "syn_observed_share_of_cross_views": float(np.mean(observed)) if observed else None,
     }
-    return {"input": made[0], "training": summary}
+    return {"input": given, "training": summary}
 
 
 def draw_clip(pictures: Path, recording: Recording, built: BuiltClip) -> None:

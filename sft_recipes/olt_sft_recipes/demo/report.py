@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.rollouts.rollout import Rollout, load_rollouts
-from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_closed_loop.scenes.scene_file import read_scene
+from olt_closed_loop import Rollout, Scene, load_rollouts, read_scene
+from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.moving_boxes import agent_box
 from olt_generator.omissions import Omission, word_omission
 from olt_generator.poses import yaw_of
@@ -22,12 +21,21 @@ CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png"
 RECIPES: tuple[str, ...] = ("toy_nominal", "toy_nominal_long_tail")
 COLORS = {"toy_nominal": "#d1742f", "toy_nominal_long_tail": "#1f6feb", "recording": "#4b5563"}
 AGENT_COLOR = "#9a3412"
+Drive = tuple[Rollout, dict[str, Any]]
+"""A rollout and its score."""
+
 SCORE_COLUMNS = ("trained on", "scenes", "AS", "AS 95 %", "CR", "CR 95 %", "valid rollouts")
 
 
 def draw_report(out: Path, summary: dict[str, Any]) -> None:
     """Write `report.html`, which needs no other file."""
-    definition = summary["closed_loop"]["policies"][RECIPES[0]]["table"]["definition"]
+    policies = summary["closed_loop"]["policies"]
+    drives = {
+        name: list(zip(load_rollouts(out / "closed_loop" / name / "rollouts.json"), policy["scores"], strict=True))
+        for name, policy in policies.items()
+    }
+    scenes = [read_scene(out / "scenes" / f"{name}.usda") for name in summary["scenes"]["evaluation"]]
+    definition = policies[RECIPES[0]]["table"]["definition"]
     note = (
         f"Definition {definition!r}. AS: mean score of the valid rollouts, Student-t interval. CR: share of "
         "valid rollouts that touched anything, Wilson interval. The scenes are held out of every mixture. These are "
@@ -42,7 +50,7 @@ def draw_report(out: Path, summary: dict[str, Any]) -> None:
         Section("Closed-loop scores", [Table(SCORE_COLUMNS, score_rows(summary), note)]),
         *_input_sections(out / "pictures", summary["input"]),
         _training_section(summary["mixtures"], summary["training"]),
-        Section("Rollouts from above", _draw_rollouts(out, summary)),
+        Section("Rollouts from above", [_draw_scene(scene, drives) for scene in scenes]),
         Section("What was left out, and why", [Bullets(left_out)]),
         Section("Machine and run times", [Table(("step", "time"), times), Text(about)]),
     ]
@@ -155,51 +163,28 @@ def _training_section(mixtures: dict[str, Any], training: dict[str, Any]) -> Sec
     return Section("Mixtures and two-stage training", [*tables, *curves])
 
 
-def _draw_rollouts(out: Path, summary: dict[str, Any]) -> list[Rollouts]:
-    """The first rollout of both policies in every scene, seen from above."""
-    scores = {name: summary["closed_loop"]["policies"][name]["scores"] for name in RECIPES}
-    rollouts = {name: load_rollouts(out / "closed_loop" / name / "rollouts.json") for name in RECIPES}
-    drawn = []
-    for scene_name in summary["scenes"]["evaluation"]:
-        scored = {name: zip(rollouts[name], scores[name], strict=True) for name in RECIPES}
-        first = {name: next(pair for pair in pairs if pair[0].scene == scene_name) for name, pairs in scored.items()}
-        drawn.append(_draw_scene(read_scene(out / "scenes" / f"{scene_name}.usda"), first))
-    return drawn
-
-
-def _draw_scene(scene: Scene, drives: dict[str, tuple[Rollout, dict[str, Any]]]) -> Rollouts:
-    times = max((rollout.timestamps_us for rollout, _ in drives.values()), key=len)
+def _draw_scene(scene: Scene, drives: dict[str, list[Drive]]) -> Rollouts:
+    """The first rollout of each policy in the scene, and the recording, seen from above."""
+    first = {name: next(drive for drive in driven if drive[0].scene == scene.name) for name, driven in drives.items()}
+    times = max((rollout.timestamps_us for rollout, _ in first.values()), key=len)
     recorded = scene.ego.interpolate(times[times <= scene.ego.timestamps_us[-1]])
-    replayed = np.column_stack([recorded[:, :2, 3], yaw_of(recorded)])
-    driven = {
-        name: (rollout.states[:, :3], _find_incidents(rollout, score)) for name, (rollout, score) in drives.items()
-    }
-    vehicle = scene.vehicle
+    paths = {name: (rollout.states[:, :3], _find_incidents(rollout, score)) for name, (rollout, score) in first.items()}
+    paths["recording"] = np.column_stack([recorded[:, :2, 3], yaw_of(recorded)]), {}
+    box = scene.vehicle.length, scene.vehicle.width, scene.vehicle.rear_axle_to_bbox_center
     return Rollouts(
         title=f"{scene.name} ({', '.join(scene.factors) or scene.category})",
-        caption="; ".join(f"{name}: {_describe(score)}" for name, (_, score) in drives.items()),
+        caption="; ".join(f"{name}: {_describe(score)}" for name, (_, score) in first.items()),
         step_seconds=float(times[1] - times[0]) * 1e-6,
         areas=[outline[:, :2].tolist() for outline in scene.drivable],
         lines=[border[:, :2].tolist() for lane in scene.lanes for border in (lane.left, lane.right)],
         route=scene.route[:, :2].tolist(),
-        paths=[
-            DrivenPath(
-                name,
-                COLORS[name],
-                vehicle.length,
-                vehicle.width,
-                vehicle.rear_axle_to_bbox_center,
-                poses.tolist(),
-                marks,
-            )
-            for name, (poses, marks) in (driven | {"recording": (replayed, {})}).items()
-        ],
+        paths=[DrivenPath(name, COLORS[name], *box, poses.tolist(), found) for name, (poses, found) in paths.items()],
         agents=[_draw_agent(agent, times) for agent in scene.agents],
     )
 
 
 def _find_incidents(rollout: Rollout, score: dict[str, Any]) -> dict[int, str]:
-    """What went wrong, by frame of the animation."""
+    """Collisions and where the road was left, by frame of the animation."""
     found = [(collision["time_us"], "collision") for collision in score["collisions"]]
     if score["offroad_us"] is not None:
         found.append((score["offroad_us"], "off-road"))

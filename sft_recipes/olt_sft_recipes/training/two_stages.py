@@ -18,8 +18,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from olt_datasets.mixtures.dataset import MixtureDataset
-from olt_datasets.mixtures.mixture import Mixture
+from olt_datasets import Mixture, MixtureDataset
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.progress import Progress, silent
@@ -31,7 +30,7 @@ from olt_sft_recipes.toy.inputs import encode_inputs
 from olt_sft_recipes.toy.tokens import FUTURE_TOKENS, encode_actions
 from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_sft_recipes.training.stage_config import StageConfig
-from olt_toolkit.policy.sample import PolicySample, SampleKey
+from olt_toolkit import PolicySample, SampleKey
 from olt_toolkit.runtime.version import code_version
 
 Batches = Callable[[int, int], Sequence[Sequence[SampleKey]]]
@@ -146,7 +145,9 @@ def train_stage(
         [list(batch) for batch in batches(epoch, stage.samples_per_step)] for epoch in range(stage.num_train_epochs)
     ]
     keys = sorted({key for epoch in epochs for batch in epoch for key in batch})
-    identity = _identify(stage, keys, checkpoint_in)
+    samples_seed = derive_seed(*(f"{key.clip_id} {key.t0_us}" for key in keys))
+    before = "" if checkpoint_in is None else json.loads((checkpoint_in / LOG_FILE).read_text())["identity"]
+    identity = f"{derive_seed(code_version(), stage.model_dump_json(), samples_seed, before):x}"
     if (out / LOG_FILE).exists():
         log = json.loads((out / LOG_FILE).read_text())
         if log.pop("identity") == identity:
@@ -173,13 +174,6 @@ def train_stage(
     with write_whole(out / LOG_FILE) as path:
         path.write_text(json.dumps({"identity": identity, **asdict(result)}) + "\n")
     return result
-
-
-def _identify(stage: StageConfig, keys: list[SampleKey], checkpoint_in: Path | None) -> str:
-    """What decides the weights; a checkpoint of another identity is trained anew."""
-    samples = derive_seed(*(f"{key.clip_id} {key.t0_us}" for key in keys))
-    before = "" if checkpoint_in is None else json.loads((checkpoint_in / LOG_FILE).read_text())["identity"]
-    return f"{derive_seed(code_version(), stage.model_dump_json(), samples, before):x}"
 
 
 def _make_model(stage: StageConfig, checkpoint_in: Path | None, config: ToyPolicyConfig | None) -> ToyModel:
