@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from olt_datasets.mixtures.recipe import read_recipe as read_recipe
     from olt_datasets.mixtures.source_alignment import align_sources as align_sources
     from olt_datasets.mixtures.source_alignment import measure_coverage as measure_coverage
-    from olt_datasets.tables.clip_table import read_clip_tables as read_clip_tables
-    from olt_datasets.tables.clip_table import scan_clip_tables as scan_clip_tables
+    from olt_datasets.tables.clip_frame import read_clip_tables as read_clip_tables
+    from olt_datasets.tables.clip_frame import scan_clip_tables as scan_clip_tables
     from olt_datasets.tables.indexing import index_dataset as index_dataset
     from olt_datasets.tables.labels import label_table as label_table
     from olt_datasets.tables.leaks import find_leaks as find_leaks
@@ -41,7 +41,7 @@ _MODULES = {
     "mixtures.mixture_file": ("read_mixture", "write_mixture"),
     "mixtures.recipe": ("Recipe", "find_recipe", "read_recipe"),
     "mixtures.source_alignment": ("align_sources", "measure_coverage"),
-    "tables.clip_table": ("read_clip_tables", "scan_clip_tables"),
+    "tables.clip_frame": ("read_clip_tables", "scan_clip_tables"),
     "tables.indexing": ("index_dataset",),
     "tables.labels": ("label_table",),
     "tables.leaks": ("find_leaks",),

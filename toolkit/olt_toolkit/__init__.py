@@ -22,9 +22,12 @@ if TYPE_CHECKING:
     from olt_toolkit.policy.contract import Policy as Policy
     from olt_toolkit.policy.sample import PolicySample as PolicySample
     from olt_toolkit.policy.sample import SampleKey as SampleKey
+    from olt_toolkit.recordings.drives import DatasetPlace as DatasetPlace
+    from olt_toolkit.recordings.drives import Drive as Drive
+    from olt_toolkit.recordings.drives import open_dataset as open_dataset
+    from olt_toolkit.recordings.drives import open_recording as open_recording
     from olt_toolkit.recordings.recording import OpenOptions as OpenOptions
     from olt_toolkit.recordings.recording import Recording as Recording
-    from olt_toolkit.recordings.recording import open_recording as open_recording
     from olt_toolkit.rigs.rig import Rig as Rig
     from olt_toolkit.rigs.rig_files import load_rig as load_rig
     from olt_toolkit.rigs.rig_files import read_rig as read_rig
@@ -38,7 +41,8 @@ _MODULES = {
     "policy.action_space": ("actions_to_trajectory", "trajectory_to_actions"),
     "policy.contract": ("Observation", "PlannedTrajectory", "Policy"),
     "policy.sample": ("PolicySample", "SampleKey"),
-    "recordings.recording": ("OpenOptions", "Recording", "open_recording"),
+    "recordings.drives": ("DatasetPlace", "Drive", "open_dataset", "open_recording"),
+    "recordings.recording": ("OpenOptions", "Recording"),
     "rigs.rig": ("Rig",),
     "rigs.rig_files": ("load_rig", "read_rig"),
     "runtime.version": ("__version__",),

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.benchmarks.mixture_tables import write_made_up_table
 from olt_datasets.mixtures.mixture import Mixture, compose_mixture
 from olt_datasets.mixtures.recipe import parse_recipe
-from olt_datasets.tables.clip_table import scan_clip_tables
+from olt_datasets.tables.clip_frame import scan_clip_tables
+from olt_datasets.tables.fake_table import write_fake_table
 from olt_generator.seeds import derive_seed
 from olt_toolkit.bench.benchmark import Benchmark, Grid, Setting
 from olt_toolkit.bench.runner import resident_mib
@@ -42,7 +42,7 @@ def _prepare_mixture() -> Callable[[], Counts]:
     ]
     with tempfile.TemporaryDirectory() as folder:
         table = Path(folder) / "clips.parquet"
-        write_made_up_table(table, SAMPLES)
+        write_fake_table(table, SAMPLES)
         mixture = _compose(table, components=parts, samples=SAMPLES)
     synthesized = set(mixture.samples.filter(kind="Syn")["clip_id"])
 
@@ -116,7 +116,7 @@ def _grid() -> Grid:
     for clips in SCALES:
         with tempfile.TemporaryDirectory() as folder:
             table = Path(folder) / "clips.parquet"
-            write_made_up_table(table, clips)
+            write_fake_table(table, clips)
             # A process of its own, so that its peak memory is that of composing.
             with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
                 scales.append(pool.submit(_measure_composing, table, clips).result())

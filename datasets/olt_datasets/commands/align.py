@@ -36,7 +36,7 @@ def align(
     `olt mix align --example` shows what the paper found: Waymo E2E has none of NV's human-guided traffic control.
     """
     from olt_datasets.mixtures.source_alignment import PAPER_COVERAGE, align_sources, measure_coverage
-    from olt_datasets.tables.clip_table import scan_clip_tables
+    from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_generator.errors import InputError
     from olt_toolkit.runtime.console import print_json
 

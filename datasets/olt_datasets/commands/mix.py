@@ -41,7 +41,7 @@ def compose(
     from olt_datasets.mixtures.mixture_file import write_mixture
     from olt_datasets.mixtures.picture import draw_mixture
     from olt_datasets.mixtures.recipe import find_recipe
-    from olt_datasets.tables.clip_table import scan_clip_tables
+    from olt_datasets.tables.clip_frame import scan_clip_tables
 
     chosen = find_recipe(recipe)
     training = _training(stage)
@@ -86,7 +86,7 @@ def check(recipe: RecipeArgument, stores: StoresOption, as_json: JsonOption = Fa
     from olt_datasets.mixtures.mixture import check_recipe
     from olt_datasets.mixtures.recipe import find_recipe
     from olt_datasets.mixtures.selection import word_shortage
-    from olt_datasets.tables.clip_table import scan_clip_tables
+    from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_toolkit.runtime.console import print_json, print_line
 
     findings = check_recipe(find_recipe(recipe), scan_clip_tables(stores))

@@ -216,7 +216,7 @@ def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes
 
     Args:
         recipe: what to choose.
-        table: clips to choose from (`tables.clip_table.scan_clip_tables`).
+        table: clips to choose from (`tables.clip_frame.scan_clip_tables`).
         seed: seed of the choice and of every order.
         held_out_scenes: scene ids that the mixture is checked against.
 

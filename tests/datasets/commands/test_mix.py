@@ -9,7 +9,7 @@ from olt_datasets.commands.mix import app
 from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.mixture_file import MIXTURE_SUFFIXES, read_mixture
 from olt_datasets.mixtures.recipe import builtin_recipe
-from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.clips.table import CLIP_TABLE
 

@@ -14,7 +14,7 @@ from olt_datasets.mixtures.dataset import MixtureDataset
 from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.mixture_file import write_mixture
 from olt_datasets.mixtures.recipe import Recipe
-from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import make_clip_id
 from olt_toolkit.clips.store import ClipStore

@@ -10,7 +10,7 @@ from torch.utils.data import DataLoader
 from olt_datasets.mixtures.dataset import MixtureBatchSampler, MixtureDataset
 from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.recipe import builtin_recipe
-from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.policy.sample import PolicySample, SampleKey
 

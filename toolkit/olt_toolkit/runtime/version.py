@@ -5,6 +5,8 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from olt_generator.version import __version__ as __version__
+
 DISTRIBUTION = "openlongtail"
 _HASHED = (".py", ".yaml")
 
@@ -15,9 +17,6 @@ def package_version(package: str = DISTRIBUTION) -> str | None:
         return version(package)
     except PackageNotFoundError:
         return None
-
-
-__version__ = package_version() or "0"
 
 
 @cache

@@ -1,17 +1,14 @@
-"""Folders of videos, and Nexar's, as data sets."""
+"""Nexar's dashcam videos as a data set."""
 
 import csv
 
 import numpy as np
 import pytest
 
-from olt_datasets.sources import video_folder
 from olt_generator.errors import InputError
 from olt_generator.video import write_video
+from olt_toolkit.recordings import OpenOptions
 from olt_toolkit.recordings.drives import open_dataset
-from olt_toolkit.recordings.recording import OpenOptions
-
-WHOLE = (0, 60_000_000)
 
 
 def write(path, frames=12, rate=10):
@@ -27,63 +24,6 @@ def write_table(path, rows):
         table = csv.DictWriter(file, fieldnames=list(rows[0]))
         table.writeheader()
         table.writerows(rows)
-
-
-def test_every_video_is_a_drive(tmp_path):
-    root = tmp_path / "dash"
-    write(root / "a.mp4")
-    write(root / "trip" / "b.MP4", frames=5, rate=25)
-    (root / "notes.txt").write_text("no video")
-    dataset = open_dataset(root, tmp_path / "cache")
-    assert dataset.source == "video"
-    assert dataset.keys() == ["a.mp4", "trip/b.MP4"]
-    drive = dataset.drive("trip/b.MP4")
-    assert drive.front_us.tolist() == [0, 40_000, 80_000, 120_000, 160_000]
-    assert drive.scene_id == "video/dash/trip/b.MP4"
-    assert drive.ego_span_us is None
-    assert drive.true_views == ("camera_front_wide_120fov",)
-    assert drive.category == "unlabelled"
-
-
-def test_a_window_of_a_video(tmp_path):
-    root = tmp_path / "dash"
-    write(root / "a.mp4")
-    recording = open_dataset(root, tmp_path / "cache").open("a.mp4", (250_000, 500_000), OpenOptions(width=32))
-    assert recording.timestamps_us.tolist() == [0, 100_000, 200_000]
-    assert recording.frames.shape == (3, 18, 32, 3)
-    assert recording.frames[:, 9, 16, 0] == pytest.approx([45, 60, 75], abs=3)
-    assert any("70 degrees" in sentence for sentence in recording.assumptions)
-    assert recording.reference is None
-
-
-def test_all_windows_of_a_video_have_one_lens_which_is_looked_for_once(tmp_path, monkeypatch):
-    root = tmp_path / "dash"
-    write(root / "a.mp4")
-    found = []
-    find = video_folder.find_field_of_view
-    monkeypatch.setattr(video_folder, "find_field_of_view", lambda *args: found.append(1) or find(*args))
-    first = open_dataset(root, tmp_path / "cache").open("a.mp4", (0, 300_000), OpenOptions())
-    second = open_dataset(root, tmp_path / "cache").open("a.mp4", (700_000, 900_000), OpenOptions())
-    assert found == [1]
-    assert first.camera == second.camera
-    assert first.assumptions == second.assumptions
-    given = OpenOptions(horizontal_fov=np.radians(120.0))
-    wide = open_dataset(root, tmp_path / "cache").open("a.mp4", (0, 300_000), given)
-    assert wide.camera != first.camera
-    assert found == [1]
-
-
-def test_a_damaged_video_fails_alone(tmp_path):
-    root = tmp_path / "dash"
-    write(root / "a.mp4")
-    (root / "b.mp4").write_bytes(b"\x00\x00\x00\x20ftypisom" + bytes(500))
-    dataset = open_dataset(root, tmp_path / "cache")
-    assert dataset.keys() == ["a.mp4", "b.mp4"]
-    assert len(dataset.drive("a.mp4").front_us) == 12
-    with pytest.raises(InputError, match=r"b\.mp4: "):
-        dataset.drive("b.mp4")
-    with pytest.raises(InputError, match=r"no video 'c\.mp4'"):
-        dataset.drive("c.mp4")
 
 
 CHALLENGE = [

@@ -1,4 +1,4 @@
-"""Recording readers for plain video and KITTI raw drives, and KITTI raw data as a data set."""
+"""KITTI raw drives: one as a recording, a folder of them as a data set."""
 
 import shutil
 
@@ -6,14 +6,12 @@ import cv2
 import numpy as np
 import pytest
 
-from olt_datasets.sources.kitti_raw import SOURCE as KITTI
-from olt_datasets.sources.video import SOURCE as VIDEO
-from olt_generator.cameras import FthetaCamera, PinholeCamera
+from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import invert, transform
 from olt_generator.video import write_video
-from olt_toolkit.recordings.drives import open_dataset
-from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.recordings import OpenOptions, open_recording
+from olt_toolkit.recordings.drives import DatasetPlace, find_drives, find_reader, open_dataset
 
 WIDTH, HEIGHT, FRAMES = 120, 40, 6
 # A camera 0.6 m to the right of the velodyne and 0.1 m below it, looking forward; the IMU 0.8 m behind the velodyne.
@@ -60,52 +58,18 @@ def write_drive(folder, official=False):
     return drive
 
 
-def test_video_opens_with_every_assumption_said(tmp_path):
-    path = write_video_file(tmp_path / "dash.mp4")
-    assert VIDEO.recognises(path)
-    recording = VIDEO.open(path, OpenOptions())
-    assert recording.frames.shape == (5, 36, 64, 3)
-    assert isinstance(recording.camera, PinholeCamera)
-    assert recording.camera.rays(np.array([[-0.5, 17.5]]))[0, 0] == pytest.approx(-np.sin(np.radians(35.0)))
-    assert recording.T_rig_camera[2, 3] == 1.5
-    said = " ".join(recording.assumptions)
-    for word in ("70 degrees", "the video does not tell: only 0 windows", "1.50 m", "rear axle", "vehicle"):
-        assert word in said
-    assert recording.reference is None
-
-
-def test_wide_video_gets_a_fisheye_and_options_are_taken(tmp_path):
-    path = write_video_file(tmp_path / "dash.mp4")
-    recording = VIDEO.open(path, OpenOptions(width=32, horizontal_fov=np.radians(120.0), camera_height=2.2))
-    assert isinstance(recording.camera, FthetaCamera)
-    assert recording.camera.width == 32
-    edge = recording.camera.rays(np.array([[31.5, 8.5]]))[0]
-    assert np.degrees(np.arccos(edge[2])) == pytest.approx(60.0, abs=0.01)
-    assert recording.T_rig_camera[2, 3] == 2.2
-    assert any("as given" in sentence for sentence in recording.assumptions)
-
-
-def test_video_of_one_frame_and_silly_field_of_view_are_refused(tmp_path):
-    with pytest.raises(InputError, match="at least 2 frames"):
-        VIDEO.open(write_video_file(tmp_path / "one.mp4", count=1), OpenOptions())
-    with pytest.raises(InputError, match=r"field of view 1\.0 degrees"):
-        VIDEO.open(write_video_file(tmp_path / "dash.mp4"), OpenOptions(horizontal_fov=np.radians(1.0)))
-
-
 def test_readers_know_their_own(tmp_path):
     drive = write_drive(tmp_path)
-    assert KITTI.recognises(drive)
-    assert not VIDEO.recognises(drive)
-    assert not KITTI.recognises(tmp_path)
+    assert find_reader(drive).name == "kitti_raw"
+    assert find_reader(write_video_file(tmp_path / "dash.mp4")).name == "video"
     (tmp_path / "notes.txt").write_text("no video")
-    assert not VIDEO.recognises(tmp_path / "notes.txt")
+    assert find_reader(tmp_path / "notes.txt") is None
 
 
 @pytest.mark.parametrize("official", [False, True])
 def test_kitti_drive(tmp_path, official):
     drive = write_drive(tmp_path, official)
-    assert KITTI.recognises(drive)
-    recording = KITTI.open(drive, OpenOptions(width=60))
+    recording = open_recording(drive, OpenOptions(width=60))
     assert recording.frames.shape == (FRAMES, 20, 60, 3)
     assert recording.frames[0, 0, 0].tolist() == [200, 20, 10]
     assert recording.timestamps_us.tolist() == [100_000 * k for k in range(FRAMES)]
@@ -113,7 +77,7 @@ def test_kitti_drive(tmp_path, official):
 
 
 def test_kitti_mounting_follows_the_calibration_and_the_direction_of_travel(tmp_path):
-    recording = KITTI.open(write_drive(tmp_path), OpenOptions())
+    recording = open_recording(write_drive(tmp_path), OpenOptions())
     # By hand: camera 2 lies 0.1 m left of camera 0 (P[0, 3] = 7 = f * 0.1), which lies 0.3 m ahead of the velodyne.
     in_imu = np.array([0.8 + 0.3, -0.3 + 0.1, 0.8 - 0.1])
     pitch = np.radians(1.0)
@@ -125,14 +89,14 @@ def test_kitti_mounting_follows_the_calibration_and_the_direction_of_travel(tmp_
 
 
 def test_kitti_reference_is_metric_and_reaches_every_image(tmp_path):
-    recording = KITTI.open(write_drive(tmp_path), OpenOptions())
+    recording = open_recording(write_drive(tmp_path), OpenOptions())
     assert np.array_equal(recording.reference.timestamps_us, recording.timestamps_us)
     assert recording.reference.positions[:, 0] == pytest.approx(np.arange(FRAMES) * 1.0, abs=2e-3)
     assert np.abs(recording.reference.positions[:, 1:]).max() < 2e-3
 
 
 def test_kitti_projection_chain(tmp_path):
-    recording = KITTI.open(write_drive(tmp_path), OpenOptions())
+    recording = open_recording(write_drive(tmp_path), OpenOptions())
     T_imu_rig = invert(recording.T_rig_camera)
     point_camera = np.array([[1.0, 0.5, 10.0]])
     back = transform(T_imu_rig, transform(recording.T_rig_camera, point_camera))
@@ -143,7 +107,7 @@ def test_kitti_projection_chain(tmp_path):
 
 
 def test_duration_limits_the_drive(tmp_path):
-    recording = KITTI.open(write_drive(tmp_path), OpenOptions(duration=0.25))
+    recording = open_recording(write_drive(tmp_path), OpenOptions(duration=0.25))
     assert len(recording.frames) == len(recording.reference) == 3
 
 
@@ -166,7 +130,7 @@ def test_a_wrong_file_is_named_with_its_field(tmp_path, name, old, new, message)
     assert old in text
     (drive / name).write_text(text.replace(old, new, 1))
     with pytest.raises(InputError, match=message) as caught:
-        KITTI.open(drive, OpenOptions())
+        open_recording(drive, OpenOptions())
     assert "\n" not in str(caught.value)
 
 
@@ -175,14 +139,14 @@ def test_a_missing_file_is_refused(tmp_path, name):
     drive = write_drive(tmp_path)
     (drive / name).unlink()
     with pytest.raises(InputError, match=r"missing|5 GPS/IMU files for 6 timestamps"):
-        KITTI.open(drive, OpenOptions())
+        open_recording(drive, OpenOptions())
 
 
 def test_a_damaged_image_is_named(tmp_path):
     drive = write_drive(tmp_path)
     shutil.copy(drive / "image_02_timestamps.txt", drive / "image_02/0000000004.png")
     with pytest.raises(InputError, match=r"0000000004.png: cannot be decoded"):
-        KITTI.open(drive, OpenOptions())
+        open_recording(drive, OpenOptions())
 
 
 def test_kitti_drives_of_a_folder(tmp_path):
@@ -197,6 +161,18 @@ def test_kitti_drives_of_a_folder(tmp_path):
     assert drive.country == "DE"
 
 
+def test_the_drives_of_a_folder_are_its_recordings_or_those_of_the_data_set(tmp_path):
+    (tmp_path / "mixed").mkdir()
+    drive = write_drive(tmp_path / "mixed")
+    write_video_file(tmp_path / "mixed" / "dash.mp4")
+    assert find_drives(drive) == [(DatasetPlace(drive), ".")]
+    assert [place.drive_name(key) for place, key in find_drives(tmp_path / "mixed")] == ["dash", "drive"]
+    write_drive(tmp_path / "raw", official=True)
+    key = "2011_09_26/2011_09_26_drive_0001_sync"
+    assert find_drives(tmp_path / "raw") == [(DatasetPlace(tmp_path / "raw"), key)]
+    assert DatasetPlace(tmp_path / "raw").drive_name(key) == "2011_09_26_drive_0001_sync"
+
+
 def test_a_window_of_a_kitti_drive_has_the_motion_of_all_of_it(tmp_path):
     dataset = open_dataset(write_drive(tmp_path), tmp_path / "cache")
     assert dataset.keys() == ["."]
@@ -204,7 +180,7 @@ def test_a_window_of_a_kitti_drive_has_the_motion_of_all_of_it(tmp_path):
     assert recording.timestamps_us.tolist() == [0, 100_000, 200_000]
     assert recording.frames.shape == (3, 20, 60, 3)
     assert recording.reference.timestamps_us.tolist() == [-200_000, -100_000, 0, 100_000, 200_000, 300_000]
-    whole = KITTI.open(tmp_path / "drive", OpenOptions())
+    whole = open_recording(tmp_path / "drive", OpenOptions())
     assert np.allclose(recording.reference.in_first_frame().T_world_rig, whole.reference.T_world_rig, atol=1e-9)
     assert np.array_equal(recording.T_rig_camera, whole.T_rig_camera)
 

@@ -1,4 +1,4 @@
-"""Clip tables of any size, made up."""
+"""Fake clip tables of any size, to try recipes, splits and checks on."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ LONG_TAIL = ("cyclists", "work_zone", "uncommon_vehicle", "animal")
 SAMPLE_TIMES_US = (1_700_000, 5_100_000, 8_500_000, 11_900_000)
 
 
-def write_made_up_table(path: Path, clips: int) -> None:
+def write_fake_table(path: Path, clips: int) -> None:
     """A table of indexed clips in order of their ids: two kinds, four long-tail categories, four times t0 a clip."""
     with pq.ParquetWriter(path, SCHEMA) as writer:
         for start in range(0, clips, ROWS_AT_ONCE):

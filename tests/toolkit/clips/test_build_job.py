@@ -7,10 +7,9 @@ import pytest
 
 from olt_generator.seeds import make_generator
 from olt_generator.video import write_video
-from olt_toolkit.clips.build_job import BuildJob, Outcome, build_clips, find_recordings
-from olt_toolkit.clips.estimators import SourceChoice
+from olt_toolkit.clips.build_job import BuildJob, BuildResult, build_clips
 from olt_toolkit.clips.views import BuildOptions
-from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.recordings.drives import find_drives
 from olt_toolkit.runtime.workers import Engine
 
 
@@ -23,9 +22,9 @@ def videos(tmp_path) -> Path:
     return folder
 
 
-def build(videos: Path, store: Path, workers: int, engine: Engine = Engine.LOCAL) -> list[Outcome]:
+def build(videos: Path, store: Path, workers: int, engine: Engine = Engine.LOCAL) -> list[BuildResult]:
     options = BuildOptions(width=96, height=54)
-    jobs = [BuildJob(path, store, OpenOptions(), options, SourceChoice()) for path in find_recordings(videos)]
+    jobs = [BuildJob(place, key, store, options=options) for place, key in find_drives(videos)]
     return build_clips(jobs, workers, engine=engine)
 
 
@@ -53,4 +52,4 @@ def test_a_ray_cluster_changes_nothing(videos, tmp_path):
 def test_recordings_are_found_by_name_and_nothing_else_is(videos):
     (videos / "notes.txt").write_text("")
     (videos / ".hidden.mp4").write_bytes(b"")
-    assert [path.name for path in find_recordings(videos)] == ["alley.mp4", "bridge.mp4"]
+    assert [place.path.name for place, _ in find_drives(videos)] == ["alley.mp4", "bridge.mp4"]

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
-from olt_datasets.sources.waymo_frames import STATE_US
+from olt_datasets.sources.waymo.frames import STATE_US
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
 from olt_generator.trajectory import Trajectory
@@ -93,11 +93,7 @@ def _pose_of(frame: FramePath, other: FramePath, where: str) -> Array:
             f"{between} tell of paths of {lengths[0]:.1f} and {lengths[1]:.1f} m over the same time; "
             "they are not of one drive, give Waymo's shards unchanged"
         )
-    return _laid_on(here, there)
-
-
-def _laid_on(here: Array, there: Array) -> Array:
-    """The planar motion (4, 4) that brings points (n, 2) closest to points (n, 2) (Kabsch, in the plane)."""
+    # The planar motion that brings the points of one closest to those of the other (Kabsch, in the plane).
     here_middle, there_middle = here.mean(axis=0), there.mean(axis=0)
     a, b = here - here_middle, there - there_middle
     yaw = 0.0

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
-from olt_datasets.sources.tfrecord import map_records, record_spans
-from olt_datasets.sources.waymo_frames import read_states
+from olt_datasets.sources.waymo.frames import read_states
+from olt_datasets.sources.waymo.tfrecord import map_records, record_spans
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array
@@ -58,7 +58,11 @@ def build_index(root: Path, cache: Path, on_progress: Progress = silent) -> Path
     shards = sorted(path for path in root.rglob(SHARDS) if path.is_file())
     if not shards:
         raise InputError(f"{root}: holds no file {SHARDS}; give the folder with the shards of Waymo's E2E data set")
-    tasks = [_task(root, shard, cache) for shard in shards]
+    tasks = []
+    for shard in shards:
+        state, name = shard.stat(), shard.relative_to(root).as_posix()
+        digest = _digest([name, str(state.st_size), str(state.st_mtime_ns), str(SCHEMA)])
+        tasks.append(ShardTask(shard, name, cache / f"shard-{digest}.parquet"))
     missing = [task for task in tasks if not task.index.is_file()]
     worth_workers = sum(task.path.stat().st_size for task in missing) > _WORTH_WORKERS
     map_parallel(index_shard, missing, default_workers() if worth_workers else 1, on_progress)
@@ -100,12 +104,6 @@ def index_shard(task: ShardTask) -> None:
 def positions(values: Sequence[float]) -> Array:
     """Positions (n, 2) of a cell of `past` or `future`."""
     return np.array(values, dtype=np.float64).reshape(-1, 2)
-
-
-def _task(root: Path, shard: Path, cache: Path) -> ShardTask:
-    state, name = shard.stat(), shard.relative_to(root).as_posix()
-    digest = _digest([name, str(state.st_size), str(state.st_mtime_ns), str(SCHEMA)])
-    return ShardTask(shard, name, cache / f"shard-{digest}.parquet")
 
 
 def _digest(words: list[str]) -> str:

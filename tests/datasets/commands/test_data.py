@@ -8,11 +8,11 @@ from typer.testing import CliRunner
 
 from olt_datasets.commands.data import app
 from olt_datasets.commands.mix import app as mix
-from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
-from .toy_drives import ToyDataset, make_drive
+from ..toy_drives import ToyDataset, make_drive
 
 
 def run(*arguments):
@@ -24,7 +24,7 @@ def toy(open_toy):
     """Two drives of ten seconds with true views, and the options that open them."""
     drives = {key: make_drive(key, 100, true_views=POLICY_CAMERAS) for key in ("a", "b")}
     place, dataset = open_toy(ToyDataset(drives))
-    return dataset, place.root, ("--cache", place.cache, "--workers", 1)
+    return dataset, place.path, ("--cache", place.cache, "--workers", 1)
 
 
 def test_sources_are_listed_with_their_terms():
@@ -78,9 +78,9 @@ def test_leaks_are_listed_with_exit_status_1(write_store, make_clip):
 
 
 @pytest.mark.parametrize(("recipe", "samples"), [("base_r1", 0), ("nv_ood_syn", 12_248), ("gt_longtail", 13_248)])
-def test_the_recipes_of_the_paper_compose_from_a_made_up_table(tmp_path, recipe, samples):
-    table = tmp_path / "made_up.parquet"
-    assert run("make-up", table, "--clips", 100_000).exit_code == 0
+def test_the_recipes_of_the_paper_compose_from_a_fake_table(tmp_path, recipe, samples):
+    table = tmp_path / "fake.parquet"
+    assert run("fake", table, "--clips", 100_000).exit_code == 0
     result = CliRunner().invoke(mix, ["compose", recipe, "--stores", str(table), "--json"])
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["samples_per_epoch"] == samples

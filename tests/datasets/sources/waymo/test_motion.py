@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_datasets.sources.waymo_motion import FramePath, chain_paths
+from olt_datasets.sources.waymo.motion import FramePath, chain_paths
 from olt_generator.errors import InputError
 from olt_generator.poses import invert, planar_pose, transform, yaw_of
 

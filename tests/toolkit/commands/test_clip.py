@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-import olt_toolkit.recordings.recording
+import olt_toolkit.recordings.drives
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose
@@ -16,6 +16,7 @@ from olt_generator.video import read_video
 from olt_toolkit.clips.clip import make_clip_id
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.commands.clip import app
+from olt_toolkit.recordings.drives import WHOLE
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS
 
@@ -41,27 +42,33 @@ def source(monkeypatch):
 
     class Reader:
         name = "test"
+        licence = None
         options = None
 
         def recognises(self, path: Path) -> bool:
             return path.suffix.lower() == ".drive"
 
-        def open(self, path, options):
+        def open(self, path, cache):
+            return OneDrive(path)
+
+        def record(self, path, options):
             self.options = options
             return replace(recording, name=path.stem)
 
+    class OneDrive:
+        source = "test"
+
+        def __init__(self, path):
+            self.path = path
+
+        def keys(self):
+            return [WHOLE]
+
+        def open(self, key, window_us, options):
+            return reader.record(self.path, options)
+
     reader = Reader()
-
-    class Entry:
-        name = "test"
-
-        def load(self):
-            return reader
-
-        def __lt__(self, other):
-            return False
-
-    monkeypatch.setattr(olt_toolkit.recordings.recording, "entry_points", lambda group: [Entry()])
+    monkeypatch.setattr(olt_toolkit.recordings.drives, "readers", lambda: {reader.name: reader})
     return reader
 
 
@@ -140,14 +147,14 @@ def test_wrong_options_are_refused_before_anything_is_written(tmp_path, drive, a
 @pytest.mark.slow
 def test_label_noise_is_measured_where_there_are_labels(tmp_path, drive, source, monkeypatch):
     def open_longer(path, options):
-        short = type(source).open(source, path, options)
+        short = type(source).record(source, path, options)
         timestamps_us = 100_000 * np.arange(85, dtype=np.int64)
         standing = Trajectory(timestamps_us, np.repeat(short.reference.T_world_rig[:1], 85, axis=0))
         frames = np.repeat(short.frames[:1], 85, axis=0)
         return replace(short, frames=frames, timestamps_us=timestamps_us, reference=standing)
 
     assert json.loads(build(drive, "--out", tmp_path / "short", "--json").stdout)["label_noise"] is None
-    monkeypatch.setattr(source, "open", open_longer)
+    monkeypatch.setattr(source, "record", open_longer)
     result = build(drive, "--out", tmp_path / "clips", "--json")
     noise = json.loads(result.stdout)["label_noise"]
     assert noise["samples"] > 0
@@ -240,10 +247,10 @@ def test_an_interrupted_folder_run_goes_on_and_ends_the_same(drives, source, mon
         opened.append(path.stem)
         if path.stem == "town":
             raise KeyboardInterrupt
-        return type(source).open(source, path, options)
+        return type(source).record(source, path, options)
 
     with monkeypatch.context() as patch:
-        patch.setattr(source, "open", open_until_interrupted)
+        patch.setattr(source, "record", open_until_interrupted)
         assert build(drives, "--out", resumed, "--workers", 1).exit_code != 0
     assert not (resumed / "clips.parquet").exists()
     assert "town" in opened
@@ -257,9 +264,9 @@ def test_a_recording_that_fails_stops_the_run_or_is_listed_at_its_end(drives, so
     def open_or_fail(path, options):
         if path.stem == "bridge":
             raise InputError("bridge: too dark; give another video")
-        return type(source).open(source, path, options)
+        return type(source).record(source, path, options)
 
-    monkeypatch.setattr(source, "open", open_or_fail)
+    monkeypatch.setattr(source, "record", open_or_fail)
     stopped = build(drives, "--out", drives / "clips", "--workers", 1)
     assert "too dark" in str(stopped.exception)
     assert not (drives / "clips" / "clips.parquet").exists()

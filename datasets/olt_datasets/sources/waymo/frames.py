@@ -1,15 +1,16 @@
 """One frame of the Waymo Open data set for end-to-end driving: what of an `E2EDFrame` message is used.
 
-Field numbers are those of Waymo's `end_to_end_driving_data.proto` and `dataset.proto`. The rig is Waymo's vehicle frame
-(x forward, y left, z up, rear axle) at the time of the frame. Waymo's camera axes are x forward, y left, z up.
+The rig is Waymo's vehicle frame (x forward, y left, z up, rear axle) at the time of the frame. Waymo's camera axes are
+x forward, y left, z up.
 """
 
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from olt_datasets.sources.wire_format import Message
+from olt_datasets.sources.waymo.messages import read_frame
 from olt_generator.cameras import BrownConradyCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import R_FORWARD_CAMERA, Array, make_pose
@@ -64,7 +65,7 @@ class FrameStates:
 class FrameImages:
     """Images of one frame by camera, as JPEG files, and the cameras."""
 
-    jpegs: dict[str, memoryview]
+    jpegs: dict[str, bytes]
     cameras: dict[str, MountedCamera]
 
 
@@ -74,44 +75,48 @@ def read_states(record: memoryview, where: str) -> FrameStates:
     Raises:
         InputError: it is no frame of this data set; names the field.
     """
-    message = Message(record, (1, 5, 6, 8), where)
-    frame = Message(message.data(1), (1, 4), f"{where}: frame")
-    name = Message(frame.data(1), (1,), f"{where}: frame.context").text(1)
+    message = read_frame(record, where)
+    name = message.frame.context.name.decode(errors="replace")
     match = _NAME.fullmatch(name)
     if match is None:
         raise InputError(f"{where}: frame.context.name {name!r} is not SEQUENCE-INDEX; give records of Waymo's E2E set")
-    images = [Message(image, (1,), f"{where}: frame.images").number(1) for image in frame.all_data(4)]
+    images = [image.name for image in message.frame.images]
     if len(set(images)) < len(images):
         raise InputError(f"{where}: frame.images holds a camera twice; copy the file again")
-    past = _positions(message.data(6), _MOST_PAST, f"{where}: past_states")
+    past = _positions(message.past_states, _MOST_PAST, f"{where}: past_states")
     if len(past) < 2 or np.linalg.norm(past[-1]) > _NOW_TOLERANCE:
         raise InputError(f"{where}: past_states are fewer than 2 or do not end at the origin; copy the file again")
     return FrameStates(
         sequence=match["sequence"],
         index=int(match["index"]),
         past=past,
-        future=_positions(message.data(5), _MOST_FUTURE, f"{where}: future_states"),
+        future=_positions(message.future_states, _MOST_FUTURE, f"{where}: future_states"),
         cameras=tuple(_camera_name(number, where) for number in sorted(images)),
-        rated=_is_rated(message.all_data(8), f"{where}: preference_trajectories"),
+        # A trajectory has a valid score, 0 to 10, or -1 for none.
+        rated=any(
+            rated.HasField("preference_score") and rated.preference_score >= 0.0
+            for rated in message.preference_trajectories
+        ),
     )
 
 
-def read_images(record: memoryview, where: str) -> FrameImages:
+def read_images(record: bytes | memoryview, where: str, with_images: bool = True) -> FrameImages:
     """The images of a record, still coded, and their cameras, matched by name.
+
+    Args:
+        record: the bytes of the record.
+        where: what errors call it.
+        with_images: False where only the cameras are wanted: images are jumped over, and each is empty.
 
     Raises:
         InputError: it is no frame of this data set, or an image has no calibration; names the field.
     """
-    frame = Message(Message(record, (1,), where).data(1), (1, 4), f"{where}: frame")
-    context = Message(frame.data(1), (2,), f"{where}: frame.context")
-    cameras = dict(_calibration(data, f"{where}: camera_calibrations") for data in context.all_data(2))
-    jpegs = {}
-    for data in frame.all_data(4):
-        image = Message(data, (1, 2), f"{where}: frame.images")
-        name = _camera_name(image.number(1), where)
+    frame = read_frame(record, where, with_images).frame
+    cameras = dict(_calibration(each, f"{where}: camera_calibrations") for each in frame.context.camera_calibrations)
+    jpegs = {_camera_name(image.name, where): image.image for image in frame.images}
+    for name in jpegs:
         if name not in cameras:
             raise InputError(f"{where}: camera {name} has an image and no calibration; copy the file again")
-        jpegs[name] = image.data(2)
     return FrameImages(jpegs, {name: cameras[name] for name in jpegs})
 
 
@@ -121,10 +126,9 @@ def _camera_name(number: int, where: str) -> str:
     return CAMERAS[number]
 
 
-def _positions(content: memoryview, most: int, where: str) -> Array:
+def _positions(states: Any, most: int, where: str) -> Array:
     """Positions (n, 2), n up to `most`."""
-    states = Message(content, (1, 2), where)
-    x, y = states.floats(1), states.floats(2)
+    x, y = np.array(states.pos_x), np.array(states.pos_y)
     if len(x) != len(y) or len(x) > most:
         raise InputError(f"{where}: {len(x)} pos_x and {len(y)} pos_y; up to {most} of each are expected")
     if not np.all(np.abs([x, y]) < _FARTHEST):
@@ -132,18 +136,10 @@ def _positions(content: memoryview, most: int, where: str) -> Array:
     return np.stack([x, y], axis=-1)
 
 
-def _is_rated(trajectories: list[memoryview], where: str) -> bool:
-    """Whether any trajectory has a valid score, 0 to 10; -1 stands for none."""
-    scores = [Message(content, (8,), where).floats(8) for content in trajectories]
-    return any(len(score) == 1 and score[0] >= 0.0 for score in scores)
-
-
-def _calibration(content: memoryview, where: str) -> tuple[str, MountedCamera]:
-    message = Message(content, (1, 2, 3, 4, 5), where)
-    name = _camera_name(message.number(1), where)
-    intrinsic = message.doubles(2)
-    extrinsic = Message(message.data(3), (1,), where).doubles(1)
-    width, height = message.number(4), message.number(5)
+def _calibration(message: Any, where: str) -> tuple[str, MountedCamera]:
+    name = _camera_name(message.name, where)
+    intrinsic = np.array(message.intrinsic)
+    width, height = message.width, message.height
     if len(intrinsic) != 9 or not np.all(np.abs(intrinsic) < _LARGEST_INTRINSIC) or min(intrinsic[:2]) < 1.0:
         raise InputError(f"{where}: intrinsic of {name} is not f_u, f_v, c_u, c_v, k1, k2, p1, p2, k3; copy it again")
     if not 1 <= min(width, height) <= max(width, height) <= _LARGEST_SIDE:
@@ -152,16 +148,14 @@ def _calibration(content: memoryview, where: str) -> tuple[str, MountedCamera]:
     k1, k2, p1, p2, k3 = np.where(np.abs(intrinsic[4:]) < _NO_DISTORTION, 0.0, intrinsic[4:]).tolist()
     # Waymo's pixel 0 is the left edge of the first pixel (dataset.proto, camera_projection), ours is its centre.
     camera = BrownConradyCamera(width, height, fx, fy, cx - 0.5, cy - 0.5, k1, k2, p1, p2, k3)
-    return name, MountedCamera(camera, _mounting(extrinsic, f"{where}: extrinsic of {name}"))
-
-
-def _mounting(extrinsic: Array, where: str) -> Array:
-    """T_rig_camera (4, 4) with our camera axes."""
+    extrinsic = np.array(message.extrinsic.transform)
     if len(extrinsic) != 16:
-        raise InputError(f"{where} has {len(extrinsic)} numbers instead of 16; copy the file again")
+        raise InputError(
+            f"{where}: extrinsic of {name} has {len(extrinsic)} numbers instead of 16; copy the file again"
+        )
     pose = extrinsic.reshape(4, 4)
     rotation = pose[:3, :3]
     is_small = np.all(np.abs(pose) < _FARTHEST)
     if not is_small or not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) or np.linalg.det(rotation) < 0.0:
-        raise InputError(f"{where} is no rigid motion; copy the file again")
-    return make_pose(rotation @ R_FORWARD_CAMERA, pose[:3, 3])
+        raise InputError(f"{where}: extrinsic of {name} is no rigid motion; copy the file again")
+    return name, MountedCamera(camera, make_pose(rotation @ R_FORWARD_CAMERA, pose[:3, 3]))

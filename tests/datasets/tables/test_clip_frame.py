@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 from polars.testing import assert_frame_equal
 
-from olt_datasets.tables.clip_table import explode_samples, read_clip_tables, scan_clip_tables, table_checksum
+from olt_datasets.tables.clip_frame import explode_samples, read_clip_tables, scan_clip_tables, table_checksum
 from olt_generator.errors import InputError
 
 

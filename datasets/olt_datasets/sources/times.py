@@ -1,12 +1,26 @@
-"""Which image of another camera stands beside each front image, and the ego motion over a recording's time."""
+"""Times of a drive: which images lie in a window or stand beside others, and the ego motion from a window's start."""
 
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
+from olt_toolkit.policy.window import Span
 
 # An image further in time than this from the front image that it is to stand beside is taken for missing.
 FARTHEST_US = 100_000
+
+
+def images_within(front_us: NDArray[np.int64], window_us: Span, where: str) -> NDArray[np.intp]:
+    """Numbers (m,) of the images at times (n,) in microseconds that lie in [first, last].
+
+    Raises:
+        InputError: there are none; names `where`.
+    """
+    inside = np.flatnonzero((front_us >= window_us[0]) & (front_us <= window_us[1]))
+    if len(inside) == 0:
+        raise InputError(f"{where}: no front image lies between {window_us[0]} and {window_us[1]} us of the drive")
+    return inside
 
 
 def nearest_images(times_us: NDArray[np.int64], wanted_us: NDArray[np.int64]) -> NDArray[np.int64]:

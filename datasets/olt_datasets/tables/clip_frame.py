@@ -7,7 +7,7 @@ given, so that everything drawn from a table by row number is reproducible.
 
 import hashlib
 from collections.abc import Callable, Sequence
-from functools import reduce
+from functools import partial, reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
@@ -46,7 +46,8 @@ def scan_clip_tables(paths: Sequence[Path]) -> pl.LazyFrame:
         raise InputError(f"{twice} was given twice; give each store and each table once")
     if not resolved:
         raise InputError(f"no clip table was given; give a folder that holds {CLIP_TABLE}, or an indexed table")
-    return reduce(_merge, [_scan_clip_table(path) for path in resolved])
+    merge = partial(pl.LazyFrame.merge_sorted, key="clip_id", maintain_order=True)
+    return reduce(merge, [_scan_clip_table(path) for path in resolved])
 
 
 def read_clip_tables(paths: Sequence[Path]) -> pl.DataFrame:
@@ -125,10 +126,6 @@ def _hash_of(data: bytes) -> hashlib.blake2b:
     return hashlib.blake2b(data, digest_size=16)
 
 
-def _merge(first: pl.LazyFrame, second: pl.LazyFrame) -> pl.LazyFrame:
-    return first.merge_sorted(second, key="clip_id", maintain_order=True)
-
-
 def _scan_clip_table(path: Path) -> pl.LazyFrame:
     file = path if path.suffix == TABLE_SUFFIX else path / CLIP_TABLE
     if not file.is_file():
@@ -136,7 +133,13 @@ def _scan_clip_table(path: Path) -> pl.LazyFrame:
             f"{file}: no such file; give the folder of a clip store, or the {TABLE_SUFFIX} file of indexed clips"
         )
     try:
-        _check_schema(file)
+        check_table_version(pl.read_parquet_metadata(file).get(VERSION_KEY.decode()), file)
+        found = pl.read_parquet_schema(file)
+        for name, dtype in SCHEMA.items():
+            if name not in found:
+                raise InputError(f"{file}: column {name} is missing; build the clips again")
+            if found[name] != dtype:
+                raise InputError(f"{file}: column {name} is {found[name]}, not {dtype}; build the clips again")
         table = pl.scan_parquet(file).select(SCHEMA.names())
         is_sorted = _check_values(table, file)
     except (pl.exceptions.PolarsError, OSError) as error:
@@ -146,29 +149,24 @@ def _scan_clip_table(path: Path) -> pl.LazyFrame:
     return ordered.with_columns(store=pl.lit(str(path)))
 
 
-def _check_schema(file: Path) -> None:
-    check_table_version(pl.read_parquet_metadata(file).get(VERSION_KEY.decode()), file)
-    found = pl.read_parquet_schema(file)
-    for name, dtype in SCHEMA.items():
-        if name not in found:
-            raise InputError(f"{file}: column {name} is missing; build the clips again")
-        if found[name] != dtype:
-            raise InputError(f"{file}: column {name} is {found[name]}, not {dtype}; build the clips again")
-
-
 def _check_values(table: pl.LazyFrame, file: Path) -> bool:
     """Check every value, a few columns at a time; returns whether the rows are sorted by clip id."""
     statistics = pq.read_metadata(file)
     for name, dtype in SCHEMA.items():
         if _count_empty_cells(table, name, dtype, statistics):
             raise InputError(f"{file}: column {name} has empty cells; every clip needs a value")
-    _check_words(table, "kind", get_args(ClipKind), file)
-    _check_words(table, "split", get_args(Split), file)
+    for name, allowed in (("kind", get_args(ClipKind)), ("split", get_args(Split))):
+        unknown = _tell(table, pl.col(name).filter(~pl.col(name).is_in(allowed)).min())
+        if unknown is not None:
+            raise InputError(f"{file}: column {name} has {unknown!r}; it must be one of {', '.join(allowed)}")
     if _tell(table, (pl.col("end_us") < pl.col("start_us")).any()):
         raise InputError(f"{file}: column end_us is less than start_us; a clip ends after it starts")
     if _tell(table, (pl.col("clip_id") > pl.col("clip_id").shift(1)).all()):
         return True
-    _refuse_repeated(table, file)
+    clip_ids = table.select("clip_id").collect()["clip_id"].sort()
+    repeated = clip_ids.filter(clip_ids == clip_ids.shift(1))
+    if len(repeated):
+        raise InputError(f"{file}: column clip_id has {repeated[0]!r} more than once; each clip needs one row")
     return False
 
 
@@ -186,18 +184,5 @@ def _count_empty_cells(table: pl.LazyFrame, name: str, dtype: pl.DataType, stati
     return _tell(table, column.null_count())
 
 
-def _check_words(table: pl.LazyFrame, name: str, allowed: Sequence[str], file: Path) -> None:
-    unknown = _tell(table, pl.col(name).filter(~pl.col(name).is_in(allowed)).min())
-    if unknown is not None:
-        raise InputError(f"{file}: column {name} has {unknown!r}; it must be one of {', '.join(allowed)}")
-
-
 def _tell(table: pl.LazyFrame, question: pl.Expr) -> Any:
     return table.select(question).collect(engine="streaming").item()
-
-
-def _refuse_repeated(table: pl.LazyFrame, file: Path) -> None:
-    clip_ids = table.select("clip_id").collect()["clip_id"].sort()
-    repeated = clip_ids.filter(clip_ids == clip_ids.shift(1))
-    if len(repeated):
-        raise InputError(f"{file}: column clip_id has {repeated[0]!r} more than once; each clip needs one row")

@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from olt_datasets.sources import waymo_index
+from olt_datasets.sources.waymo import index
 from olt_generator.errors import InputError
 from olt_generator.poses import invert, yaw_of
 from olt_toolkit.recordings.drives import open_dataset
@@ -157,8 +157,8 @@ def test_a_frame_that_is_there_twice_is_refused(open_shards, make_records):
 def test_only_changed_shards_are_indexed_again(open_shards, make_records, tmp_path, monkeypatch):
     open_shards(make_records("a", 6))
     indexed = []
-    index_shard = waymo_index.index_shard
-    monkeypatch.setattr(waymo_index, "index_shard", lambda task: (indexed.append(task.name), index_shard(task)))
+    index_shard = index.index_shard
+    monkeypatch.setattr(index, "index_shard", lambda task: (indexed.append(task.name), index_shard(task)))
     open_dataset(tmp_path / "shards", tmp_path / "cache")
     assert indexed == []
     dataset = open_shards(make_records("b", 2), split="val", shards=1)
@@ -181,7 +181,7 @@ def test_the_index_reads_no_image_and_opening_checks_it(open_shards, make_record
 @pytest.mark.slow
 def test_an_index_built_by_workers_is_the_same(open_shards, make_records, tmp_path, monkeypatch):
     dataset = open_shards(make_records("a", 6))
-    monkeypatch.setattr(waymo_index, "_WORTH_WORKERS", 0)
+    monkeypatch.setattr(index, "_WORTH_WORKERS", 0)
     again = open_dataset(tmp_path / "shards", tmp_path / "other_cache")
     first, second = (sorted((tmp_path / name).rglob("*.parquet")) for name in ("cache", "other_cache"))
     assert [path.name for path in first] == [path.name for path in second]

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_datasets.sources.image_times import farthest_apart, nearest_images, starting_at
+from olt_datasets.sources.times import farthest_apart, nearest_images, starting_at
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 

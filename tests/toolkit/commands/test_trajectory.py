@@ -5,7 +5,7 @@ import json
 import pytest
 from typer.testing import CliRunner
 
-import olt_toolkit.recordings.recording
+import olt_toolkit.recordings.drives
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_toolkit.benchmarks.odometry import CAMERA, MOUNTING, make_drive
@@ -21,7 +21,7 @@ def drive(monkeypatch, tmp_path):
     recording = Recording(
         "street", "test", frames, reference.timestamps_us, CAMERA, MOUNTING, DEFAULT_VEHICLE, reference=reference
     )
-    monkeypatch.setattr(olt_toolkit.recordings.recording, "open_recording", lambda path, options: recording)
+    monkeypatch.setattr(olt_toolkit.recordings.drives, "open_recording", lambda path, options, cache: recording)
     return tmp_path / "street.drive"
 
 
