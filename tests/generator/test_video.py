@@ -51,6 +51,19 @@ def test_same_frames_give_same_bytes(tmp_path):
     assert (tmp_path / "a.mp4").read_bytes() == (tmp_path / "b.mp4").read_bytes()
 
 
+def test_same_frames_give_same_bytes_whatever_lay_in_memory_before(tmp_path):
+    random = np.random.default_rng(0)
+    walk = np.cumsum(random.normal(size=(40, 64, 112, 3)), axis=2)
+    frames = (255 * (walk - walk.min()) / np.ptp(walk)).astype(np.uint8)
+    seen, used = set(), []
+    for index in range(4):
+        used.append(random.bytes(500_000 * (index + 1)))  # what the encoder is given next is not zero
+        write_video(tmp_path / "grid.mp4", frames, 10.0, grid=3)
+        seen.add((tmp_path / "grid.mp4").read_bytes())
+        used.pop(random.integers(len(used)))
+    assert len(seen) == 1
+
+
 def test_frames_shrink_to_the_working_width_and_never_grow(tmp_path):
     write_video(tmp_path / "clip.mp4", moving_picture(3), 30)
     assert read_video(tmp_path / "clip.mp4", width=32).frames.shape == (3, 24, 32, 3)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from olt_sft_recipes.toy_config import ToyPolicyConfig
+from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_toolkit.policy.sample import PolicySample, SampleKey
 
 

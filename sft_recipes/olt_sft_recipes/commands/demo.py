@@ -5,11 +5,15 @@ from typing import Annotated
 
 import typer
 
+from olt_toolkit.commands.clip_options import CameraOptions, unpack_options
+
 app = typer.Typer(add_completion=False)
 
 
 @app.command(help="Run the main job: one front video to four views, two mixtures, two policies, closed-loop scores.")
+@unpack_options
 def demo(
+    camera: CameraOptions,
     out: Annotated[Path, typer.Option(help="Folder of the run; an interrupted run there goes on.")] = Path("runs/demo"),
     video: Annotated[
         Path | None, typer.Option(help="A front-camera video; without it a drive of the synthetic world is taken.")
@@ -19,12 +23,16 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> None:
     """Run the main job and print the score table and the path of the report."""
-    from olt_sft_recipes.demo import main_job
+    from olt_generator.errors import InputError
+    from olt_sft_recipes.demo.main_job import DemoSettings, run_demo
     from olt_sft_recipes.demo.report import REPORT, SCORE_COLUMNS, score_rows
-    from olt_sft_recipes.demo.settings import DemoSettings
     from olt_toolkit.runtime.console import print_json, print_line, print_table
 
-    summary = main_job.run_demo(out, DemoSettings(seed=seed), video, workers)
+    if video is None and camera != CameraOptions():
+        raise InputError("olt demo: --fov and --camera-height tell of a --video; give one, or leave them out")
+    opening = camera.opening()
+    settings = DemoSettings(seed=seed, video_fov=opening.horizontal_fov, video_camera_height=opening.camera_height)
+    summary = run_demo(out, settings, video, workers)
     if as_json:
         print_json(summary)
         return

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from olt_datasets.mixtures.mixture import Mixture
+    from olt_datasets import Mixture
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Train the toy policy, and judge it in open loop.")
 
@@ -14,7 +14,7 @@ Stores = Annotated[list[Path], typer.Option(help="Clip store; may be given sever
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
-@app.command(help="Train both stages on a mixture; an interrupted training keeps its finished stage.")
+@app.command(help="Train both stages on a mixture; a stage that this code finished with equal settings is kept.")
 def train(
     out: Annotated[Path, typer.Option(help="Folder of the training; OUT/policy is what drives.")],
     mixture: Annotated[Path | None, typer.Option(help="A mixture that `olt mix compose` wrote.")] = None,
@@ -26,8 +26,8 @@ def train(
     as_json: JsonOption = False,
 ) -> None:
     """Train, and print the losses."""
-    from olt_sft_recipes.stage_config import builtin_stage_config, read_stage_config
-    from olt_sft_recipes.training import train_on_mixture
+    from olt_sft_recipes.training.stage_config import builtin_stage_config, read_stage_config
+    from olt_sft_recipes.training.two_stages import train_on_mixture
     from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
     from olt_toolkit.runtime.threads import use_one_thread
 
@@ -60,10 +60,10 @@ def evaluate(
     as_json: JsonOption = False,
 ) -> None:
     """Print displacement errors."""
-    from olt_closed_loop.simulation.policies import make_policy
+    from olt_closed_loop import make_policy
     from olt_generator.errors import InputError
     from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
-    from olt_toolkit.clips.store import ClipStore
+    from olt_toolkit import ClipStore
     from olt_toolkit.runtime.console import print_json, print_table
 
     chosen = make_policy(policy)
@@ -81,10 +81,7 @@ def evaluate(
 
 
 def _choose_mixture(mixture: Path | None, recipe: str | None, stores: list[Path], seed: int) -> "Mixture":
-    from olt_datasets.mixtures.mixture import compose_mixture
-    from olt_datasets.mixtures.mixture_file import read_mixture
-    from olt_datasets.mixtures.recipe import find_recipe
-    from olt_datasets.tables.clip_frame import read_clip_tables
+    from olt_datasets import compose_mixture, find_recipe, read_clip_tables, read_mixture
     from olt_generator.errors import InputError
 
     if mixture is not None and recipe is None:

@@ -3,7 +3,7 @@ import math
 import pytest
 
 from olt_generator.errors import InputError
-from olt_sft_recipes.stage_config import builtin_stage_config, read_stage_config
+from olt_sft_recipes.training.stage_config import builtin_stage_config, read_stage_config
 
 
 def write(tmp_path, text):

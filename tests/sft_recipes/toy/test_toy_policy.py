@@ -5,10 +5,10 @@ import pytest
 import torch
 
 from olt_generator.errors import InputError
-from olt_sft_recipes.driving_samples import DrivingSamples
-from olt_sft_recipes.toy_inputs import encode_inputs
-from olt_sft_recipes.toy_model import ToyModel
-from olt_sft_recipes.toy_policy import ToyPolicy, load_toy, read_model, save_model
+from olt_sft_recipes.toy.checkpoint import ToyModel, read_model, save_model
+from olt_sft_recipes.toy.inputs import encode_inputs
+from olt_sft_recipes.toy.policy import ToyPolicy, load_toy
+from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_toolkit.policy.contract import Observation
 
 
@@ -36,31 +36,31 @@ def observe(sample, seed):
     )
 
 
-def test_a_word_depends_only_on_the_words_before_it(model, inputs):
-    words = torch.zeros(2, 128, dtype=torch.long)
-    changed = words.clone()
+def test_a_token_depends_only_on_the_tokens_before_it(model, inputs):
+    tokens = torch.zeros(2, 128, dtype=torch.long)
+    changed = tokens.clone()
     changed[:, 60] = 1234
     nothing_hidden = torch.zeros(2, 128, dtype=torch.bool)
     with torch.no_grad():
-        before, _ = model.say(inputs, words, nothing_hidden)
-        after, _ = model.say(inputs, changed, nothing_hidden)
+        before, _ = model.vlm(inputs, tokens, nothing_hidden)
+        after, _ = model.vlm(inputs, changed, nothing_hidden)
     assert torch.equal(before[:, :61], after[:, :61])
     assert not torch.allclose(before[:, 61:], after[:, 61:])
 
 
-def test_a_hidden_word_is_not_heard(model, inputs):
-    words = torch.zeros(2, 128, dtype=torch.long)
-    changed = words.clone()
+def test_a_hidden_token_is_not_seen(model, inputs):
+    tokens = torch.zeros(2, 128, dtype=torch.long)
+    changed = tokens.clone()
     changed[:, 60] = 1234
     hidden = torch.zeros(2, 128, dtype=torch.bool)
     hidden[:, 60] = True
     with torch.no_grad():
-        assert torch.equal(model.say(inputs, words, hidden)[0], model.say(inputs, changed, hidden)[0])
+        assert torch.equal(model.vlm(inputs, tokens, hidden)[0], model.vlm(inputs, changed, hidden)[0])
 
 
 def test_the_expert_sees_the_prefix_and_nothing_after_it(model, inputs, tiny_config):
     prefix_length = tiny_config.image_tokens + 48 + 1
-    for keys, values in model.cache(inputs):
+    for keys, values in model.vlm.prefix_cache(inputs):
         assert keys.shape == values.shape == (2, tiny_config.heads, prefix_length, tiny_config.head_width)
         assert not keys.requires_grad
 

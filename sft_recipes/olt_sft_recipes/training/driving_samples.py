@@ -1,7 +1,7 @@
-"""Training samples in memory, and the two ways in which a few of them are made to teach more.
+"""Training samples in memory, and two ways to augment them.
 
-A policy that has seen a few hundred moments of driving learns them by heart. Mirrored moments double what there is;
-a moved moment shows what the road looks like from a little off the path, and how to get back.
+A policy that has seen a few hundred moments of driving learns them by heart. Mirrored samples double what there is;
+a perturbed sample shows what the road looks like from a little off the path, and how to get back.
 """
 
 from dataclasses import dataclass, replace
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import pixel_rays
 from olt_generator.poses import Array, invert, planar_pose, transform
-from olt_sft_recipes.toy_config import ToyPolicyConfig
-from olt_sft_recipes.toy_inputs import look_at, planar_poses
+from olt_sft_recipes.toy.config import ToyPolicyConfig
+from olt_sft_recipes.toy.inputs import planar_poses, select_images
 from olt_toolkit.policy.action_space import trajectory_to_actions
 from olt_toolkit.policy.sample import PolicySample
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
@@ -30,7 +30,12 @@ FAR_METRES = 200.0
 
 @dataclass(frozen=True)
 class DrivingSamples:
-    """Samples of one size: images (n, 4, frames, 3, H, W); history (n, 16, 3) and future (n, 64, 3) of x, y, yaw."""
+    """Samples of one size.
+
+    Attributes:
+        images: (n, 4, frames, 3, H, W) uint8.
+        history, future: (n, 16, 3) and (n, 64, 3) of x, y in metres and yaw in radians, in the rig frame at t0.
+    """
 
     images: NDArray[np.uint8]
     history: Array
@@ -40,7 +45,7 @@ class DrivingSamples:
     def gather(cls, samples: list[PolicySample], config: ToyPolicyConfig) -> "DrivingSamples":
         """Take what the toy uses of loaded samples; its world is flat."""
         return cls(
-            np.stack([look_at(sample.image_frames, config) for sample in samples]),
+            np.stack([select_images(sample.image_frames, config) for sample in samples]),
             np.stack([planar_poses(sample.ego_history_xyz[0], sample.ego_history_rot[0]) for sample in samples]),
             np.stack([planar_poses(sample.ego_future_xyz[0], sample.ego_future_rot[0]) for sample in samples]),
         )
@@ -58,7 +63,7 @@ class DrivingSamples:
         images = self.images[:, MIRRORED_CAMERAS][..., ::-1]
         return DrivingSamples(np.ascontiguousarray(images), self.history * flip, self.future * flip)
 
-    def moved(self, offsets: Array, angles: Array) -> "DrivingSamples":
+    def perturbed(self, offsets: Array, angles: Array) -> "DrivingSamples":
         """The same moments with the vehicle off its path, to which it then returns.
 
         The history is the vehicle's own and stays. With offset d and angle a the distance from the path after s metres
@@ -68,7 +73,8 @@ class DrivingSamples:
             offsets: (n,) metres to the left.
             angles: (n,) small turns to the left in radians.
         """
-        distance = _arc_length(self.future)
+        steps = np.diff(self.future[..., :2], axis=1, prepend=0.0)
+        distance = np.cumsum(np.linalg.norm(steps, axis=-1), axis=1)
         slope, decay = (angles + offsets / RETURN_METRES)[:, None], np.exp(-distance / RETURN_METRES)
         off = (offsets[:, None] + slope * distance) * decay
         heading = slope * decay - off / RETURN_METRES
@@ -76,53 +82,43 @@ class DrivingSamples:
         x, y = x - off * np.sin(yaw), y + off * np.cos(yaw) - offsets[:, None]
         cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
         future = np.stack([cos * x + sin * y, cos * y - sin * x, yaw + heading - angles[:, None]], axis=-1)
-        images = np.stack([_move_images(*moved) for moved in zip(self.images, offsets, angles, strict=True)])
+        images = np.stack([_perturb_images(*sample) for sample in zip(self.images, offsets, angles, strict=True)])
         return replace(self, images=images, future=future)
 
     def actions(self) -> Array:
         """Normalised actions (n, 64, 2) that drive the futures."""
-        return trajectory_to_actions(*_in_space(self.history), *_in_space(self.future))
+        history, future = (planar_pose(*np.moveaxis(planar, -1, 0)) for planar in (self.history, self.future))
+        return trajectory_to_actions(history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3])
 
 
-def _arc_length(future: Array) -> Array:
-    steps = np.diff(future[..., :2], axis=1, prepend=0.0)
-    return np.cumsum(np.linalg.norm(steps, axis=-1), axis=1)
-
-
-def _move_images(images: NDArray[np.uint8], offset: float, angle: float) -> NDArray[np.uint8]:
-    """Images (4, frames, 3, H, W) of one moment as the moved vehicle would see its road and sky."""
+def _perturb_images(images: NDArray[np.uint8], offset: float, angle: float) -> NDArray[np.uint8]:
+    """Images (4, frames, 3, H, W) of one moment as the perturbed vehicle would see its road and sky."""
     height, width = images.shape[-2:]
-    moved = np.empty_like(images)
+    perturbed = np.empty_like(images)
     for camera, name in enumerate(POLICY_CAMERAS):
         u, v = _road_tables(name, width, height, offset, angle)
         for frame in range(images.shape[1]):
             picture = cv2.remap(
                 images[camera, frame].transpose(1, 2, 0), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
             )
-            moved[camera, frame] = picture.transpose(2, 0, 1)
-    return moved
+            perturbed[camera, frame] = picture.transpose(2, 0, 1)
+    return perturbed
 
 
 @lru_cache(maxsize=512)
 def _road_tables(
     name: str, width: int, height: int, offset: float, angle: float
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Column and row, each (height, width), where a pixel of the moved vehicle's camera is in the image that was taken.
+    """Column and row, each (height, width), where a pixel of the perturbed camera is in the image that was taken.
 
     Exact for the road plane, and for what is far above the horizon; what stands on the road is moved with it.
     """
     mounted = pav_rig().fitted(width, height)[name]
-    T_taken_moved = planar_pose(0.0, offset, angle)
+    T_taken_perturbed = planar_pose(0.0, offset, angle)
     rays = pixel_rays(mounted.camera) @ mounted.T_rig_camera[:3, :3].T
     down = np.minimum(rays[..., 2:], -1e-3)
     reach = np.where(rays[..., 2:] < 0.0, -mounted.T_rig_camera[2, 3] / down, FAR_METRES)
     points = mounted.T_rig_camera[:3, 3] + np.minimum(reach, FAR_METRES) * rays
-    points = transform(invert(mounted.T_rig_camera) @ T_taken_moved, points.reshape(-1, 3))
+    points = transform(invert(mounted.T_rig_camera) @ T_taken_perturbed, points.reshape(-1, 3))
     pixels = mounted.camera.project(points)[0].reshape(height, width, 2).astype(np.float32)
     return pixels[..., 0].copy(), pixels[..., 1].copy()
-
-
-def _in_space(poses: Array) -> tuple[Array, Array]:
-    """Positions (..., 3) and rotations (..., 3, 3) of planar poses (..., 3)."""
-    placed = planar_pose(*np.moveaxis(poses, -1, 0))
-    return placed[..., :3, 3], placed[..., :3, :3]

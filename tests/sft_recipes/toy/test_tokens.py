@@ -4,11 +4,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from olt_sft_recipes.tokens import decode_actions, encode_actions, encode_history
+from olt_sft_recipes.toy.tokens import decode_actions, encode_actions, encode_history
 from olt_toolkit.policy.action_space import trajectory_to_actions
 
-# Facts sheet alpamayo_interface, section 3: (speed, acceleration, curvature), first four future words, first six
-# history words.
+# The released tokenizers: (speed, acceleration, curvature), first four future tokens, first six history tokens.
 REFERENCE = [
     (10.0, 0.0, 0.0, [1494, 1498, 1493, 1498], [0, 500, 500, 624, 500, 500]),
     (5.0, 1.0, 0.0, [1714, 1498, 1713, 1498], [0, 500, 500, 544, 500, 500]),
@@ -34,24 +33,24 @@ def drive(speed, acceleration, curvature):
 
 
 @pytest.mark.parametrize(("speed", "acceleration", "curvature", "future", "history"), REFERENCE)
-def test_words_of_the_released_tokenizers(speed, acceleration, curvature, future, history):
+def test_tokens_of_the_released_tokenizers(speed, acceleration, curvature, future, history):
     xyz, rotation = drive(speed, acceleration, curvature)
     actions = trajectory_to_actions(xyz[:16], rotation[:16], xyz[16:], rotation[16:])
-    # Their arithmetic is single precision: a value on the edge between two words may fall to either.
-    assert np.abs(encode_actions(actions).tokens[:4] - future).max() <= 1
+    # Their arithmetic is single precision: a value on the edge between two tokens may fall to either.
+    assert np.abs(encode_actions(actions)[0][:4] - future).max() <= 1
     assert np.abs(encode_history(xyz[:16])[:6] - 3000 - history).max() <= 1
 
 
 @given(hnp.arrays(np.float64, (64, 2), elements=st.floats(-9.99, 9.99)))
 def test_decoding_gives_the_nearest_of_the_3000_values(actions):
-    words = encode_actions(actions)
-    assert words.saturated == 0
-    assert np.abs(decode_actions(words.tokens) - actions).max() <= 10.0 / 2999 + 1e-12
+    tokens, saturated = encode_actions(actions)
+    assert saturated == 0
+    assert np.abs(decode_actions(tokens) - actions).max() <= 10.0 / 2999 + 1e-12
 
 
 def test_what_is_cut_off_is_counted():
     actions = np.zeros((64, 2))
     actions[3, 0], actions[5, 1] = 11.0, -40.0
-    words = encode_actions(actions)
-    assert words.saturated == 2
-    assert words.tokens.min() == 0 and words.tokens.max() == 2999
+    tokens, saturated = encode_actions(actions)
+    assert saturated == 2
+    assert tokens.min() == 0 and tokens.max() == 2999

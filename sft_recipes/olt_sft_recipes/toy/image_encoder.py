@@ -1,10 +1,10 @@
-"""The eyes: one small convolutional network that turns every image into a few tokens."""
+"""The image encoder: one small convolutional network that turns every image into a few tokens."""
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from olt_sft_recipes.toy_config import CAMERAS, ToyPolicyConfig
+from olt_sft_recipes.toy.config import CAMERAS, ToyPolicyConfig
 
 
 class ImageEncoder(nn.Module):

@@ -1,7 +1,7 @@
-"""The action expert: a transformer that turns noise into a plan by flow matching.
+"""The action expert: a transformer that turns noise into a planned trajectory by flow matching.
 
 Its 64 tokens, one a waypoint, attend to each other in both directions and, layer by layer, to the keys and values that
-the language model kept for the prefix. Facts sheet alpamayo_interface, sections 6 to 8.
+the language model kept for the prefix (docs/formats/alpamayo.md).
 
 Flow matching: t = 0 is noise, t = 1 is data, x_t = t x + (1 - t) noise, and the expert learns the velocity x - noise.
 """
@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from olt_sft_recipes.language_model import KeysValues, join_heads, make_perceptron, split_heads
-from olt_sft_recipes.toy_config import ToyPolicyConfig
+from olt_sft_recipes.toy.config import ToyPolicyConfig
+from olt_sft_recipes.toy.language_model import KeysValues, join_heads, make_perceptron, split_heads
 from olt_toolkit.policy.contract import FUTURE_STEPS
 
 ACTION_SIZE = 2
@@ -52,8 +52,8 @@ class ActionExpert(nn.Module):
             nn.SiLU(),
             nn.Linear(config.expert_width, config.expert_width),
         )
-        # What the cache at future-start says at once; attention alone takes longer to find it than the toy trains.
-        self.first_guess = nn.Linear(config.layers * config.width, FUTURE_STEPS * ACTION_SIZE)
+        # Reads the cache at future-start directly; attention alone takes longer to find it than the toy trains.
+        self.cache_projection = nn.Linear(config.layers * config.width, FUTURE_STEPS * ACTION_SIZE)
         self.waypoints = nn.Parameter(0.02 * torch.randn(FUTURE_STEPS, config.expert_width))
         self.blocks = nn.ModuleList([ExpertBlock(config) for _ in range(config.layers)])
         self.norm = nn.LayerNorm(config.expert_width)
@@ -63,7 +63,7 @@ class ActionExpert(nn.Module):
         """Velocity (batch, 64, 2) of noisy actions (batch, 64, 2) at flow times (batch,)."""
         waves = fourier_features(time)[:, None].expand(-1, FUTURE_STEPS, -1)
         at_start = torch.cat([join_heads(values[:, :, -1:]) for _, values in cache], dim=-1)
-        guess = self.first_guess(at_start).view(-1, FUTURE_STEPS, ACTION_SIZE)
+        guess = self.cache_projection(at_start).view(-1, FUTURE_STEPS, ACTION_SIZE)
         x = self.action_in(torch.cat([noisy, waves, guess], dim=-1)) + self.waypoints
         for block, prefix in zip(self.blocks, cache, strict=True):
             x = block(x, prefix)
@@ -76,7 +76,7 @@ class ActionExpert(nn.Module):
         return functional.mse_loss(self(noisy, time, cache), actions - noise)
 
     def sample(self, noise: Tensor, cache: list[KeysValues]) -> Tensor:
-        """Carry noise (batch, 64, 2) to normalised actions by equal Euler steps."""
+        """Integrate noise (batch, 64, 2) to normalised actions by equal Euler steps."""
         x = noise
         for step in range(self.integration_steps):
             time = torch.full((len(x),), step / self.integration_steps)

@@ -1,10 +1,8 @@
-"""Trajectories as the words `<i0>` ... `<i3999>` of a language model (docs/formats/alpamayo.md).
+"""Trajectories as the tokens `<i0>` ... `<i3999>` of a language model (docs/formats/alpamayo.md).
 
-Words 0 to 2,999 say future actions, words 3,000 to 3,999 say steps of the history. Indices count from the first
-trajectory word; a real vocabulary adds the id of `<i0>`.
+Tokens 0 to 2,999 stand for future actions, tokens 3,000 to 3,999 for steps of the history. Indices count from the first
+trajectory token; a real vocabulary adds the id of `<i0>`.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,33 +24,29 @@ ACTION_LIMIT = 10.0
 STEP_LIMITS = np.array([4.0, 4.0, 10.0])
 
 
-@dataclass(frozen=True)
-class EncodedActions:
-    """Future words (..., 128), and how many of them say the end of the range in place of a value beyond it."""
+def encode_actions(actions: Array) -> tuple[Tokens, int]:
+    """Tokens (..., 128) of normalised actions (..., 64, 2), in the order a0, k0, a1, k1, ...
 
-    tokens: Tokens
-    saturated: int
-
-
-def encode_actions(actions: Array) -> EncodedActions:
-    """Words for normalised actions (..., 64, 2), in the order a0, k0, a1, k1, ..."""
+    Returns:
+        The tokens, and how many of them are saturated: the end of the range in place of a value beyond it.
+    """
     scaled = (np.asarray(actions, dtype=np.float64) + ACTION_LIMIT) / (2.0 * ACTION_LIMIT)
     tokens, saturated = _quantise(scaled, FUTURE_BINS)
-    return EncodedActions(tokens.reshape(*tokens.shape[:-2], -1), saturated)
+    return tokens.reshape(*tokens.shape[:-2], -1), saturated
 
 
 def decode_actions(tokens: Tokens) -> Array:
-    """Normalised actions (..., 64, 2) of future words (..., 128)."""
+    """Normalised actions (..., 64, 2) of future tokens (..., 128)."""
     scaled = np.asarray(tokens) / (FUTURE_BINS - 1)
     actions = scaled * 2.0 * ACTION_LIMIT - ACTION_LIMIT
     return actions.reshape(*actions.shape[:-1], -1, 2)
 
 
 def encode_history(history_xyz: Array) -> Tokens:
-    """Words (..., 48) for a history (..., 16, 3) in the rig frame at t0, in the order dx0, dy0, dz0, dx1, ...
+    """Tokens (..., 48) of a history (..., 16, 3) in metres in the rig frame at t0, in the order dx0, dy0, dz0, dx1, ...
 
     The first step leads from the origin, where the history ends, to its oldest point: above 2.7 m/s its dx is cut off
-    at word 3,000. That is how the released model was trained.
+    at token 3,000. That is how the released model was trained.
     """
     history_xyz = np.asarray(history_xyz, dtype=np.float64)
     steps = np.diff(history_xyz, axis=-2, prepend=0.0)

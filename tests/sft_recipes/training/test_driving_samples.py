@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_sft_recipes.driving_samples import DrivingSamples
+from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_toolkit.policy.action_space import actions_to_trajectory
 
 
@@ -26,7 +26,7 @@ def test_mirror_turns_curvature_around(samples):
 
 
 def test_no_turn_changes_nothing(samples):
-    turned = samples.moved(np.zeros(len(samples)), np.zeros(len(samples)))
+    turned = samples.perturbed(np.zeros(len(samples)), np.zeros(len(samples)))
     assert np.abs(turned.images.astype(int) - samples.images).max() <= 1
     assert np.allclose(turned.future, samples.future)
 
@@ -35,7 +35,7 @@ def test_no_turn_changes_nothing(samples):
 def test_a_turned_drive_leaves_along_its_heading_and_returns_to_the_path(angle):
     straight = np.stack([np.arange(1, 65) * 1.0, np.zeros(64), np.zeros(64)], axis=-1)[None]
     drive = DrivingSamples(np.zeros((1, 4, 1, 3, 16, 32), np.uint8), np.zeros((1, 16, 3)), straight)
-    future = drive.moved(np.zeros(1), np.array([angle])).future[0]
+    future = drive.perturbed(np.zeros(1), np.array([angle])).future[0]
     # A metre of drive has already turned the vehicle back a little.
     first = np.arctan2(future[0, 1], future[0, 0])
     assert abs(first) <= 0.15 * abs(angle) + 1e-12
@@ -49,14 +49,14 @@ def test_a_turned_drive_leaves_along_its_heading_and_returns_to_the_path(angle):
 def test_a_drive_beside_its_path_starts_there_and_returns():
     straight = np.stack([np.arange(1, 65) * 1.0, np.zeros(64), np.zeros(64)], axis=-1)[None]
     drive = DrivingSamples(np.zeros((1, 4, 1, 3, 16, 32), np.uint8), np.zeros((1, 16, 3)), straight)
-    future = drive.moved(np.array([0.5]), np.zeros(1)).future[0]
+    future = drive.perturbed(np.array([0.5]), np.zeros(1)).future[0]
     assert abs(future[0, 1]) < 0.02 and abs(future[0, 2]) < 0.02
     assert future[-1, 1] == pytest.approx(-0.5, abs=0.01)
     assert (np.diff(future[:, 1]) < 1e-6).all()
 
 
 def test_a_left_turn_moves_the_scene_to_the_right(samples):
-    front = samples.moved(np.zeros(len(samples)), np.full(len(samples), 0.06)).images[:, 1, 0, 0, 0]
+    front = samples.perturbed(np.zeros(len(samples)), np.full(len(samples), 0.06)).images[:, 1, 0, 0, 0]
     before = samples.images[:, 1, 0, 0, 0].argmax(axis=-1)
     assert (front.argmax(axis=-1) > before).all()
 

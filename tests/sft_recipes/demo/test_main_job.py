@@ -4,12 +4,10 @@ from dataclasses import replace
 import pytest
 
 from olt_generator.errors import InputError
+from olt_generator.omissions import Omission, word_omission
 from olt_generator.video import write_video
-from olt_sft_recipes.demo.main_job import run_demo
-from olt_sft_recipes.demo.scenes import ROLES, plan_scenes
-from olt_sft_recipes.demo.settings import DemoSettings
-from olt_sft_recipes.demo.stage_log import StageLog
-from olt_sft_recipes.demo.summary import list_left_out
+from olt_sft_recipes.demo.job_log import JobLog
+from olt_sft_recipes.demo.main_job import DemoSettings, list_left_out, plan_scenes, run_demo
 from olt_toolkit.rigs.rig import FRONT_WIDE
 
 SMALL = DemoSettings(
@@ -24,32 +22,50 @@ SMALL = DemoSettings(
 
 
 def test_no_scene_has_two_roles():
-    names = [scene for role in ROLES for scene in plan_scenes(DemoSettings())[role]]
+    names = [scene for role in plan_scenes(DemoSettings()).values() for scene in role]
     assert len(names) == len(set(names))
-    other = [scene for role in ROLES for scene in plan_scenes(DemoSettings(seed=1))[role]]
+    other = [scene for role in plan_scenes(DemoSettings(seed=1)).values() for scene in role]
     assert not set(names) & set(other)
 
 
-def test_a_finished_stage_is_not_run_again(tmp_path):
+def open_log(folder, **job):
+    return JobLog(folder, job, lambda step, share: None)
+
+
+def test_a_finished_step_is_not_run_again(tmp_path):
     calls = []
-    log = StageLog(tmp_path, {"seed": 1})
+    log = open_log(tmp_path, seed=1)
     for _ in range(2):
-        assert log.run("one", lambda: calls.append(1) or {"answer": (1, 2)}) == {"answer": [1, 2]}
+        assert log.run("one", lambda share: calls.append(1) or {"answer": (1, 2)}) == {"answer": [1, 2]}
     assert len(calls) == 1
-    assert StageLog(tmp_path, {"seed": 1}).run("one", lambda: {"answer": None}) == {"answer": [1, 2]}
+    assert open_log(tmp_path, seed=1).run("one", lambda share: {"answer": None}) == {"answer": [1, 2]}
 
 
-def test_a_failed_stage_is_run_again(tmp_path):
-    log = StageLog(tmp_path, {})
+def test_a_failed_step_is_run_again(tmp_path):
+    log = open_log(tmp_path)
     with pytest.raises(ZeroDivisionError):
-        log.run("one", lambda: {"answer": 1 / 0})
-    assert log.run("one", lambda: {"answer": 1}) == {"answer": 1}
+        log.run("one", lambda share: {"answer": 1 / 0})
+    assert log.run("one", lambda share: {"answer": 1}) == {"answer": 1}
+
+
+def test_a_log_shows_the_step_and_how_far_it_is(tmp_path):
+    shown = []
+    log = JobLog(tmp_path, {}, lambda step, share: shown.append((step, share)))
+    log.run("one", lambda share: share(0.5))
+    assert shown == [("one", 0.0), ("one", 0.5)]
 
 
 def test_another_job_in_the_same_folder_is_refused(tmp_path):
-    StageLog(tmp_path / "stages", {"seed": 1})
+    open_log(tmp_path / "steps", seed=1)
     with pytest.raises(InputError, match="choose another --out"):
-        StageLog(tmp_path / "stages", {"seed": 2})
+        open_log(tmp_path / "steps", seed=2)
+
+
+def test_a_run_of_other_code_is_refused(tmp_path, monkeypatch):
+    open_log(tmp_path / "steps")
+    monkeypatch.setattr("olt_sft_recipes.demo.job_log.code_version", lambda: "another")
+    with pytest.raises(InputError, match="version of the code"):
+        open_log(tmp_path / "steps")
 
 
 def test_an_unusable_video_leaves_no_folder(tmp_path):
@@ -60,17 +76,18 @@ def test_an_unusable_video_leaves_no_folder(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_what_was_left_out_is_told_with_its_reason():
+def test_what_was_left_out_is_kept_with_its_reason():
     clip = {"left_out": [{"what": "camera_rear", "why": "not wanted"}], "clip": {"no_sample_reason": "too short"}}
-    policies = {"toy": {"left_out": ["rendering"], "scores": [{"left_out": ["tests"]}, {"left_out": ["tests"]}]}}
+    drives = [{"what": "rendering", "why": "nobody looks"}, {"what": "tests", "why": "far away", "count": 3}]
+    policies = {"one": {"left_out": drives}, "two": {"left_out": drives[:1]}}
     clips = {"input": clip, "training": {"frames_left_out_of_each_view": 7}}
-    results = {"clips": clips, "closed_loop": {"policies": policies}}
-    assert list_left_out(results) == [
+    left_out = [word_omission(Omission(**record)) for record in list_left_out(clips, {"policies": policies})]
+    assert left_out == [
         "camera_rear: not wanted",
         "policy samples of the input clip: too short",
         "7 frames of each view of the training clips: no sample of these clips shows them",
-        "rendering",
-        "tests",
+        "rendering: nobody looks",
+        "3 tests: far away",
     ]
 
 
@@ -85,7 +102,7 @@ def test_the_main_job_runs_resumes_and_does_not_depend_on_the_number_of_workers(
     assert comparable(json.loads((tmp_path / "one" / "summary.json").read_text())) == comparable(summary)
     assert summary["input"]["pose_errors"]["metric"]["ate_m"] < 5.0
     assert summary["input"]["clip"]["views"][FRONT_WIDE]["kind"] == "rendered"
-    (tmp_path / "one" / "stages" / "closed_loop.json").unlink()
+    (tmp_path / "one" / "steps" / "closed_loop.json").unlink()
     assert comparable(run_demo(tmp_path / "one", SMALL, workers=1)) == comparable(summary)
     assert comparable(run_demo(tmp_path / "two", SMALL, workers=2)) == comparable(summary)
 
@@ -97,4 +114,4 @@ def test_a_five_frame_video_runs_to_the_end(tmp_path, make_textured_drive):
     summary = run_demo(tmp_path / "out", replace(SMALL, long_tail_clips=1), video, workers=2)
     assert summary["input"]["clip"]["no_sample_reason"]
     assert summary["input"]["clip"]["views"][FRONT_WIDE]["kind"] == "observed"
-    assert any("policy samples of the input clip" in line for line in summary["left_out"])
+    assert any(record["what"] == "policy samples of the input clip" for record in summary["left_out"])

@@ -16,7 +16,7 @@ class ToyPolicyConfig(BaseModel):
     Attributes:
         image_height, image_width: pixels, multiples of 16.
         image_channels: channels after the first convolution; they double twice.
-        image_frames: newest frames of each camera that are looked at, of the four that are given. The history tells
+        image_frames: newest frames of each camera that are used, of the four that are given. The history tells
             how the vehicle moves; the toy needs the images for where the road goes.
         tokens_per_image: tokens that each image becomes.
         width: width of the language model.

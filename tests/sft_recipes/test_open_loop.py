@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_sft_recipes.metrics import corner_distance, displacement_errors
+from olt_sft_recipes.open_loop import corner_distance, displacement_errors
 
 
 def straight(offset=0.0, steps=64):

@@ -3,9 +3,8 @@
 import math
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
-import yaml
 from pydantic import (
     BaseModel,
     ConfigDict,
@@ -35,12 +34,12 @@ class StageConfig(BaseModel):
         weight_decay: of AdamW.
         max_grad_norm: gradients are scaled down to this norm.
         seed: of initial weights and of all random draws.
-        mirror_probability: share of samples that are shown mirrored, left for right. Toy only.
-        move_metres, turn_degrees: samples are shown up to this far off and askew of the path (`DrivingSamples.moved`).
-            Toy only.
-        looking_epochs: of the epochs of Stage 1, the first so many ask future-start alone, for the future in numbers.
-            They stand in for the pre-training that the real model brings along, and cost a fraction. Toy only.
-        hidden_token_probability: share of said words that are hidden from later ones in Stage 1. Toy only.
+        mirror_probability: share of batches that are mirrored, left for right. Toy only.
+        move_metres, turn_degrees: samples are perturbed by up to this much, off the path and in heading
+            (`DrivingSamples.perturbed`). Toy only.
+        regression_warmup_epochs: of the epochs of Stage 1, the first so many train the regression head alone. They
+            stand in for the pre-training that the real model brings along, and cost a fraction. Toy only.
+        hidden_token_probability: share of future tokens that are hidden from later ones in Stage 1. Toy only.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -58,26 +57,27 @@ class StageConfig(BaseModel):
     mirror_probability: float = Field(default=0.0, ge=0.0, le=1.0)
     move_metres: NonNegativeFloat = 0.0
     turn_degrees: NonNegativeFloat = 0.0
-    looking_epochs: NonNegativeInt = 0
+    regression_warmup_epochs: NonNegativeInt = 0
     hidden_token_probability: float = Field(default=0.0, ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _consistent(self) -> "StageConfig":
         if self.min_lr > self.learning_rate:
             raise ValueError(f"min_lr {self.min_lr} is above learning_rate {self.learning_rate}")
-        if self.stage == 2 and (self.hidden_token_probability or self.looking_epochs):
-            raise ValueError("hidden_token_probability and looking_epochs are for stage 1 only: stage 2 says no words")
-        if self.looking_epochs >= self.num_train_epochs:
+        if self.stage == 2 and (self.hidden_token_probability or self.regression_warmup_epochs):
+            raise ValueError("hidden_token_probability and regression_warmup_epochs are for stage 1 only")
+        if self.regression_warmup_epochs >= self.num_train_epochs:
             raise ValueError(
-                f"looking_epochs {self.looking_epochs} is not below num_train_epochs {self.num_train_epochs}"
+                f"regression_warmup_epochs {self.regression_warmup_epochs} is not below "
+                f"num_train_epochs {self.num_train_epochs}"
             )
         return self
 
     def learning_rate_at(self, step: int, total_steps: int) -> float:
         """Learning rate of one step, counted from 0: linear warmup, then cosine down to `min_lr`.
 
-        Facts sheet alpamayo_recipes_sft, section 2: (s + 1) / W below W, then with m = min_lr / learning_rate and
-        p = (s - W + 1) / (S - W) the factor m + (1 - m) (1 + cos(pi p)) / 2.
+        The factor is (s + 1) / W below W, then with m = min_lr / learning_rate and p = (s - W + 1) / (S - W) it is
+        m + (1 - m) (1 + cos(pi p)) / 2 (docs/formats/sft_recipes.md).
         """
         if step < self.warmup_steps:
             return self.learning_rate * (step + 1) / self.warmup_steps
@@ -97,24 +97,18 @@ def read_stage_config(path: Path) -> StageConfig:
         InputError: the file cannot be read, is not YAML or not a mapping, or holds unknown keys or values out of range.
     """
     settings = read_yaml_mapping(path, "stage configuration", StageConfig.model_fields)
-    return _check(settings, str(path))
-
-
-def builtin_stage_config(stage: Literal[1, 2]) -> StageConfig:
-    """The settings of a stage that come with the package."""
-    name = f"toy_stage{stage}.yaml"
-    text = (files("olt_sft_recipes") / "stages" / name).read_text(encoding="utf-8")
-    return _check(yaml.safe_load(text), name)
-
-
-def _check(settings: dict[Any, Any], where: str) -> StageConfig:
     unknown = [str(key) for key in settings if key not in StageConfig.model_fields]
     if unknown:
         known = ", ".join(StageConfig.model_fields)
-        raise InputError(f"{where}: unknown key {', '.join(unknown)}; known keys are {known}")
+        raise InputError(f"{path}: unknown key {', '.join(unknown)}; known keys are {known}")
     try:
         return StageConfig.model_validate(settings)
     except ValidationError as error:
         first = error.errors()[0]
         field = ".".join(map(str, first["loc"])) or "settings"
-        raise InputError(f"{where}: {field}: {first['msg']}") from error
+        raise InputError(f"{path}: {field}: {first['msg']}") from error
+
+
+def builtin_stage_config(stage: Literal[1, 2]) -> StageConfig:
+    """The settings of a stage that come with the package."""
+    return read_stage_config(Path(str(files("olt_sft_recipes.training"))) / "stages" / f"toy_stage{stage}.yaml")

@@ -6,9 +6,10 @@ import torch
 
 from olt_generator.errors import InputError
 from olt_sft_recipes.open_loop import evaluate_open_loop
-from olt_sft_recipes.stage_config import StageConfig
-from olt_sft_recipes.toy_policy import ToyPolicy, read_model, read_tensors, save_model
-from olt_sft_recipes.training import train_stage, train_two_stages
+from olt_sft_recipes.toy.checkpoint import read_model, read_tensors, save_model
+from olt_sft_recipes.toy.policy import ToyPolicy
+from olt_sft_recipes.training.stage_config import StageConfig
+from olt_sft_recipes.training.two_stages import train_stage, train_two_stages
 
 STAGE_1 = StageConfig(
     stage=1, num_train_epochs=4, per_device_train_batch_size=4, learning_rate=3e-3, warmup_steps=2, seed=5
@@ -20,10 +21,9 @@ STAGE_2 = STAGE_1.model_copy(update={"stage": 2})
 def train(drives, tiny_config, tmp_path):
     """Train both stages on the fabricated drives; returns the results and the folder."""
 
-    def batches(stage):
+    def batches(epoch, size):
         keys = sorted(drives)
-        size = stage.samples_per_step
-        return lambda epoch: [keys[start : start + size] for start in range(0, len(keys), size)]
+        return [keys[start : start + size] for start in range(0, len(keys), size)]
 
     def run(first=STAGE_1, second=STAGE_2, name="run"):
         out = tmp_path / name
@@ -38,7 +38,7 @@ def train(drives, tiny_config, tmp_path):
 def test_equal_trainings_give_equal_bytes(train):
     augmented = {"mirror_probability": 0.5, "turn_degrees": 4.0, "move_metres": 0.5}
     stages = [
-        STAGE_1.model_copy(update={**augmented, "hidden_token_probability": 0.5, "looking_epochs": 1}),
+        STAGE_1.model_copy(update={**augmented, "hidden_token_probability": 0.5, "regression_warmup_epochs": 1}),
         STAGE_2.model_copy(update=augmented),
     ]
     (_, one), (_, two) = train(*stages, name="one"), train(*stages, name="two")
@@ -83,6 +83,15 @@ def test_a_finished_stage_is_kept_and_a_changed_one_is_trained_again(train):
     assert weights.stat().st_mtime_ns != written
 
 
+def test_what_other_code_trained_is_trained_again(train, monkeypatch):
+    _, out = train()
+    weights = out / "policy" / "model.safetensors"
+    written = weights.stat().st_mtime_ns
+    monkeypatch.setattr("olt_sft_recipes.training.two_stages.code_version", lambda: "another")
+    train()
+    assert weights.stat().st_mtime_ns != written
+
+
 def test_stage_2_refuses_a_checkpoint_whose_names_do_not_match(train, drives, tmp_path):
     _, out = train()
     folder = out / "stage1"
@@ -92,7 +101,7 @@ def test_stage_2_refuses_a_checkpoint_whose_names_do_not_match(train, drives, tm
     with pytest.raises(InputError, match="unknown"):
         train_stage(
             STAGE_2,
-            lambda epoch: [sorted(drives)],
+            lambda epoch, size: [sorted(drives)],
             lambda keys: [drives[key] for key in keys],
             folder,
             tmp_path / "other",
@@ -102,7 +111,11 @@ def test_stage_2_refuses_a_checkpoint_whose_names_do_not_match(train, drives, tm
 def test_stage_2_needs_a_checkpoint(drives, tmp_path):
     with pytest.raises(InputError, match="Stage 1 folder"):
         train_stage(
-            STAGE_2, lambda epoch: [sorted(drives)], lambda keys: [drives[k] for k in keys], None, tmp_path / "out"
+            STAGE_2,
+            lambda epoch, size: [sorted(drives)],
+            lambda keys: [drives[k] for k in keys],
+            None,
+            tmp_path / "out",
         )
 
 

@@ -1,0 +1,1 @@
+"""Two-stage training of the toy policy on a mixture."""
