@@ -1,5 +1,5 @@
 #!/bin/sh
-# Make the environment from the pinned versions: uv, from the PATH or else from the package index, with pip as fallback.
+# Make the environment from the pinned versions: by uv, from the PATH or else from the package index; by pip where uv fails.
 set -eu
 venv=$1
 python=${PYTHON:-python3}
@@ -10,7 +10,7 @@ python=${PYTHON:-python3}
 "$python" -m venv "$venv"
 pip="$venv/bin/python -m pip --quiet --disable-pip-version-check"
 uv=$(command -v uv || true)
-if [ -z "$uv" ] && $pip install uv; then
+if [ -z "$uv" ] && $pip install "$(grep '^uv==' requirements.txt)"; then
     uv=$venv/bin/uv
 fi
 if [ -n "$uv" ]; then

@@ -3,4 +3,4 @@
 The package stands alone and imports nothing else of the project.
 """
 
-__version__ = "0.1.0"
+from olt_generator.version import __version__ as __version__
