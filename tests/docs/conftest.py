@@ -19,6 +19,8 @@ class Page:
         self._monkeypatch = monkeypatch
         self._names: dict[str, object] = {"__name__": "__main__"}
         monkeypatch.chdir(folder)
+        # What readers keep for later goes into the folder; the fonts that plots have found stay where they are.
+        monkeypatch.setenv("MPLCONFIGDIR", str(Path.home() / ".cache" / "matplotlib"))
         monkeypatch.setenv("HOME", str(folder / "home"))
 
     def carry_out(self, fence: Fence) -> None:
