@@ -5,7 +5,7 @@ READY := $(VENV)/.ready
 PYTHON ?= python3
 DEMO_OUT ?= runs/demo
 
-.PHONY: demo test test-all check bench clean help
+.PHONY: demo test test-all mutants check bench clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s:
@@ -22,6 +22,9 @@ test: $(READY)  ## run the fast tests
 
 test-all: $(READY)  ## run every test
 	$(BIN)/python -m pytest -n auto
+
+mutants: $(READY)  ## put small faults into numerical modules; tests must notice them (half an hour)
+	$(BIN)/python tools/mutants.py
 
 check: $(READY)  ## lint, types, layering
 	$(BIN)/ruff check .

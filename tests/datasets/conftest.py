@@ -8,8 +8,7 @@ import polars as pl
 import pytest
 
 import olt_toolkit.recordings.drives
-from olt_datasets.tables.clip_table import SCHEMA
-from olt_datasets.tables.indexing import DatasetPlace
+from olt_datasets.tables.clip_frame import SCHEMA
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import (
@@ -25,6 +24,7 @@ from olt_toolkit.clips.clip import (
 )
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.table import CLIP_TABLE, write_clip_table
+from olt_toolkit.recordings.drives import DatasetPlace
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
 
 from .toy_drives import ToyDataset, ToyReader

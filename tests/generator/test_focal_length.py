@@ -3,13 +3,12 @@
 import numpy as np
 import pytest
 
-from olt_datasets.sources.kitti_raw import SOURCE as KITTI
-from olt_datasets.sources.video import assume_camera, find_field_of_view
+from olt_datasets.sources.video import assume_camera, describe_lens, find_field_of_view
 from olt_generator.motion.focal_length import estimate_field_of_view
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_toolkit.benchmarks.street import render_street
-from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.recordings import OpenOptions, open_recording
 
 FRAME_US = 100_000
 
@@ -45,16 +44,16 @@ def test_video_without_anything_to_see_tells_nothing(value):
 
 def test_what_is_given_is_taken_and_what_is_not_known_is_assumed_in_words():
     frames = np.zeros((3, 48, 64, 3), np.uint8)
-    given = find_field_of_view(frames, np.arange(3) * FRAME_US, float(np.radians(93.0)))
+    given = describe_lens(float(np.radians(93.0)), "as given")
     assert given.field_of_view == float(np.radians(93.0)) and "93 degrees (as given)" in given.sentence
-    assumed = find_field_of_view(frames, np.arange(3) * FRAME_US, None)
+    assumed = find_field_of_view(frames, np.arange(3) * FRAME_US)
     assert np.degrees(assumed.field_of_view) == pytest.approx(70.0)
     assert "the default for dashcams; the video does not tell: only 0 windows" in assumed.sentence
 
 
 def test_a_turning_drive_tells_the_field_of_view():
     frames, timestamps_us = film(70.0, 25, 12.0)
-    lens = find_field_of_view(frames, timestamps_us, None)
+    lens = find_field_of_view(frames, timestamps_us)
     print(lens.sentence)
     assert np.degrees(lens.field_of_view) == pytest.approx(70.0, rel=0.1)
     assert "estimated from the turns in the video" in lens.sentence
@@ -74,7 +73,7 @@ def test_longer_drives_of_every_lens(field_of_view):
 @pytest.mark.slow
 def test_the_kitti_drive_is_too_straight(shared_real):
     """It bends by at most 1.3 degrees in half a second: nothing is made up from that."""
-    recording = KITTI.open(shared_real / "kitti_raw_2011_09_26_drive_0013", OpenOptions())
+    recording = open_recording(shared_real / "kitti_raw_2011_09_26_drive_0013", OpenOptions())
     estimate = estimate_field_of_view(recording.frames, recording.timestamps_us, assume_camera)
     print(estimate)
     assert estimate.field_of_view is None and estimate.reason

@@ -6,10 +6,9 @@ import numpy as np
 import polars as pl
 import pytest
 
-from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_generator.cameras import BrownConradyCamera, PinholeCamera
 from olt_generator.poses import make_pose, pose_from_quaternion
-from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.recordings import OpenOptions, open_recording
 from olt_toolkit.rigs.rig_files import load_rig, read_nvidia_calibration
 
 KITTI_DRIVE = "kitti_raw_2011_09_26_drive_0013"
@@ -55,7 +54,7 @@ def test_the_raw_kitti_lenses(shared_real):
 
 
 def test_the_kitti_rig_is_the_one_of_its_drive(shared_real):
-    recording = KITTI.open(shared_real / KITTI_DRIVE, OpenOptions(duration=1.0, width=1242))
+    recording = open_recording(shared_real / KITTI_DRIVE, OpenOptions(duration=1.0, width=1242))
     mounted = load_rig("kitti")["image_02"]
     assert mounted.camera == recording.camera
     assert np.abs(mounted.T_rig_camera[:3, 3] - recording.T_rig_camera[:3, 3]).max() < 0.03

@@ -4,11 +4,10 @@ import cv2
 import numpy as np
 import pytest
 
-from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_generator.cameras import pixel_rays
 from olt_generator.distance.depth import FAR_DISTANCE, DistanceOrigin, estimate_distance
 from olt_generator.poses import invert, transform
-from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.recordings import OpenOptions, open_recording
 
 pytestmark = pytest.mark.slow
 
@@ -52,7 +51,7 @@ def test_distances_agree_with_lidar(six_cameras):
 
 
 def test_kitti_distances_agree_between_frames(shared_real):
-    recording = KITTI.open(shared_real / "kitti_raw_2011_09_26_drive_0013", OpenOptions(duration=4.0))
+    recording = open_recording(shared_real / "kitti_raw_2011_09_26_drive_0013", OpenOptions(duration=4.0))
     shown = [12, 15]
     estimate = estimate_distance(
         recording.frames, recording.camera, recording.reference, recording.T_rig_camera, shown=shown

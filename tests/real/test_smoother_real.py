@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from olt_datasets.sources.kitti_raw import SOURCE as KITTI
 from olt_generator.cameras import PinholeCamera
 from olt_generator.motion.pose_metrics import compare_trajectories, measure_smoothness
 from olt_generator.motion.pose_sources import KnownPoses, VisualOdometry
@@ -18,8 +17,8 @@ from olt_generator.motion.smoother import smooth_trajectories, smooth_trajectory
 from olt_generator.poses import camera_pose_in_rig, invert, make_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.twists import exponential
-from olt_toolkit.policy.label_noise import measure_label_noise
-from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.clips.label_noise import measure_label_noise
+from olt_toolkit.recordings import OpenOptions, open_recording
 
 pytestmark = pytest.mark.slow
 
@@ -28,7 +27,7 @@ KITTI_06_MOUNTING = camera_pose_in_rig([1.08, 0.32, 1.65], 0.0, 0.0, 0.0)
 
 
 def kitti_recording(shared_real):
-    return KITTI.open(shared_real / "kitti_raw_2011_09_26_drive_0013", OpenOptions(duration=20.0))
+    return open_recording(shared_real / "kitti_raw_2011_09_26_drive_0013", OpenOptions(duration=20.0))
 
 
 def kitti_06(shared_real):

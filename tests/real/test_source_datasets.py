@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from olt_datasets.sources.argoverse2 import DATASET as ARGOVERSE2
-from olt_datasets.sources.kitti_raw import SOURCE as KITTI_RAW
 from olt_generator.poses import yaw_of
 from olt_generator.video import read_video
+from olt_toolkit.recordings import OpenOptions, open_recording
 from olt_toolkit.recordings.drives import open_dataset
-from olt_toolkit.recordings.recording import OpenOptions
 
 NARROW = OpenOptions(width=160)
 
@@ -27,7 +26,7 @@ def test_the_kitti_raw_drive(shared_real, tmp_path):
     reference = recording.reference
     assert reference.path_length == pytest.approx(139.5, abs=0.5)
     assert (reference.timestamps_us[0], reference.timestamps_us[-1]) == (-window[0], drive.front_us[-1] - window[0])
-    beginning = KITTI_RAW.open(folder, OpenOptions(width=160, duration=1.0))
+    beginning = open_recording(folder, OpenOptions(width=160, duration=1.0))
     assert np.array_equal(recording.frames, beginning.frames[5:10])
     poses = reference.in_first_frame().T_world_rig[: len(beginning.frames)]
     assert np.allclose(poses, beginning.reference.T_world_rig, atol=1e-9)

@@ -61,7 +61,7 @@ def test_an_unusable_video_leaves_no_folder(tmp_path):
 
 
 def test_what_was_left_out_is_told_with_its_reason():
-    clip = {"left_out": {"camera_rear": "not wanted"}, "clip": {"no_sample_reason": "too short"}}
+    clip = {"left_out": [{"what": "camera_rear", "why": "not wanted"}], "clip": {"no_sample_reason": "too short"}}
     policies = {"toy": {"left_out": ["rendering"], "scores": [{"left_out": ["tests"]}, {"left_out": ["tests"]}]}}
     clips = {"input": clip, "training": {"frames_left_out_of_each_view": 7}}
     results = {"clips": clips, "closed_loop": {"policies": policies}}

@@ -1,19 +1,24 @@
 """Mixtures: how far batches are from the share that was asked for, and what composing takes at ten million clips."""
 
+import tempfile
+import time
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 
-from olt_datasets.benchmarks.mixture_tables import compose_at_scale
 from olt_datasets.mixtures.mixture import Mixture, compose_mixture
 from olt_datasets.mixtures.recipe import parse_recipe
-from olt_datasets.tables.clip_table import SCHEMA
+from olt_datasets.tables.clip_frame import scan_clip_tables
+from olt_datasets.tables.fake_table import write_fake_table
 from olt_generator.seeds import derive_seed
 from olt_toolkit.bench.benchmark import Benchmark, Grid, Setting
+from olt_toolkit.bench.runner import resident_mib
 
 BATCH_SIZE = 32
 SHARE = 0.3
@@ -22,36 +27,23 @@ SAMPLES = BATCHES * BATCH_SIZE
 SCALES = (10_000, 1_000_000, 10_000_000)
 
 Counts = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 
 
-@lru_cache(maxsize=1)
-def _mixture() -> Mixture:
+def _compose(table: Path, **content: Any) -> Mixture:
+    recipe = parse_recipe({"name": "benchmark", "description": "", "version": 1, **content}, "benchmark")
+    return compose_mixture(recipe, scan_clip_tables([table]), seed=0)
+
+
+def _prepare_mixture() -> Callable[[], Counts]:
     """As many samples as an epoch has, 30 % of them synthesized: each is used once."""
-    number = pl.int_range(SAMPLES)
-    values = {
-        "clip_id": pl.format("{}-0000-5000-8000-000000000000", number.cast(pl.String).str.zfill(8)),
-        "scene_id": number.cast(pl.String),
-        "kind": pl.when(number < round(SHARE * SAMPLES)).then(pl.lit("Syn")).otherwise(pl.lit("GT")),
-        "split": pl.lit("train"),
-        "factors": pl.lit([], pl.List(pl.String)),
-        "sample_t0_us": pl.lit([5_100_000]),
-        "store": pl.lit("store"),
-    }
-    cells = {name: pl.lit("", dtype) if dtype == pl.String else pl.lit(None, dtype) for name, dtype in SCHEMA.items()}
-    cells |= values
     parts = [
         {"name": "nominal", "where": {"kind": "GT"}, "share": 1.0 - SHARE},
         {"name": "long_tail", "where": {"kind": "Syn"}, "share": SHARE},
     ]
-    content = {"name": "benchmark", "description": "", "version": 1, "samples": SAMPLES, "components": parts}
-    return compose_mixture(
-        parse_recipe(content, "benchmark"), pl.select([cell.alias(name) for name, cell in cells.items()]), seed=0
-    )
-
-
-def _prepare_mixture() -> Callable[[], Counts]:
-    mixture = _mixture()
+    with tempfile.TemporaryDirectory() as folder:
+        table = Path(folder) / "clips.parquet"
+        write_fake_table(table, SAMPLES)
+        mixture = _compose(table, components=parts, samples=SAMPLES)
     synthesized = set(mixture.samples.filter(kind="Syn")["clip_id"])
 
     def count() -> Counts:
@@ -61,46 +53,57 @@ def _prepare_mixture() -> Callable[[], Counts]:
     return count
 
 
-def _prepare_torch(make_sampler: Callable[[Any, Flags], Any]) -> Callable[[], Counts]:
+def _prepare_torch(weighted: bool) -> Callable[[], Counts]:
+    """What is commonly done: all samples in random order, or weighted so that each group has its share in the mean."""
     import torch
-    from torch.utils.data import BatchSampler
+    from torch.utils.data import BatchSampler, RandomSampler, WeightedRandomSampler
 
     synthesized = np.arange(SAMPLES) < round(SHARE * SAMPLES)
+    weights = np.where(synthesized, SHARE / synthesized.sum(), (1.0 - SHARE) / (~synthesized).sum())
     generator = torch.Generator()
 
     def count() -> Counts:
         generator.manual_seed(derive_seed("mixture benchmark"))
-        batches = BatchSampler(make_sampler(generator, synthesized), BATCH_SIZE, drop_last=False)
+        if weighted:
+            sampler = WeightedRandomSampler(weights.tolist(), SAMPLES, replacement=True, generator=generator)
+        else:
+            sampler = RandomSampler(range(SAMPLES), generator=generator)
+        batches = BatchSampler(sampler, BATCH_SIZE, drop_last=False)
         return np.array([synthesized[batch].sum() for batch in batches])
 
     return count
 
 
-def _weighted_sampler(generator: Any, synthesized: Flags) -> Any:
-    """What is commonly done: every sample is weighted so that its group has its share in the mean."""
-    from torch.utils.data import WeightedRandomSampler
-
-    weights = np.where(synthesized, SHARE / synthesized.sum(), (1.0 - SHARE) / (~synthesized).sum())
-    return WeightedRandomSampler(weights.tolist(), SAMPLES, replacement=True, generator=generator)
-
-
-def _shuffling_sampler(generator: Any, synthesized: Flags) -> Any:
-    """All samples in random order, of which the right share is synthesized."""
-    from torch.utils.data import RandomSampler
-
-    return RandomSampler(range(len(synthesized)), generator=generator)
-
-
 def _settings() -> Sequence[Setting]:
     return [
         Setting("Mixture.epoch", _prepare_mixture, default=True),
-        Setting("torch RandomSampler", lambda: _prepare_torch(_shuffling_sampler)),
-        Setting("torch WeightedRandomSampler", lambda: _prepare_torch(_weighted_sampler)),
+        Setting("torch RandomSampler", partial(_prepare_torch, weighted=False)),
+        Setting("torch WeightedRandomSampler", partial(_prepare_torch, weighted=True)),
     ]
 
 
-def _measure_error(counts: Counts) -> float:
-    return float(np.abs(counts - SHARE * BATCH_SIZE).max())
+def _measure_composing(table: Path, clips: int) -> dict[str, Any]:
+    """Time and memory of composing by a recipe in the shape of the paper's: one keyframe of each drive."""
+    samples = min(10_000, clips // 20)
+    nominal = {"kind": "GT", "source": ["pav"], "category": ["nominal"]}
+    long_tail = {"kind": "Syn", "source": ["pav"], "category_not": ["nominal"]}
+    start, start_of_processor = time.perf_counter(), time.process_time()
+    mixture = _compose(
+        table,
+        components=[
+            {"name": "nominal", "where": nominal, "count": samples, "t0": "keyframe"},
+            {"name": "long_tail", "where": long_tail, "count": samples // 4, "t0": "keyframe"},
+        ],
+    )
+    seconds, processor_seconds = time.perf_counter() - start, time.process_time() - start_of_processor
+    peak_mib = resident_mib("VmHWM")
+    return {
+        "clips": clips,
+        "samples": len(mixture),
+        "seconds": round(seconds, 3),
+        "processor_seconds": round(processor_seconds, 3),
+        "peak_memory_mib": None if peak_mib is None else round(peak_mib),
+    }
 
 
 def _grid() -> Grid:
@@ -109,7 +112,14 @@ def _grid() -> Grid:
         {"setting": name, "fewest": int(found.min()), "most": int(found.max()), "mean": float(found.mean())}
         for name, found in counts.items()
     ]
-    scales = [compose_at_scale(clips) for clips in SCALES]
+    scales = []
+    for clips in SCALES:
+        with tempfile.TemporaryDirectory() as folder:
+            table = Path(folder) / "clips.parquet"
+            write_fake_table(table, clips)
+            # A process of its own, so that its peak memory is that of composing.
+            with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+                scales.append(pool.submit(_measure_composing, table, clips).result())
     summary = [
         f"{row['setting']}: {row['fewest']} to {row['most']} synthesized items a batch, {row['mean']:.3f} in the mean"
         for row in batches
@@ -128,6 +138,6 @@ BENCHMARK = Benchmark(
     error_unit="items",
     reference=f"{SHARE} x {BATCH_SIZE} = {SHARE * BATCH_SIZE:g} items in every batch",
     settings=_settings,
-    measure_error=_measure_error,
+    measure_error=lambda counts: float(np.abs(counts - SHARE * BATCH_SIZE).max()),
     grid=_grid,
 )

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.export.contents import contents_of_stores
-from olt_datasets.export.options import WorkOptions
 from olt_datasets.export.pai import export_pai
+from olt_generator.errors import InputError
 from olt_generator.files import write_whole_folder
 from olt_generator.poses import planar_pose
 from olt_generator.seeds import make_generator
@@ -28,6 +28,7 @@ IMAGE_SIZE = (320, 576)
 CLIP_ID = make_clip_id("samples benchmark")
 FIRST_IMAGE_US, FRAMES, FRAME_RATE = 1_500_000, 60, 30
 T0S_US = (2_000_000, 2_300_000, 2_900_000, 3_200_000)
+REVISION = "0" * 40
 SIZES = ((1920, 1080), (576, 320))
 
 Images = NDArray[np.uint8]
@@ -44,7 +45,7 @@ def exported_clip(width: int, height: int) -> Path:
             store = ClipStore(temporary / "store")
             store.prepare(make_clip(width, height))
             store.commit([CLIP_ID])
-            export_pai(contents_of_stores([store.root], "train"), temporary / "pai", WorkOptions())
+            export_pai(contents_of_stores([store.root], "train"), temporary / "pai")
     return folder / "pai"
 
 
@@ -107,10 +108,23 @@ def prepare_ours(size: tuple[int, int], together: bool) -> Callable[[], Judged]:
 
 
 def prepare_devkit(size: tuple[int, int]) -> Callable[[], Judged]:
-    """The public devkit as the public recipes use it, its images scaled by area averaging."""
-    from olt_datasets.benchmarks.devkit import open_devkit
+    """The public devkit as the public recipes use it, offline, its images scaled by area averaging.
 
-    devkit = open_devkit(exported_clip(*size))
+    Raises:
+        InputError: the devkit is not installed.
+    """
+    try:
+        import huggingface_hub.constants
+        from physical_ai_av import PhysicalAIAVDatasetInterface
+    except ImportError as error:
+        raise InputError("physical-ai-av is not installed; install the extra `interop`") from error
+    # It reads a hub cache only, so a cache is made that points to the folder.
+    cache = Path(tempfile.mkdtemp(prefix="olt-devkit-"))
+    snapshots = cache / "datasets--nvidia--PhysicalAI-Autonomous-Vehicles" / "snapshots"
+    snapshots.mkdir(parents=True)
+    (snapshots / REVISION).symlink_to(exported_clip(*size), target_is_directory=True)
+    huggingface_hub.constants.HF_HUB_OFFLINE = True
+    devkit = PhysicalAIAVDatasetInterface(REVISION, cache_dir=cache, token=False)
 
     def load_sample(t0_us: int) -> Images:
         devkit.get_clip_feature(CLIP_ID, "egomotion")(t0_us + IMAGE_OFFSETS_US)

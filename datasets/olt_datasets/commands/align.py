@@ -1,13 +1,15 @@
 """`olt mix align`: which sources a target slice asks for."""
 
+from collections import Counter
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 if TYPE_CHECKING:
-    from olt_datasets.mixtures.alignment import Alignment, Gap
     from olt_datasets.mixtures.selection import ClipTable
+    from olt_datasets.mixtures.source_alignment import Gap, SourceAlignment
 
 
 def align(
@@ -33,8 +35,8 @@ def align(
 
     `olt mix align --example` shows what the paper found: Waymo E2E has none of NV's human-guided traffic control.
     """
-    from olt_datasets.mixtures.alignment import PAPER_COVERAGE, align_sources, measure_coverage
-    from olt_datasets.tables.clip_table import scan_clip_tables
+    from olt_datasets.mixtures.source_alignment import PAPER_COVERAGE, align_sources, measure_coverage
+    from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_generator.errors import InputError
     from olt_toolkit.runtime.console import print_json
 
@@ -49,11 +51,12 @@ def align(
         coverage = measure_coverage(_slice(clips, split, where, "--where"), by)
         if target is not None:
             slices = measure_coverage(_slice(clips, target_split, target, "--target"), by)
-            found = align_sources(coverage, _pool(slices), target_is_sample=True, samples=samples, seed=seed)
+            pooled = dict(sum(map(Counter, slices.values()), Counter()))
+            found = align_sources(coverage, pooled, target_is_sample=True, samples=samples, seed=seed)
         else:
             found = align_sources(coverage, _read_weights(str(target_weights)), samples=samples, seed=seed)
     if as_json:
-        print_json(found.to_dict())
+        print_json(asdict(found))
     else:
         _show(found)
 
@@ -65,11 +68,6 @@ def _slice(clips: "ClipTable", split: str, text: str, where: str) -> "ClipTable"
     from olt_datasets.mixtures.selection import matches
 
     return clips.lazy().filter((pl.col("split") == split) & matches(parse_filter(text, where)))
-
-
-def _pool(coverage: dict[str, dict[str, float]]) -> dict[str, float]:
-    values = sorted({value for part in coverage.values() for value in part})
-    return {value: sum(part.get(value, 0.0) for part in coverage.values()) for value in values}
 
 
 def _read_weights(text: str) -> dict[str, float]:
@@ -89,7 +87,8 @@ def _read_weights(text: str) -> dict[str, float]:
     return weights
 
 
-def _show(found: "Alignment") -> None:
+def _show(found: "SourceAlignment") -> None:
+    from olt_datasets.mixtures.source_alignment import word_missing_factor
     from olt_toolkit.runtime.console import print_line, print_table
 
     factors = list(found.target)
@@ -102,8 +101,8 @@ def _show(found: "Alignment") -> None:
     gaps.append(("all clips together", "", *_cells(found.pooled_gap), ""))
     gaps.append(("proposed shares", "", *_cells(found.proposed_gap), ""))
     print_table("Alignment gap", ("source", "clips", "gap", "95 %", "proposed share"), gaps)
-    for finding in found.findings:
-        print_line(finding)
+    for missing in found.missing:
+        print_line(word_missing_factor(missing))
 
 
 def _cells(gap: "Gap") -> tuple[str, str]:

@@ -5,8 +5,7 @@ import typer
 from olt_datasets.commands.build import build
 from olt_datasets.commands.export import export
 from olt_datasets.commands.index import check, index, split
-from olt_datasets.commands.label import label
-from olt_datasets.commands.made_up import make_up
+from olt_datasets.commands.label import fake, label
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Index, label, split, check, build and export driving data sets."
@@ -23,5 +22,5 @@ def sources() -> None:
     print_table("Data sets", ("source", "licence", "access"), rows)
 
 
-for command in (index, label, split, check, build, export, make_up):
+for command in (index, label, split, check, build, export, fake):
     app.command()(command)

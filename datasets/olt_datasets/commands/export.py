@@ -2,16 +2,13 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from olt_datasets.tables.choices import SplitName
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.runtime.workers import Engine
-
-if TYPE_CHECKING:
-    from olt_datasets.export.contents import Contents
 
 
 class Format(StrEnum):
@@ -38,19 +35,30 @@ def export(
     Clips of other splits, and clips that give no policy sample, are left out. Chunks whose clips are all taken are
     linked, not copied. Given again, an interrupted export goes on. Exit status 1 if clips failed with --keep-going.
     """
+    from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
     from olt_datasets.export.lerobot import export_lerobot
-    from olt_datasets.export.options import WorkOptions
     from olt_datasets.export.pai import export_pai
+    from olt_datasets.mixtures.mixture_file import MIXTURE_SUFFIXES, read_mixture
     from olt_generator.errors import InputError
     from olt_toolkit.runtime.console import make_progress, print_json
     from olt_toolkit.runtime.workers import default_workers
 
-    contents = _contents(inputs, split)
-    options = WorkOptions(keep_going, workers or default_workers(), engine)
+    if inputs[0].suffix not in MIXTURE_SUFFIXES:
+        contents = contents_of_stores(inputs, split)
+    elif len(inputs) > 1:
+        raise InputError(f"{inputs[1]}: a mixture is exported alone; compose one mixture of everything")
+    else:
+        contents = contents_of_mixture(read_mixture(inputs[0]))
     with make_progress() as progress:
         task = progress.add_task(f"export to {layout.value}", total=100)
-        write = export_pai if layout is Format.PAI else export_lerobot
-        summary = write(contents, out, options, lambda share: progress.update(task, completed=round(100 * share)))
+        summary = (export_pai if layout is Format.PAI else export_lerobot)(
+            contents,
+            out,
+            keep_going,
+            workers or default_workers(),
+            engine,
+            lambda share: progress.update(task, completed=round(100 * share)),
+        )
     if as_json:
         print_json(summary)
     else:
@@ -59,47 +67,34 @@ def export(
         raise InputError(f"{len(summary['failures'])} clips could not be exported; the others are in {out}")
 
 
-def _contents(inputs: list[Path], split: SplitName) -> "Contents":
-    from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
-    from olt_datasets.mixtures.plan import PLAN_SUFFIXES, read_plan
-    from olt_generator.errors import InputError
-
-    if inputs[0].suffix not in PLAN_SUFFIXES:
-        return contents_of_stores(inputs, split)
-    if len(inputs) > 1:
-        raise InputError(f"{inputs[1]}: a mixture is exported alone; compose one mixture of everything")
-    return contents_of_mixture(read_plan(inputs[0]))
-
-
 def _show(summary: dict[str, Any]) -> None:
-    from olt_toolkit.runtime.console import print_line
+    from olt_generator.omissions import Omission, word_omission
+    from olt_toolkit.runtime.console import print_line, print_table
 
+    title = f"{summary['out']}: {summary['clips']} clips of split {summary['split']}"
     if summary["format"] == Format.PAI.value:
-        _show_chunks(summary)
+        columns = ("component", "kind", "source", "clips", "chunk_ids")
+        print_table(title, columns, [[group[column] for column in columns] for group in summary["groups"]])
+        for how, part in summary["chunks"].items():
+            if part["count"]:
+                print_line(f"{part['count']} chunks {how}, {part['bytes'] / 1e6:.1f} MB")
+        print_line(
+            f"{summary['clips_with_default_keyframe']} clips give a sample at the recipes' default keyframe, 5.1 s"
+        )
+        print_line("for the public recipes (a range of chunks leaves out its last number):")
+        for name, part in summary["components"].items():
+            prefix, chunk_ids = "data.train_dataset", part["chunk_ids"]
+            overrides = f'{prefix}.local_dir={summary["out"]} {prefix}.chunk_ids="{chunk_ids}"'
+            print_line(f"  {name}: {overrides} {prefix}.use_default_keyframe=false")
     else:
         episodes = ", ".join(f"{name} {count}" for name, count in summary["episodes"].items())
-        print_line(f"{summary['out']}: {summary['clips']} clips of split {summary['split']} as episodes: {episodes}")
+        print_line(f"{title} as episodes: {episodes}")
         print_line(f"{summary['frames']} frames, {summary['samples']} of them sample times (is_sample)")
-    for topic in ("left_out", "licences"):
-        for reason, count in summary[topic].items():
-            print_line(f"{topic.replace('_', ' ')}: {count} clips, {reason}")
+    for omission in summary["left_out"]:
+        print_line(f"left out: {word_omission(Omission(**omission))}")
+    for licence, count in summary["licences"].items():
+        print_line(f"licences: {count} clips, {licence}")
     for note in summary["notes"]:
         print_line(f"note: {note}")
     for clip, reason in summary["failures"].items():
         print_line(f"failed: {clip}: {reason}")
-
-
-def _show_chunks(summary: dict[str, Any]) -> None:
-    from olt_toolkit.runtime.console import print_line, print_table
-
-    columns = ("component", "kind", "source", "clips", "chunk_ids")
-    title = f"{summary['out']}: {summary['clips']} clips of split {summary['split']}"
-    print_table(title, columns, [[group[column] for column in columns] for group in summary["groups"]])
-    for how, part in summary["chunks"].items():
-        if part["count"]:
-            print_line(f"{part['count']} chunks {how}, {part['bytes'] / 1e6:.1f} MB")
-    print_line(f"{summary['clips_with_default_keyframe']} clips give a sample at the recipes' default keyframe, 5.1 s")
-    print_line("for the public recipes (a range of chunks leaves out its last number):")
-    for name, part in summary["components"].items():
-        overrides = f'data.train_dataset.local_dir={summary["out"]} data.train_dataset.chunk_ids="{part["chunk_ids"]}"'
-        print_line(f"  {name}: {overrides} data.train_dataset.use_default_keyframe=false")

@@ -38,24 +38,16 @@ def index(
     from dataclasses import asdict
 
     from olt_datasets.tables.cutting import Cutting
-    from olt_datasets.tables.indexing import DatasetPlace, index_dataset
+    from olt_datasets.tables.indexing import index_dataset
     from olt_generator.errors import InputError
-    from olt_toolkit.runtime.console import make_progress, print_json, print_line
+    from olt_toolkit.recordings.drives import DatasetPlace
+    from olt_toolkit.runtime.console import print_json, print_line, show_progress
     from olt_toolkit.runtime.workers import default_workers
 
     cutting = Cutting(frames, stride, seconds, samples)
     place = DatasetPlace(root, cache.expanduser(), source)
-    with make_progress() as progress:
-        task = progress.add_task("drives", total=100)
-        summary = index_dataset(
-            place,
-            out,
-            cutting,
-            workers or default_workers(),
-            lambda share: progress.update(task, completed=round(100 * share)),
-            keep_going,
-            engine,
-        )
+    with show_progress("drives") as (on_progress, _):
+        summary = index_dataset(place, out, cutting, workers or default_workers(), on_progress, keep_going, engine)
     if as_json:
         print_json({"table": str(out), **asdict(summary)})
     else:
@@ -64,7 +56,8 @@ def index(
             f"{summary.clips_with_samples} of them give {summary.samples} policy samples; the others say why not"
         )
         print_line(f"{summary.kept} rows were kept from the table as it was")
-        print_line(f"{len(summary.without_clips)} drives fill no window{_first(summary.without_clips)}")
+        example = "".join(f", as {key}" for key in summary.without_clips[:1])
+        print_line(f"{len(summary.without_clips)} drives fill no window{example}")
         for key, message in summary.failed.items():
             print_line(f"failed: {key}: {message}")
     if summary.failed:
@@ -114,7 +107,7 @@ def check(
     GT and Syn clips of the same moments, windows of a scene that overlap, clips of other scenes that look alike,
     held-out scenes and external sources in training.
     """
-    from olt_datasets.tables.clip_table import scan_clip_tables
+    from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_datasets.tables.leaks import find_table_leaks
     from olt_toolkit.runtime.console import print_json, print_line
 
@@ -130,7 +123,3 @@ def check(
             print_line(f"  and {len(leaks) - _SHOWN} more; --json lists all")
     if leaks:
         raise typer.Exit(1)
-
-
-def _first(keys: list[str]) -> str:
-    return f", as {keys[0]}" if keys else ""

@@ -6,7 +6,7 @@ that a range of numbers selects a group or a component.
 """
 
 import zipfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,114 +21,101 @@ from olt_toolkit.clips.files import add_member, has_feature
 from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES
 from olt_toolkit.clips.store import CLIPS_PER_CHUNK, ClipStore
 
-How = Literal["linked", "copied", "packed"]
-Member = tuple[str, str, bytes]
-"""Feature, name in the chunk's zip, and content."""
-
 
 @dataclass(frozen=True)
-class ChunkPlan:
+class ExportChunk:
     """One chunk of the export.
 
     Attributes:
         number: its number.
+        group: place of its group among all groups.
         items: the clips in it.
         linked_from: store and number of the chunk that it is, where one is taken as it is.
     """
 
     number: int
+    group: int
     items: tuple[ExportItem, ...]
     linked_from: tuple[Path, int] | None = None
 
 
 @dataclass(frozen=True)
 class ChunkResult:
-    """What became of a planned chunk.
+    """What became of a chunk.
 
     Attributes:
         how: linked (no new bytes), copied to another file system, or packed anew.
         size: bytes of its files.
-        listed: ids of the clips in it.
-        failures: what was wrong with the clips that are not, by clip.
+        failures: what was wrong with clips that it should hold and does not, by their ids in the export.
     """
 
-    how: How
+    how: Literal["linked", "copied", "packed"]
     size: int
-    listed: list[str]
     failures: dict[str, str]
 
 
-def plan_chunks(groups: Sequence[ExportGroup]) -> list[list[ChunkPlan]]:
-    """The chunks of each group, numbered from 0 through all groups."""
+def divide_into_chunks(groups: Sequence[ExportGroup]) -> list[ExportChunk]:
+    """The chunks of all groups, one group after the other, numbered from 0."""
     stores = {item.store: ClipStore(item.store).chunks() for group in groups for item in group.items}
-    plans: list[list[ChunkPlan]] = []
-    number = 0
-    for group in groups:
-        chunks = list(_split_group(group, stores))
-        plans.append([ChunkPlan(number + index, items, origin) for index, (items, origin) in enumerate(chunks)])
-        number += len(chunks)
-    return plans
+    chunks: list[ExportChunk] = []
+    for index, group in enumerate(groups):
+        unchanged = {(item.store, item.clip_id): item for item in group.items if item.listed_as == item.clip_id}
+        linked: set[str] = set()
+        for store in sorted({item.store for item in group.items}):
+            for number, clip_ids in sorted(stores[store].items()):
+                if all((store, clip_id) in unchanged for clip_id in clip_ids):
+                    linked.update(clip_ids)
+                    items = tuple(unchanged[store, clip_id] for clip_id in clip_ids)
+                    chunks.append(ExportChunk(len(chunks), index, items, (store, number)))
+        rest = [item for item in group.items if item.listed_as not in linked]
+        for start in range(0, len(rest), CLIPS_PER_CHUNK):
+            chunks.append(ExportChunk(len(chunks), index, tuple(rest[start : start + CLIPS_PER_CHUNK])))
+    return chunks
 
 
-def write_chunk(root: Path, plan: ChunkPlan, keep_going: bool) -> ChunkResult:
+def write_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult:
     """Make one chunk, unless an earlier run has.
 
     Raises:
         InputError: a clip is missing or damaged and `keep_going` is off, or a file cannot be written; names it.
     """
-    name = f"chunk_{plan.number:04d}"
+    name = f"chunk_{chunk.number:04d}"
     finished = finished_part(root, name)
     if finished is not None:
         return ChunkResult(**finished)
-    result = _link_chunk(root, plan, keep_going) or _pack_chunk(root, plan, keep_going)
+    result = _link_chunk(root, chunk, keep_going) or _pack_chunk(root, chunk, keep_going)
     note_finished(root, name, asdict(result))
     return result
 
 
-def _split_group(
-    group: ExportGroup, stores: dict[Path, dict[int, list[str]]]
-) -> Iterator[tuple[tuple[ExportItem, ...], tuple[Path, int] | None]]:
-    unchanged = {(item.store, item.clip_id): item for item in group.items if item.listed_as == item.clip_id}
-    linked: set[str] = set()
-    for store in sorted({item.store for item in group.items}):
-        for chunk, clip_ids in sorted(stores[store].items()):
-            if all((store, clip_id) in unchanged for clip_id in clip_ids):
-                linked.update(clip_ids)
-                yield tuple(unchanged[store, clip_id] for clip_id in clip_ids), (store, chunk)
-    rest = [item for item in group.items if item.listed_as not in linked]
-    for start in range(0, len(rest), CLIPS_PER_CHUNK):
-        yield tuple(rest[start : start + CLIPS_PER_CHUNK]), None
-
-
-def _link_chunk(root: Path, plan: ChunkPlan, keep_going: bool) -> ChunkResult | None:
+def _link_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult | None:
     """None where the chunk must be packed: it mixes clips, or one of them is damaged."""
-    if plan.linked_from is None:
+    if chunk.linked_from is None:
         return None
-    store_root, chunk = plan.linked_from
+    store_root, number = chunk.linked_from
     store = ClipStore(store_root)
     try:
-        for item in plan.items:
+        for item in chunk.items:
             store.check(item.clip_id, item.t0s_us)
     except InputError:
         if not keep_going:
             raise
         return None
-    pairs = [
-        (feature.chunk_file(store_root, chunk), feature.chunk_file(root, plan.number)) for feature in FEATURES.values()
+    files = [
+        (feature.chunk_file(store_root, number), feature.chunk_file(root, chunk.number))
+        for feature in FEATURES.values()
     ]
-    pairs = [(source, target) for source, target in pairs if source.exists()]
-    linked = [link_or_copy(source, target) for source, target in pairs]
-    size = sum(target.stat().st_size for _, target in pairs)
-    return ChunkResult("linked" if all(linked) else "copied", size, [item.listed_as for item in plan.items], {})
+    linked = [link_or_copy(source, target) for source, target in files if source.exists()]
+    return ChunkResult("linked" if all(linked) else "copied", _chunk_size(root, chunk), {})
 
 
-def _pack_chunk(root: Path, plan: ChunkPlan, keep_going: bool) -> ChunkResult:
+def _pack_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult:
     failures: dict[str, str] = {}
-    listed: list[str] = []
-    stores = {store: ClipStore(store) for store in {item.store for item in plan.items}}
-    with ExitStack() as stack:
-        chunk = _ChunkWriter(root, plan.number, stack)
-        for item in plan.items:
+    calibrations: dict[str, list[pd.DataFrame]] = {name: [] for name in CALIBRATIONS}
+    stores = {store: ClipStore(store) for store in {item.store for item in chunk.items}}
+    with ExitStack() as stack:  # the archives appear when it is left
+        archives: dict[str, zipfile.ZipFile] = {}
+        for item in chunk.items:
             try:
                 members, rows = _read_clip(stores[item.store], item)
             except InputError as error:
@@ -136,41 +123,24 @@ def _pack_chunk(root: Path, plan: ChunkPlan, keep_going: bool) -> ChunkResult:
                     raise
                 failures[item.listed_as] = str(error)
                 continue
-            chunk.add(members, rows)
-            listed.append(item.listed_as)
-    if listed:
-        chunk.write_calibration()
-    return ChunkResult("packed", _chunk_size(root, plan.number), listed, failures)
+            for feature, name, data in members:
+                path = FEATURES[feature].chunk_file(root, chunk.number)
+                if feature not in archives:
+                    temporary = stack.enter_context(write_file(path))
+                    archives[feature] = stack.enter_context(zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED))
+                with naming(path):
+                    add_member(archives[feature], name, data)
+            for feature, table in rows.items():
+                calibrations[feature].append(table)
+    for feature, tables in calibrations.items():
+        if tables:
+            with write_file(FEATURES[feature].chunk_file(root, chunk.number)) as temporary:
+                pd.concat(tables).to_parquet(temporary)
+    return ChunkResult("packed", _chunk_size(root, chunk), failures)
 
 
-class _ChunkWriter:
-    """Collects clips into the files of one chunk; the archives appear when `stack` is left."""
-
-    def __init__(self, root: Path, number: int, stack: ExitStack) -> None:
-        self._root, self._number, self._stack = root, number, stack
-        self._archives: dict[str, zipfile.ZipFile] = {}
-        self._tables: dict[str, list[pd.DataFrame]] = {name: [] for name in CALIBRATIONS}
-
-    def add(self, members: Sequence[Member], rows: dict[str, pd.DataFrame]) -> None:
-        for feature, name, data in members:
-            path = FEATURES[feature].chunk_file(self._root, self._number)
-            if feature not in self._archives:
-                temporary = self._stack.enter_context(write_file(path))
-                archive = zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED)
-                self._archives[feature] = self._stack.enter_context(archive)
-            with naming(path):
-                add_member(self._archives[feature], name, data)
-        for feature, table in rows.items():
-            self._tables[feature].append(table)
-
-    def write_calibration(self) -> None:
-        for name, rows in self._tables.items():
-            with write_file(FEATURES[name].chunk_file(self._root, self._number)) as temporary:
-                pd.concat(rows).to_parquet(temporary)
-
-
-def _read_clip(store: ClipStore, item: ExportItem) -> tuple[list[Member], dict[str, pd.DataFrame]]:
-    """Members of a clip, checked, and its rows of the calibration tables, all under its id in the export."""
+def _read_clip(store: ClipStore, item: ExportItem) -> tuple[list[tuple[str, str, bytes]], dict[str, pd.DataFrame]]:
+    """A clip, checked, under its id in the export: feature, name and bytes of each member, and rows of calibration."""
     store.check(item.clip_id, item.t0s_us)
     info = store.info(item.clip_id)
     members = [
@@ -179,17 +149,10 @@ def _read_clip(store: ClipStore, item: ExportItem) -> tuple[list[Member], dict[s
         if has_feature(info, feature.name)
         for alias in feature.members
     ]
-    rows = {name: _rename(store.read_rows(item.clip_id, name), item.listed_as) for name in CALIBRATIONS}
-    return members, rows
+    renamed = {item.clip_id: item.listed_as}
+    return members, {name: store.read_rows(item.clip_id, name).rename(index=renamed, level=0) for name in CALIBRATIONS}
 
 
-def _rename(rows: pd.DataFrame, clip_id: str) -> pd.DataFrame:
-    if isinstance(rows.index, pd.MultiIndex):
-        keys = [(clip_id, *key[1:]) for key in rows.index]
-        return rows.set_axis(pd.MultiIndex.from_tuples(keys, names=rows.index.names))
-    return rows.set_axis(pd.Index([clip_id] * len(rows), name=rows.index.name))
-
-
-def _chunk_size(root: Path, number: int) -> int:
-    files = [feature.chunk_file(root, number) for feature in FEATURES.values()]
+def _chunk_size(root: Path, chunk: ExportChunk) -> int:
+    files = [feature.chunk_file(root, chunk.number) for feature in FEATURES.values()]
     return sum(file.stat().st_size for file in files if file.exists())

@@ -5,14 +5,15 @@ several times, each time under an id of its own; uses beyond that (a sample draw
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import groupby
 from operator import attrgetter, itemgetter
 from pathlib import Path
 
-from olt_datasets.mixtures.mixture import Mixture, MixtureComponent
+from olt_datasets.mixtures.mixture import Mixture
 from olt_generator.errors import InputError
+from olt_generator.omissions import Omission
 from olt_toolkit.clips.clip import Split, make_clip_id
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.policy.sample import KEYFRAME_US
@@ -58,13 +59,13 @@ class Contents:
     Attributes:
         groups: groups of one component follow each other.
         split: the split that all clips are of.
-        left_out: clips that the stores hold and the export does not, by reason.
+        left_out: clips that the stores hold and the export does not.
         notes: what the public readers cannot do as the mixture asks, a sentence each.
     """
 
     groups: tuple[ExportGroup, ...]
     split: Split
-    left_out: dict[str, int] = field(default_factory=dict)
+    left_out: tuple[Omission, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -74,7 +75,14 @@ class Contents:
 
     def with_one_item_per_clip(self) -> "Contents":
         """The same, with all sample times of a clip in one item: for layouts that hold many samples of a clip."""
-        return replace(self, groups=tuple(replace(group, items=_join_uses(group.items)) for group in self.groups))
+        groups = []
+        for group in self.groups:
+            times: dict[tuple[Path, str], list[int]] = {}
+            for item in group.items:
+                times.setdefault((item.store, item.clip_id), []).extend(item.t0s_us)
+            items = [ExportItem(store, clip, clip, tuple(sorted(t0s_us))) for (store, clip), t0s_us in times.items()]
+            groups.append(replace(group, items=tuple(items)))
+        return replace(self, groups=tuple(groups))
 
 
 def contents_of_mixture(mixture: Mixture) -> Contents:
@@ -87,7 +95,16 @@ def contents_of_mixture(mixture: Mixture) -> Contents:
     table = next((store for store in sorted(stores) if Path(store).is_file()), None)
     if table is not None:
         raise InputError(f"{table}: its clips are indexed and not built; build them with `olt data build`")
-    groups = [group for part in mixture.components for group in _component_groups(part)]
+    groups = []
+    for part in mixture.components:
+        rows = sorted(part.samples.select("kind", "source", "store", "clip_id", "t0_us").unique().rows())
+        for (kind, source), group in groupby(rows, itemgetter(0, 1)):
+            items = [
+                ExportItem(Path(store), clip, make_clip_id("further use", clip, t0_us) if use else clip, (t0_us,))
+                for (store, clip), uses in groupby(group, itemgetter(2, 3))
+                for use, (*_, t0_us) in enumerate(uses)
+            ]
+            groups.append(ExportGroup(part.component.name, kind, source, tuple(items)))
     return Contents(_check(groups), mixture.recipe.split, notes=tuple(_notes(mixture)))
 
 
@@ -102,52 +119,30 @@ def contents_of_stores(stores: Sequence[Path], split: Split) -> Contents:
     names = Counter(store.resolve().name for store in stores)
     if max(names.values()) > 1:
         raise InputError(f"two stores are called {names.most_common(1)[0][0]}; chunks are named by them, rename one")
-    left_out: Counter[str] = Counter()
-    groups = [group for store in stores for group in _store_groups(store.resolve(), split, left_out)]
-    return Contents(_check(groups), split, dict(left_out))
-
-
-def _component_groups(part: MixtureComponent) -> Iterator[ExportGroup]:
-    columns = ("kind", "source", "store", "clip_id", "t0_us")
-    rows = sorted(part.samples.select(*columns).unique().rows())
-    for (kind, source), group in groupby(rows, itemgetter(0, 1)):
-        items = [
-            ExportItem(Path(store), clip_id, _listed_as(clip_id, t0_us, further=use > 0), (t0_us,))
-            for (store, clip_id), uses in groupby(group, itemgetter(2, 3))
-            for use, (*_, t0_us) in enumerate(uses)
-        ]
-        yield ExportGroup(part.component.name, kind, source, tuple(items))
-
-
-def _join_uses(items: Sequence[ExportItem]) -> tuple[ExportItem, ...]:
-    times: dict[tuple[Path, str], list[int]] = {}
-    for item in items:
-        times.setdefault((item.store, item.clip_id), []).extend(item.t0s_us)
-    return tuple(
-        ExportItem(store, clip_id, clip_id, tuple(sorted(t0s_us))) for (store, clip_id), t0s_us in times.items()
-    )
-
-
-def _listed_as(clip_id: str, t0_us: int, further: bool) -> str:
-    return make_clip_id("further use", clip_id, t0_us) if further else clip_id
-
-
-def _store_groups(store: Path, split: Split, left_out: Counter[str]) -> Iterator[ExportGroup]:
-    clips = ClipStore(store).clips()
-    taken = [info for info in clips if info.split == split and info.sample_t0_us]
-    for info in clips:
-        if info.split != split:
-            left_out[f"of split {info.split}"] += 1
-        elif not info.sample_t0_us:
-            left_out[f"{info.kind}, no policy sample"] += 1
+    groups: list[ExportGroup] = []
+    left_out: Counter[tuple[str, str]] = Counter()
+    total = 0
     kind_and_source = attrgetter("kind", "source")
-    for (kind, source), group in groupby(sorted(taken, key=kind_and_source), kind_and_source):
-        items = [ExportItem(store, info.clip_id, info.clip_id, _default_first(info.sample_t0_us)) for info in group]
-        yield ExportGroup(store.name, kind, source, tuple(items))
-
-
-def _default_first(t0s_us: tuple[int, ...]) -> tuple[int, ...]:
-    return tuple(sorted(t0s_us, key=lambda t0_us: (t0_us != KEYFRAME_US, t0_us)))
+    for store in map(Path.resolve, stores):
+        clips = ClipStore(store).clips()
+        total += len(clips)
+        left_out.update(("clips", f"of split {info.split}") for info in clips if info.split != split)
+        of_split = [info for info in clips if info.split == split]
+        left_out.update((f"{info.kind} clips", "no policy sample") for info in of_split if not info.sample_t0_us)
+        taken = sorted((info for info in of_split if info.sample_t0_us), key=kind_and_source)
+        for (kind, source), infos in groupby(taken, kind_and_source):
+            items = [
+                ExportItem(
+                    store,
+                    info.clip_id,
+                    listed_as=info.clip_id,
+                    t0s_us=tuple(sorted(info.sample_t0_us, key=lambda t0_us: (t0_us != KEYFRAME_US, t0_us))),
+                )
+                for info in infos
+            ]
+            groups.append(ExportGroup(store.name, kind, source, tuple(items)))
+    omissions = [Omission(what, why, count, total) for (what, why), count in left_out.items()]
+    return Contents(_check(groups), split, tuple(omissions))
 
 
 def _notes(mixture: Mixture) -> Iterator[str]:
@@ -159,13 +154,12 @@ def _notes(mixture: Mixture) -> Iterator[str]:
         if items != samples:
             yield (
                 f"{name}: {items} items of {samples} samples per epoch; the public readers take each once, so its "
-                f"share is {samples / distinct:.4g} and not {items / len(mixture):.4g}; `mixtures.torch_dataset` "
-                "keeps the share"
+                f"share is {samples / distinct:.4g} and not {items / len(mixture):.4g}; `MixtureDataset` keeps the "
+                "share"
             )
 
 
-def _check(groups: Iterable[ExportGroup]) -> tuple[ExportGroup, ...]:
-    groups = tuple(group for group in groups if group.items)
+def _check(groups: Sequence[ExportGroup]) -> tuple[ExportGroup, ...]:
     if not groups:
         raise InputError("no clip is left to export; choose another split, or build clips that give policy samples")
     ids = Counter(item.listed_as for group in groups for item in group.items)
@@ -173,4 +167,4 @@ def _check(groups: Iterable[ExportGroup]) -> tuple[ExportGroup, ...]:
     if uses > 1:
         stores = sorted({str(item.store) for group in groups for item in group.items if item.listed_as == clip_id})
         raise InputError(f"clip {clip_id} would be listed {uses} times (from {', '.join(stores)}); give it once")
-    return groups
+    return tuple(groups)

@@ -6,7 +6,7 @@ poses are left out. The task of an episode is the category of its clip: no instr
 
 import json
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -19,9 +19,16 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from olt_datasets.export.contents import Contents
-from olt_datasets.export.lerobot_clip import FILES_PER_CHUNK, FRAME_RATE, POSE_FIELDS, ClipFrames, video_key, write_clip
-from olt_datasets.export.options import WorkOptions, fingerprint_export
-from olt_datasets.export.writing import EXPORT_FILE, find_finished, resumable_folder, write_file
+from olt_datasets.export.lerobot_clip import (
+    FILES_PER_CHUNK,
+    FRAME_RATE,
+    POSE_FIELDS,
+    ClipFrames,
+    numbered_file,
+    video_key,
+    write_clip,
+)
+from olt_datasets.export.writing import write_export, write_file
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.clip import ClipInfo
@@ -29,12 +36,12 @@ from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
-from olt_toolkit.runtime.workers import map_parallel
+from olt_toolkit.runtime.workers import Engine, map_parallel
 
 VERSION = "v3.0"
 POLICY_IMAGE_SIZE = (320, 576)
 CLIPS_PER_TABLE = 1000
-QUANTILES = (0.01, 0.10, 0.50, 0.90, 0.99)
+QUANTILES = {f"q{percent:02d}": percent / 100 for percent in (1, 10, 50, 90, 99)}
 
 Columns = dict[str, NDArray[Any]]
 
@@ -52,102 +59,103 @@ class _Episode:
     def __len__(self) -> int:
         return self.end - self.first
 
+    @property
+    def table(self) -> int:
+        """Number of the file that holds its rows."""
+        return self.clip.number // CLIPS_PER_TABLE
+
 
 def export_lerobot(
     contents: Contents,
     out: Path,
-    options: WorkOptions,
+    keep_going: bool = False,
+    workers: int = 1,
+    engine: Engine = Engine.LOCAL,
     on_progress: Progress = silent,
     image_size: tuple[int, int] = POLICY_IMAGE_SIZE,
 ) -> dict[str, Any]:
     """Write the clips to `out`, which appears when it is complete; an interrupted export goes on when it is repeated.
 
+    Args:
+        contents: what to export.
+        out: the folder.
+        keep_going: leave out damaged clips and list them, instead of stopping at the first.
+        workers, engine: number of processes and where they run.
+        on_progress: told the finished part, 0 to 1.
+        image_size: height and width of the images.
+
     Returns:
         The summary that is also written to `out/export.json`.
 
     Raises:
-        InputError: `out` holds something else, a clip is damaged and `options.keep_going` is off, no clip is left, or
-            a file cannot be written; names the file.
+        InputError: `out` holds something else, a clip is damaged and `keep_going` is off, no clip is left, or a file
+            cannot be written; names the file.
     """
     contents = contents.with_one_item_per_clip()
-    fingerprint = fingerprint_export("lerobot", contents, list(image_size))
-    finished = find_finished(out, fingerprint)
-    if finished is not None:
-        return finished
-    with resumable_folder(out, fingerprint) as root:
-        write = partial(write_clip, root, image_size, options.keep_going)
-        jobs = list(enumerate(contents.items))
-        clips = map_parallel(write, jobs, options.workers, on_progress, options.engine)
-        episodes = _list_episodes(contents, clips)
-        if not episodes:
+
+    def write(root: Path) -> dict[str, Any]:
+        write_one = partial(write_clip, root, image_size, keep_going)
+        clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_progress, engine)
+        components = [group.component for group in contents.groups for _ in group.items]
+        stores = {item.store: ClipStore(item.store) for item in contents.items}
+        done = [clip for clip in clips if clip.failure is None]
+        if not done:
             raise InputError(f"{out}: no clip could be exported: {clips[0].failure}")
-        rows = _write_data(root, episodes)
-        _write_meta(root, contents, episodes, rows, image_size)
-        summary = _summarize(contents, clips, episodes) | {"out": str(out), "fingerprint": fingerprint}
-        with write_file(root / EXPORT_FILE) as temporary:
-            temporary.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
-    return summary
+        episodes = [
+            _Episode(clip, stores[clip.item.store].info(clip.item.clip_id), components[clip.number], first, end)
+            for clip in done
+            for first, end in clip.runs
+        ]
+        tasks = sorted({episode.info.category for episode in episodes})
+        columns = _write_data(root, episodes, tasks)
+        _write_meta(root, contents, episodes, tasks, columns, image_size)
+        failures = {clip.item.clip_id: clip.failure for clip in clips if clip.failure is not None}
+        return _summarize(contents, done, episodes) | {"failures": failures}
+
+    return write_export("lerobot", contents, list(image_size), out, write)
 
 
-def _list_episodes(contents: Contents, clips: Sequence[ClipFrames]) -> list[_Episode]:
-    components = [group.component for group in contents.groups for _ in group.items]
-    stores = {item.store: ClipStore(item.store) for item in contents.items}
-    return [
-        _Episode(clip, stores[clip.item.store].info(clip.item.clip_id), component, first, end)
-        for clip, component in zip(clips, components, strict=True)
-        if clip.failure is None
-        for first, end in clip.runs
-    ]
-
-
-def _tasks(episodes: Sequence[_Episode]) -> list[str]:
-    return sorted({episode.info.category for episode in episodes})
-
-
-def _write_data(root: Path, episodes: Sequence[_Episode]) -> Columns:
+def _write_data(root: Path, episodes: Sequence[_Episode], tasks: Sequence[str]) -> Columns:
     """Write the tables of frames; returns their columns, all frames together."""
-    tasks = _tasks(episodes)
     lengths = np.array([len(episode) for episode in episodes])
     columns: Columns = {
-        "observation.state": np.concatenate([each.clip.state[each.first : each.end] for each in episodes]),
-        "action": np.concatenate([each.clip.action[each.first : each.end] for each in episodes]),
-        "is_sample": np.concatenate([each.clip.is_sample[each.first : each.end] for each in episodes]),
+        name: np.concatenate([getattr(each.clip, field)[each.first : each.end] for each in episodes])
+        for name, field in (("observation.state", "state"), ("action", "action"), ("is_sample", "is_sample"))
+    }
+    columns |= {
         "frame_index": np.concatenate([np.arange(length) for length in lengths]),
         "episode_index": np.repeat(np.arange(len(episodes)), lengths),
         "index": np.arange(lengths.sum()),
         "task_index": np.repeat([tasks.index(episode.info.category) for episode in episodes], lengths),
     }
     columns["timestamp"] = (columns["frame_index"] / FRAME_RATE).astype(np.float32)
-    table = pa.table({name: _to_arrow(values) for name, values in columns.items()})
-    place = np.repeat([_data_file(episode) for episode in episodes], lengths)
-    for file in np.unique(place):
-        with write_file(root / _numbered("data", int(file))) as temporary:
-            pq.write_table(table.filter(pa.array(place == file)), temporary)
+    table = pa.table(
+        {
+            name: pa.array(values)
+            if values.ndim == 1
+            else pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
+            for name, values in columns.items()
+        }
+    )
+    place = np.repeat([episode.table for episode in episodes], lengths)
+    for number in np.unique(place).tolist():
+        with write_file(numbered_file(root / "data", number, "parquet")) as temporary:
+            pq.write_table(table.filter(pa.array(place == number)), temporary)
     return columns
 
 
-def _to_arrow(values: NDArray[Any]) -> pa.Array:
-    if values.ndim == 1:
-        return pa.array(values)
-    return pa.FixedSizeListArray.from_arrays(pa.array(values.ravel()), values.shape[1])
-
-
-def _data_file(episode: _Episode) -> int:
-    return episode.clip.number // CLIPS_PER_TABLE
-
-
-def _numbered(folder: str, number: int, suffix: str = "parquet") -> str:
-    chunk, file = divmod(number, FILES_PER_CHUNK)
-    return f"{folder}/chunk-{chunk:03d}/file-{file:03d}.{suffix}"
-
-
 def _write_meta(
-    root: Path, contents: Contents, episodes: Sequence[_Episode], columns: Columns, image_size: tuple[int, int]
+    root: Path,
+    contents: Contents,
+    episodes: Sequence[_Episode],
+    tasks: Sequence[str],
+    columns: Columns,
+    image_size: tuple[int, int],
 ) -> None:
-    tasks = _tasks(episodes)
-    with write_file(root / "meta" / "tasks.parquet") as temporary:
+    meta = root / "meta"
+    with write_file(meta / "tasks.parquet") as temporary:
         pd.DataFrame({"task_index": range(len(tasks))}, index=pd.Index(tasks)).to_parquet(temporary)
-    with write_file(root / _numbered("meta/episodes", 0)) as temporary:
+    with write_file(numbered_file(meta / "episodes", 0, "parquet")) as temporary:
         pq.write_table(pa.Table.from_pylist(_episode_rows(episodes)), temporary)
     info = {
         "codebase_version": VERSION,
@@ -164,10 +172,16 @@ def _write_meta(
         "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
         "features": _features(image_size),
     }
-    stats = {name: _vector_stats(values) for name, values in columns.items() if values.dtype != np.bool_}
+    stats = {}
+    for name, values in columns.items():
+        if values.dtype != np.bool_:
+            rows = values.reshape(len(values), -1)
+            stats[name] = {each: getattr(np, each)(rows, axis=0).tolist() for each in ("min", "max", "mean", "std")}
+            quantiles = np.quantile(rows, list(QUANTILES.values()), axis=0).tolist()
+            stats[name] |= {"count": [len(rows)]} | dict(zip(QUANTILES, quantiles, strict=True))
     stats |= {video_key(camera): _image_stats(episodes, camera) for camera in POLICY_CAMERAS}
     for name, content in {"info": info, "stats": stats}.items():
-        with write_file(root / "meta" / f"{name}.json") as temporary:
+        with write_file(meta / f"{name}.json") as temporary:
             temporary.write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
 
 
@@ -204,6 +218,10 @@ def _pose_feature(offsets_us: NDArray[np.int64]) -> dict[str, Any]:
 
 
 def _episode_rows(episodes: Sequence[_Episode]) -> list[dict[str, Any]]:
+    def place(name: str, number: int) -> dict[str, int]:
+        chunk, file = divmod(number, FILES_PER_CHUNK)
+        return {f"{name}/chunk_index": chunk, f"{name}/file_index": file}
+
     rows = []
     begin = 0
     for number, episode in enumerate(episodes):
@@ -213,8 +231,8 @@ def _episode_rows(episodes: Sequence[_Episode]) -> list[dict[str, Any]]:
             "length": len(episode),
             "dataset_from_index": begin,
             "dataset_to_index": begin + len(episode),
-            **_place("data", _data_file(episode)),
-            **_place("meta/episodes", 0),
+            **place("data", episode.table),
+            **place("meta/episodes", 0),
             "clip_id": episode.clip.item.clip_id,
             "component": episode.component,
             "kind": episode.info.kind,
@@ -222,24 +240,13 @@ def _episode_rows(episodes: Sequence[_Episode]) -> list[dict[str, Any]]:
             "start_us": int(episode.clip.times_us[episode.first]),
         }
         for camera in POLICY_CAMERAS:
-            row |= _place(f"videos/{video_key(camera)}", episode.clip.number)
-            row[f"videos/{video_key(camera)}/from_timestamp"] = episode.first / FRAME_RATE
-            row[f"videos/{video_key(camera)}/to_timestamp"] = episode.end / FRAME_RATE
+            video = f"videos/{video_key(camera)}"
+            row |= place(video, episode.clip.number)
+            row[f"{video}/from_timestamp"] = episode.first / FRAME_RATE
+            row[f"{video}/to_timestamp"] = episode.end / FRAME_RATE
         rows.append(row)
         begin += len(episode)
     return rows
-
-
-def _place(name: str, number: int) -> dict[str, int]:
-    chunk, file = divmod(number, FILES_PER_CHUNK)
-    return {f"{name}/chunk_index": chunk, f"{name}/file_index": file}
-
-
-def _vector_stats(values: NDArray[Any]) -> dict[str, list[Any]]:
-    values = values.reshape(len(values), -1)
-    stats = {name: getattr(np, name)(values, axis=0).tolist() for name in ("min", "max", "mean", "std")}
-    quantiles = np.quantile(values, QUANTILES, axis=0).tolist()
-    return stats | {"count": [len(values)]} | dict(zip(_quantile_names(), quantiles, strict=True))
 
 
 def _image_stats(episodes: Sequence[_Episode], camera: str) -> dict[str, list[Any]]:
@@ -258,43 +265,27 @@ def _image_stats(episodes: Sequence[_Episode], camera: str) -> dict[str, list[An
         "std": np.sqrt(np.maximum(share @ levels**2 - mean**2, 0.0)),
         **{
             name: np.array([levels[np.searchsorted(row, quantile)] for row in cumulated])
-            for name, quantile in zip(_quantile_names(), QUANTILES, strict=True)
+            for name, quantile in QUANTILES.items()
         },
     }
     frames = sum(len(clip.times_us) for clip in clips.values())
     return {name: values.reshape(3, 1, 1).tolist() for name, values in stats.items()} | {"count": [frames]}
 
 
-def _quantile_names() -> list[str]:
-    return [f"q{round(100 * quantile):02d}" for quantile in QUANTILES]
-
-
 def _summarize(contents: Contents, clips: Sequence[ClipFrames], episodes: Sequence[_Episode]) -> dict[str, Any]:
-    by_component: Mapping[str, int] = Counter(episode.component for episode in episodes)
-    done = [clip for clip in clips if clip.failure is None]
-    samples = sum(int(clip.is_sample.sum()) for clip in done)
-    licences = {clip.number: licence for clip, licence in ((each.clip, each.info.origin.licence) for each in episodes)}
-    return {
-        "format": "lerobot",
-        "split": contents.split,
-        "clips": len(done),
-        "episodes": dict(by_component),
-        "frames": sum(len(clip.times_us) for clip in done),
-        "samples": samples,
-        "licences": dict(Counter(licence or "not told" for licence in licences.values())),
-        "left_out": contents.left_out,
-        "notes": [*contents.notes, *_history_notes(done)],
-        "failures": {clip.item.clip_id: clip.failure for clip in clips if clip.failure is not None},
-    }
-
-
-def _history_notes(clips: Sequence[ClipFrames]) -> list[str]:
-    """How many samples lack frames before them: LeRobot repeats the first frame of an episode there, and says so."""
     short = 0
     for clip in clips:
         present = set(clip.times_us.tolist())
         samples = clip.times_us[clip.is_sample].tolist()
         short += sum(any(time - step * STEP_US not in present for step in (1, 2, 3)) for time in samples)
-    if not short:
-        return []
-    return [f"{short} samples have fewer than three frames before them, as the ego motion begins too late for a state"]
+    # LeRobot repeats the first frame of an episode there, and says so.
+    note = f"{short} samples have fewer than three frames before them, as the ego motion begins too late for a state"
+    licences = {each.clip.number: each.info.origin.licence for each in episodes}
+    return {
+        "clips": len(clips),
+        "episodes": dict(Counter(episode.component for episode in episodes)),
+        "frames": sum(len(clip.times_us) for clip in clips),
+        "samples": sum(int(clip.is_sample.sum()) for clip in clips),
+        "licences": dict(Counter(licence or "not told" for licence in licences.values())),
+        "notes": [*contents.notes, *([note] if short else [])],
+    }

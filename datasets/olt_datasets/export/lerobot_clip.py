@@ -5,7 +5,7 @@ and the next 64 as action, all in the rig frame of that moment. A policy that lo
 frames, so three frames stand before each sample time, where the ego motion reaches back far enough to give their state.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -45,7 +45,7 @@ class ClipFrames:
         state: (n, 64) float32: x, y, z in metres and yaw of the 16 past poses.
         action: (n, 256) float32: the same of the 64 future poses.
         levels: levels of the images by camera.
-        failure: what was wrong with the clip; None where nothing was.
+        failure: what was wrong with the clip, which then has no frames; None where nothing was.
     """
 
     item: ExportItem
@@ -70,10 +70,10 @@ def video_key(camera: str) -> str:
     return f"observation.images.{camera}"
 
 
-def video_file(root: Path, camera: str, number: int) -> Path:
-    """Where the video of one camera of one clip lies."""
+def numbered_file(folder: Path, number: int, suffix: str) -> Path:
+    """Where a file of LeRobot's numbered chunks lies; the video of a clip has the clip's number."""
     chunk, file = divmod(number, FILES_PER_CHUNK)
-    return root / "videos" / video_key(camera) / f"chunk-{chunk:03d}" / f"file-{file:03d}.mp4"
+    return folder / f"chunk-{chunk:03d}" / f"file-{file:03d}.{suffix}"
 
 
 def write_clip(root: Path, image_size: tuple[int, int], keep_going: bool, job: tuple[int, ExportItem]) -> ClipFrames:
@@ -83,31 +83,28 @@ def write_clip(root: Path, image_size: tuple[int, int], keep_going: bool, job: t
         InputError: the clip is damaged and `keep_going` is off, or a file cannot be written; names it.
     """
     number, item = job
+    videos = {camera: numbered_file(root / "videos" / video_key(camera), number, "mp4") for camera in POLICY_CAMERAS}
     try:
-        return _write_clip(root, image_size, number, item)
+        store = ClipStore(item.store)
+        store.check(item.clip_id, item.t0s_us)
+        motion = store.read_ego_motion(item.clip_id)
+        times_us = frame_times(item.t0s_us, motion.span_us[0])
+        return ClipFrames(
+            item,
+            number,
+            times_us,
+            is_sample=np.isin(times_us, item.t0s_us),
+            state=_pose_fields(motion, times_us, HISTORY_OFFSETS_US),
+            action=_pose_fields(motion, times_us, FUTURE_OFFSETS_US),
+            levels=_write_videos(root, videos, store, item.clip_id, number, times_us, image_size),
+        )
     except InputError as error:
-        for camera in POLICY_CAMERAS:
-            video_file(root, camera, number).unlink(missing_ok=True)
+        for video in videos.values():
+            video.unlink(missing_ok=True)
         if not keep_going:
             raise
         nothing = np.empty(0, np.float32)
         return ClipFrames(item, number, np.empty(0, np.int64), np.empty(0, bool), nothing, nothing, {}, str(error))
-
-
-def _write_clip(root: Path, image_size: tuple[int, int], number: int, item: ExportItem) -> ClipFrames:
-    store = ClipStore(item.store)
-    store.check(item.clip_id, item.t0s_us)
-    motion = store.read_ego_motion(item.clip_id)
-    times_us = frame_times(item.t0s_us, motion.span_us[0])
-    return ClipFrames(
-        item,
-        number,
-        times_us,
-        np.isin(times_us, item.t0s_us),
-        _pose_fields(motion, times_us, HISTORY_OFFSETS_US),
-        _pose_fields(motion, times_us, FUTURE_OFFSETS_US),
-        _write_videos(root, store, item.clip_id, number, times_us, image_size),
-    )
 
 
 def frame_times(t0s_us: Sequence[int], ego_start_us: int) -> NDArray[np.int64]:
@@ -130,7 +127,13 @@ def _pose_fields(motion: EgoMotion, times_us: NDArray[np.int64], offsets_us: NDA
 
 
 def _write_videos(
-    root: Path, store: ClipStore, clip_id: str, number: int, times_us: NDArray[np.int64], size: tuple[int, int]
+    root: Path,
+    videos: Mapping[str, Path],
+    store: ClipStore,
+    clip_id: str,
+    number: int,
+    times_us: NDArray[np.int64],
+    size: tuple[int, int],
 ) -> dict[str, Levels]:
     name = f"clip_{number:06d}"
     finished = finished_part(root, name)
@@ -138,10 +141,9 @@ def _write_videos(
         return {camera: np.array(levels, np.int64) for camera, levels in finished.items()}
     order = np.argsort(times_us)
     levels = {}
-    for camera in POLICY_CAMERAS:
+    for camera, path in videos.items():
         frames, _ = store.read_frames(clip_id, camera, times_us[order])
         frames = resize_images(frames, size[1], size[0])[np.argsort(order)]
-        path = video_file(root, camera, number)
         with naming(path):
             write_video(path, frames, FRAME_RATE)
         levels[camera] = np.stack([np.bincount(frames[..., colour].ravel(), minlength=256) for colour in range(3)])

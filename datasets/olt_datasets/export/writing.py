@@ -1,12 +1,16 @@
 """Files of an export: written whole, named in errors, and in a folder that can be taken up again."""
 
+import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
+from olt_datasets.export.contents import Contents
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
 
@@ -44,15 +48,32 @@ def link_or_copy(source: Path, target: Path) -> bool:
         return False
 
 
-@contextmanager
-def resumable_folder(out: Path, fingerprint: str) -> Iterator[Path]:
-    """Yield a hidden folder beside `out` that becomes `out` on success and is kept on failure, to be taken up again.
+def write_export(
+    layout: str, contents: Contents, settings: object, out: Path, write: Callable[[Path], dict[str, Any]]
+) -> dict[str, Any]:
+    """Fill a hidden folder beside `out` that becomes `out` on success and is kept on failure, to be taken up again.
 
-    What another export with another fingerprint left there is removed.
+    What another export left there is removed; an export that is complete already is not made again.
+
+    Args:
+        layout: name of the layout.
+        contents: what is exported.
+        settings: what else decides the export.
+        out: the folder that appears.
+        write: fills a folder and gives the summary.
+
+    Returns:
+        The summary, which is also written to `out/export.json`.
 
     Raises:
-        InputError: `out` exists, or the folder cannot be made.
+        InputError: `out` holds something else, or the folder cannot be made.
     """
+    text = json.dumps([layout, asdict(contents), settings], default=str, sort_keys=True)
+    fingerprint = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+    if (out / EXPORT_FILE).exists():
+        finished = json.loads((out / EXPORT_FILE).read_text())
+        if finished.get("fingerprint") == fingerprint:
+            return finished
     if out.exists():
         raise InputError(f"{out}: exists already; choose another folder, or remove it first")
     folder = out.parent / f".{out.name}.partial"
@@ -62,27 +83,23 @@ def resumable_folder(out: Path, fingerprint: str) -> Iterator[Path]:
     make_folder(marker.parent)
     with write_file(marker) as temporary:
         temporary.write_text(fingerprint)
-    yield folder
+    about = {"format": layout, "split": contents.split}
+    left_out = [omission.to_dict() for omission in contents.left_out]
+    summary = about | write(folder) | {"left_out": left_out, "out": str(out), "fingerprint": fingerprint}
+    with write_file(folder / EXPORT_FILE) as temporary:
+        temporary.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     shutil.rmtree(folder / _STATE)
     folder.rename(out)
+    return summary
 
 
-def finished_part(folder: Path, name: str) -> dict | None:
+def finished_part(folder: Path, name: str) -> dict[str, Any] | None:
     """What an earlier run noted when it finished this part; None where it did not."""
     path = folder / _STATE / f"{name}.json"
     return json.loads(path.read_text()) if path.exists() else None
 
 
-def note_finished(folder: Path, name: str, result: dict) -> None:
+def note_finished(folder: Path, name: str, result: dict[str, Any]) -> None:
     """Note that a part is finished, and with what result."""
     with write_file(folder / _STATE / f"{name}.json") as temporary:
         temporary.write_text(json.dumps(result))
-
-
-def find_finished(out: Path, fingerprint: str) -> dict | None:
-    """The summary of an export that is complete already; None where there is none with this fingerprint."""
-    path = out / EXPORT_FILE
-    if not path.exists():
-        return None
-    summary = json.loads(path.read_text())
-    return summary if summary.get("fingerprint") == fingerprint else None

@@ -59,7 +59,9 @@ def batch_counts(counts: Sequence[int], batch_size: int) -> Counts:
     """
     samples = sum(counts)
     full_batches, rest = divmod(samples, batch_size)
-    order = _spread(full_batches)
+    # Ranks of the golden-section sequence: any stretch of them fills 0 ... full_batches - 1 evenly, so that running
+    # totals stay close to their shares too.
+    order = np.argsort(np.argsort(np.arange(full_batches) * GOLDEN_SECTION % 1.0))
     cumulative = np.zeros((full_batches + (rest > 0), len(counts) + 1), np.int64)
     for column, items in enumerate(accumulate(counts), start=1):
         whole, part = divmod(batch_size * items, samples)
@@ -68,13 +70,6 @@ def batch_counts(counts: Sequence[int], batch_size: int) -> Counts:
         cumulative[:full_batches, column] = whole + (order >= threshold)
         cumulative[full_batches:, column] = _divide_up(rest * items, samples)
     return np.diff(cumulative, axis=1)
-
-
-def _spread(length: int) -> Counts:
-    # Ranks of the golden-section sequence: any stretch of them fills 0 ... length - 1 evenly, so that running totals
-    # stay close to their shares too.
-    fractions = np.arange(length) * GOLDEN_SECTION % 1.0
-    return np.argsort(np.argsort(fractions))
 
 
 def _divide_up(numerator: int, denominator: int) -> int:

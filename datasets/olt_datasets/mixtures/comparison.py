@@ -1,11 +1,12 @@
 """What differs between two composed mixtures: recipes, samples and shares."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import polars as pl
 
 from olt_datasets.mixtures.mixture import GROUPS, Mixture
+from olt_datasets.mixtures.recipe import Recipe
 
 SAMPLE_KEY = ("clip_id", "t0_us")
 """What makes two samples the same; a store may move."""
@@ -17,15 +18,26 @@ def compare_mixtures(first: Mixture, second: Mixture) -> dict[str, Any]:
     `recipe` lists the keys whose values differ, `samples` and `components` count the distinct samples of both, of the
     first only and of the second only, and the shares are those of the items of epoch 0.
     """
-    before, after = first.describe(), second.describe()
+    shares = [
+        {
+            f"by_{group}": {value: numbers["got"] / len(mixture) for value, numbers in summary[f"by_{group}"].items()}
+            for group in GROUPS
+        }
+        for mixture, summary in ((first, first.describe()), (second, second.describe()))
+    ]
+    parts = [{part.component.name: part.samples for part in mixture.components} for mixture in (first, second)]
+    asked = _pair([_flatten(mixture.recipe) for mixture in (first, second)], None)
     return {
         "recipes": [first.recipe.name, second.recipe.name],
         "seeds": [first.seed, second.seed],
         "samples_per_epoch": [len(first), len(second)],
-        "recipe": _differing_keys(first, second),
+        "recipe": {key: values for key, values in asked.items() if values[0] != values[1]},
         "samples": _count_samples(first.samples, second.samples),
-        "components": _compare_components(first, second),
-        **{f"by_{group}": _compare_shares(before, after, f"by_{group}") for group in GROUPS},
+        "components": {name: _count_samples(*samples) for name, samples in _pair(parts, first.samples.clear()).items()},
+        **{
+            f"by_{group}": dict(sorted(_pair([each[f"by_{group}"] for each in shares], 0.0).items()))
+            for group in GROUPS
+        },
     }
 
 
@@ -44,34 +56,20 @@ def _count_samples(first: pl.DataFrame, second: pl.DataFrame) -> dict[str, int]:
     return {"both": both, "only_first": len(first) - both, "only_second": len(second) - both}
 
 
-def _compare_components(first: Mixture, second: Mixture) -> dict[str, dict[str, int]]:
-    parts = [{part.component.name: part.samples for part in mixture.components} for mixture in (first, second)]
-    nothing = pl.DataFrame(schema={"clip_id": pl.String, "t0_us": pl.Int64})
-    names = dict.fromkeys([*parts[0], *parts[1]])
-    return {name: _count_samples(*(part.get(name, nothing) for part in parts)) for name in names}
+def _pair(both: Sequence[Mapping[str, Any]], absent: Any) -> dict[str, list[Any]]:
+    """The values of both by key, with `absent` where there is none."""
+    return {key: [values.get(key, absent) for values in both] for key in {**both[0], **both[1]}}
 
 
-def _compare_shares(before: Mapping[str, Any], after: Mapping[str, Any], group: str) -> dict[str, list[float]]:
-    def shares(summary: Mapping[str, Any], value: str) -> float:
-        items = summary[group].get(value, {"got": 0})["got"]
-        return items / max(summary["samples_per_epoch"], 1)
+def _flatten(recipe: Recipe) -> dict[str, Any]:
+    """The values of a recipe by their paths, such as `components.nominal.share`."""
 
-    values = sorted({*before[group], *after[group]})
-    return {value: [shares(before, value), shares(after, value)] for value in values}
+    def flatten(values: dict[str, Any], prefix: str) -> Iterator[tuple[str, Any]]:
+        for key, value in values.items():
+            if isinstance(value, dict) and value:
+                yield from flatten(value, f"{prefix}{key}.")
+            else:
+                yield f"{prefix}{key}", value
 
-
-def _differing_keys(first: Mixture, second: Mixture) -> dict[str, list[Any]]:
-    before, after = (_flatten(_by_name(mixture.recipe.model_dump(mode="json"))) for mixture in (first, second))
-    keys = dict.fromkeys([*before, *after])
-    return {key: [before.get(key), after.get(key)] for key in keys if before.get(key) != after.get(key)}
-
-
-def _by_name(recipe: dict[str, Any]) -> dict[str, Any]:
-    return recipe | {"components": {component["name"]: component for component in recipe["components"]}}
-
-
-def _flatten(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat = {}
-    for key, value in values.items():
-        flat |= _flatten(value, f"{prefix}{key}.") if isinstance(value, dict) and value else {f"{prefix}{key}": value}
-    return flat
+    values = recipe.model_dump(mode="json")
+    return dict(flatten(values | {"components": {part["name"]: part for part in values["components"]}}, ""))

@@ -1,24 +1,28 @@
-"""From keys of samples to the samples themselves. Needs no torch; `torch_dataset` wraps it for a DataLoader."""
+"""A mixture as a torch data set and batch sampler: a DataLoader yields the dict of the public Alpamayo loader.
+
+batches = MixtureBatchSampler(mixture, batch_size=8)
+for batch in DataLoader(MixtureDataset(mixture, (320, 576)), batch_sampler=batches, num_workers=2): ...
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset, Sampler
 
 from olt_datasets.mixtures.mixture import Mixture
+from olt_generator.errors import InputError
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.policy.sample import PolicySample, SampleKey
 
 
-class SampleStore(Protocol):
-    """What a clip store is to a dataset."""
+class MixtureDataset(Dataset[dict[str, Any]]):
+    """The samples of a mixture by key; each clip store is opened once, when its first sample is asked for.
 
-    def load_samples(self, keys: Sequence[SampleKey], image_size: tuple[int, int] | None = None) -> list[PolicySample]:
-        """The samples at the keys' clips and times, with images scaled to (height, width)."""
-        ...
-
-
-class MixtureDataset:
-    """The samples of a mixture; each clip store is opened once, when its first sample is asked for.
+    As a torch data set it gives the fields of a sample by name: arrays as tensors that share their memory, `t0_us` and
+    `clip_id` as they are (shapes: `PolicySample`). `MixtureBatchSampler` gives the keys.
 
     Args:
         mixture: which samples there are.
@@ -30,35 +34,91 @@ class MixtureDataset:
         self,
         mixture: Mixture,
         image_size: tuple[int, int] | None,
-        open_store: Callable[[Path], SampleStore] = ClipStore,
+        open_store: Callable[[Path], ClipStore] = ClipStore,
     ) -> None:
         self.image_size = image_size
         self._items = len(mixture)
         self._open_store = open_store
-        self._stores: dict[str, SampleStore] = {}
+        self._stores: dict[str, ClipStore] = {}
 
     def __len__(self) -> int:
         """Items per epoch."""
         return self._items
 
-    def load(self, key: SampleKey) -> PolicySample:
-        """Load one sample.
+    def __getitem__(self, key: SampleKey) -> dict[str, Any]:
+        return self.__getitems__([key])[0]
 
-        Raises:
-            InputError: its store, clip or time is missing or damaged.
-        """
-        return self.load_batch([key])[0]
+    def __getitems__(self, keys: Sequence[SampleKey]) -> list[dict[str, Any]]:
+        """A whole batch, as a DataLoader asks for it: every clip is decoded once."""
+        return [
+            {
+                name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+                for name, value in vars(sample).items()
+            }
+            for sample in self.load_batch(keys)
+        ]
 
     def load_batch(self, keys: Sequence[SampleKey]) -> list[PolicySample]:
-        """Load samples in the order of `keys`; every clip is decoded once."""
-        loaded = {
-            key: sample
-            for store in sorted({key.store for key in keys})
-            for key, sample in self._load_from(store, [key for key in keys if key.store == store])
-        }
+        """Load samples in the order of `keys`; every clip is decoded once.
+
+        Raises:
+            InputError: a store, clip or time is missing or damaged.
+        """
+        loaded: dict[SampleKey, PolicySample] = {}
+        for store in sorted({key.store for key in keys}):
+            if store not in self._stores:
+                self._stores[store] = self._open_store(Path(store))
+            wanted = [key for key in keys if key.store == store]
+            loaded |= zip(wanted, self._stores[store].load_samples(wanted, self.image_size), strict=True)
         return [loaded[key] for key in keys]
 
-    def _load_from(self, store: str, keys: Sequence[SampleKey]) -> Iterator[tuple[SampleKey, PolicySample]]:
-        if store not in self._stores:
-            self._stores[store] = self._open_store(Path(store))
-        return zip(keys, self._stores[store].load_samples(keys, self.image_size), strict=True)
+
+class MixtureBatchSampler(Sampler[list[SampleKey]]):
+    """The keys of one rank's batches, epoch by epoch.
+
+    The global batches of an epoch are the same at every world size and accumulation: training may go on with other
+    numbers of ranks between epochs, and within one from any global batch on.
+
+    In a partial last batch that does not divide by the world size, the ranks that are one item short take their first
+    item of the epoch again, so that all ranks step alike.
+
+    Args:
+        mixture: which samples.
+        batch_size: items in a global batch, that is of one optimizer step over all ranks.
+        rank, world_size: this process and the number of processes.
+        accumulation: forward passes per optimizer step; a rank's part of a global batch comes in so many batches.
+
+    Raises:
+        InputError: the mixture holds no item or fewer than there are ranks, or the sizes do not fit together.
+    """
+
+    def __init__(
+        self, mixture: Mixture, batch_size: int, rank: int = 0, world_size: int = 1, accumulation: int = 1
+    ) -> None:
+        if 0 < len(mixture) < world_size:
+            raise InputError(f"a mixture of {len(mixture)} samples cannot feed {world_size} ranks; use fewer")
+        self._mixture = mixture
+        self._batch_size, self._rank, self._world_size = batch_size, rank, world_size
+        self._part_size, rest = divmod(batch_size, world_size * accumulation)
+        if rest:
+            raise InputError(
+                f"global batch size {batch_size} must be a multiple of {world_size} ranks x {accumulation} passes"
+            )
+        self.set_epoch(0)
+
+    def set_epoch(self, epoch: int, start_batch: int = 0) -> None:
+        """Choose the epoch, and the global batch to start from when training resumes."""
+        batches = self._mixture.epoch(epoch, self._batch_size, self._rank, self._world_size)
+        last_batch = len(self._mixture) - (len(batches) - 1) * self._batch_size
+        if len(batches[-1]) * self._world_size < last_batch:
+            batches[-1].append(batches[0][0])
+        size = self._part_size
+        self._batches = [
+            batch[start : start + size] for batch in batches[start_batch:] for start in range(0, len(batch), size)
+        ]
+
+    def __len__(self) -> int:
+        return len(self._batches)
+
+    def __iter__(self) -> Iterator[list[SampleKey]]:
+        return iter(self._batches)

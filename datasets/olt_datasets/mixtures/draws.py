@@ -36,6 +36,18 @@ def sample_count(component: Component) -> pl.Expr:
     return count if limit is None else count.clip(upper_bound=limit)
 
 
+def sample_times(component: Component) -> pl.Expr:
+    """The sample times (list) that a clip gives to a component; it has at least one."""
+    if component.t0 == "keyframe":
+        distances = TIMES.list.eval((pl.element() - KEYFRAME_US).abs())
+        return pl.concat_list(TIMES.list.get(distances.list.arg_min()))
+    limit, count = component.samples_per_clip, TIMES.list.len().cast(pl.Int64)
+    if limit is None:
+        return TIMES
+    middles = pl.concat_list([(2 * part + 1) * count // (2 * limit) for part in range(limit)])
+    return pl.when(count > limit).then(TIMES.list.gather(middles)).otherwise(TIMES)
+
+
 def draw_samples(
     clips: pl.LazyFrame, component: Component, available: int, count: int, seed: int, columns: tuple[str, ...]
 ) -> pl.DataFrame:
@@ -52,37 +64,25 @@ def draw_samples(
     Returns:
         The columns, `t0_us` (int64) and `PRIORITY` (uint64), in order of priority.
     """
+    word = pl.col(PRIORITY) + pl.col("t0_us").cast(pl.UInt64)
+    for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
+        word = (word ^ (word // pl.lit(1 << shift, pl.UInt64))) * pl.lit(factor, pl.UInt64)
+    word = word ^ (word // pl.lit(1 << 31, pl.UInt64))
     samples = (
         clips.filter(TIMES.list.len() > 0)
-        .select(*columns, _key(component, seed).alias(PRIORITY), t0_us=_sample_times(component))
+        .select(*columns, _key(component, seed).alias(PRIORITY), t0_us=sample_times(component))
         .explode("t0_us")
-        .with_columns(_mix(pl.col(PRIORITY) + pl.col("t0_us").cast(pl.UInt64)).alias(PRIORITY))
+        .with_columns(word.alias(PRIORITY))
     )
     # Priorities are uniform, so that a bound which hardly exceeds the share that is asked for leaves few to sort.
     share = (count + 6.0 * math.sqrt(count) + 16.0) / max(available, 1)
-    while share < 1.0:
-        bound = pl.lit(math.floor(share * TWO_TO_64), pl.UInt64)
-        drawn = samples.filter(pl.col(PRIORITY) < bound).collect(engine="streaming")
-        if len(drawn) >= count:
-            return _first(drawn, count)
+    while True:
+        bounded = share < 1.0
+        least = pl.col(PRIORITY) < pl.lit(math.floor(share * TWO_TO_64), pl.UInt64) if bounded else pl.lit(True)
+        drawn = samples.filter(least).collect(engine="streaming")
+        if len(drawn) >= count or not bounded:
+            return drawn.sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
         share *= 2.0
-    return _first(samples.collect(engine="streaming"), count)
-
-
-def _first(samples: pl.DataFrame, count: int) -> pl.DataFrame:
-    return samples.sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
-
-
-def _sample_times(component: Component) -> pl.Expr:
-    """The sample times (list) that a clip gives to a component; it has at least one."""
-    if component.t0 == "keyframe":
-        distances = TIMES.list.eval((pl.element() - KEYFRAME_US).abs())
-        return pl.concat_list(TIMES.list.get(distances.list.arg_min()))
-    limit, count = component.samples_per_clip, TIMES.list.len().cast(pl.Int64)
-    if limit is None:
-        return TIMES
-    middles = pl.concat_list([(2 * part + 1) * count // (2 * limit) for part in range(limit)])
-    return pl.when(count > limit).then(TIMES.list.gather(middles, null_on_oob=True)).otherwise(TIMES)
 
 
 def _key(component: Component, seed: int) -> pl.Expr:
@@ -99,9 +99,3 @@ def _key(component: Component, seed: int) -> pl.Expr:
     factors = [int(word) | 1 for word in generator.integers(TWO_TO_64, size=len(words), dtype=np.uint64)]
     # Sums and products of 64-bit words wrap.
     return pl.sum_horizontal(word * pl.lit(factor, pl.UInt64) for word, factor in zip(words, factors, strict=True))
-
-
-def _mix(word: pl.Expr) -> pl.Expr:
-    word = (word ^ (word // pl.lit(1 << 30, pl.UInt64))) * pl.lit(0xBF58476D1CE4E5B9, pl.UInt64)
-    word = (word ^ (word // pl.lit(1 << 27, pl.UInt64))) * pl.lit(0x94D049BB133111EB, pl.UInt64)
-    return word ^ (word // pl.lit(1 << 31, pl.UInt64))

@@ -11,25 +11,26 @@ import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
-from typing import Any
+from itertools import accumulate, islice
+from typing import Any, TypedDict
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from olt_datasets.mixtures.batches import batch_counts
-from olt_datasets.mixtures.draws import PRIORITY, draw_samples
 from olt_datasets.mixtures.recipe import Component, Recipe
 from olt_datasets.mixtures.selection import (
+    AbsentValue,
     ClipTable,
-    Selection,
-    find_absent_words,
+    Shortage,
+    count_items,
+    find_absent_values,
     find_shortages,
     most_items,
-    plan_counts,
     samples_per_epoch,
     select_clips,
+    word_shortage,
 )
 from olt_datasets.tables.leaks import Leak, find_leaks, summarize_leaks
 from olt_generator.errors import InputError
@@ -101,7 +102,7 @@ class Mixture:
 
     def counts(self, epoch: int = 0) -> list[int]:
         """Items of each component in an epoch."""
-        return plan_counts(self.recipe, self.items, epoch)
+        return count_items(self.recipe, self.items, epoch)
 
     def epoch(
         self, epoch: int, batch_size: int, rank: int = 0, world_size: int = 1, start_batch: int = 0
@@ -122,16 +123,22 @@ class Mixture:
         Raises:
             InputError: the arguments do not fit together, or the mixture has no samples.
         """
-        _check_slice(epoch, batch_size, rank, world_size, start_batch)
+        if batch_size < 1 or world_size < 1 or batch_size % world_size:
+            raise InputError(f"global batch size {batch_size} must be a multiple of the world size {world_size}")
+        if not 0 <= rank < world_size:
+            raise InputError(f"rank {rank} must be 0 to {world_size - 1}, as the world size is {world_size}")
+        if epoch < 0 or start_batch < 0:
+            raise InputError(f"epoch {epoch} and start batch {start_batch} must not be negative")
         if not self.items:
             raise InputError(
                 f"recipe {self.recipe.name} has no samples to train on: it stands for a model that is used as it is"
             )
-        rows = self._epoch_rows(epoch, batch_size)
+        rows = self._order(epoch, batch_size)
         starts = range(start_batch * batch_size, len(rows), batch_size)
-        slices = [rows[start : start + batch_size][rank::world_size] for start in starts]
-        keys = iter(self._keys(np.concatenate(slices))) if slices else iter(())
-        return [[next(keys) for _ in part] for part in slices]
+        parts = [rows[start : start + batch_size][rank::world_size] for start in starts]
+        taken = np.concatenate([np.empty(0, np.int64), *parts])
+        keys = map(SampleKey, *(self.samples[name].gather(taken).to_list() for name in KEY_COLUMNS))
+        return [list(islice(keys, len(part))) for part in parts]
 
     def describe(self, epoch: int = 0) -> dict[str, Any]:
         """What was asked and what was got in an epoch, by component and in all by each of `GROUPS`.
@@ -139,7 +146,11 @@ class Mixture:
         `got` counts items, `distinct` the samples that they are drawn from, `repeats` the most uses of one sample. A
         sample counts once for each of its factors, so that these may add up to more or less than all items.
         """
-        uses = self._uses(epoch)
+        counts = self.counts(epoch)
+        shares = self.recipe.shares(epoch) if self.recipe.named_epochs else [None] * len(counts)
+        uses = np.bincount(
+            np.concatenate([np.empty(0, np.int64), *self._draw_components(epoch)]), minlength=len(self.samples)
+        )
         return {
             "recipe": self.recipe.name,
             "split": self.recipe.split,
@@ -148,9 +159,21 @@ class Mixture:
             "epoch": epoch,
             "samples_per_epoch": self.items,
             "distinct_samples": len(self.samples),
-            "components": self._describe_components(epoch),
+            "components": [
+                {
+                    "name": part.component.name,
+                    "where": part.component.where.model_dump(mode="json", exclude_defaults=True),
+                    "share": None if share is None else float(share),
+                    "asked": float(count if share is None else share * self.items),
+                    "got": count,
+                    "available": part.available,
+                    "distinct": len(part.samples),
+                    "repeats": math.ceil(count / len(part.samples)),
+                }
+                for part, share, count in zip(self.components, shares, counts, strict=True)
+            ],
             "items_by_epoch": {str(named): self.counts(named) for named in self.recipe.named_epochs},
-            **{f"by_{group}": _describe_group(self.samples[group], uses) for group in GROUPS},
+            **{f"by_{group}": _count_uses(self.samples[group], uses) for group in GROUPS},
         }
 
     @cached_property
@@ -167,13 +190,13 @@ class Mixture:
             digest.update("\n".join([part.component.name, *lines, ""]).encode())
         return digest.hexdigest()
 
-    def _component_rows(self, epoch: int) -> list[Rows]:
+    def _draw_components(self, epoch: int) -> list[Rows]:
         """For each component, the rows of `samples` that it gives to an epoch, in the order of their use."""
         offsets = accumulate((len(part.samples) for part in self.components), initial=0)
         parts = zip(offsets, self.components, self.counts(epoch), strict=False)
         return [offset + part.draw(self.seed, epoch, count) for offset, part, count in parts]
 
-    def _epoch_rows(self, epoch: int, batch_size: int) -> Rows:
+    def _order(self, epoch: int, batch_size: int) -> Rows:
         """Rows of `samples` (items,) in the order of training."""
         counts = batch_counts(self.counts(epoch), batch_size)
         owners = np.repeat(np.tile(np.arange(counts.shape[1]), len(counts)), counts.ravel())
@@ -181,34 +204,9 @@ class Mixture:
         shuffle = make_generator("mixture order", self.seed, epoch, batch_size).random(len(owners))
         owners = owners[np.lexsort((shuffle, batches))]
         rows = np.empty(len(owners), np.int64)
-        for index, drawn in enumerate(self._component_rows(epoch)):
+        for index, drawn in enumerate(self._draw_components(epoch)):
             rows[owners == index] = drawn
         return rows
-
-    def _uses(self, epoch: int) -> Rows:
-        drawn = [np.empty(0, np.int64), *self._component_rows(epoch)]
-        return np.bincount(np.concatenate(drawn), minlength=len(self.samples))
-
-    def _keys(self, rows: Rows) -> list[SampleKey]:
-        columns = (self.samples[name].gather(rows).to_list() for name in KEY_COLUMNS)
-        return [SampleKey(*key) for key in zip(*columns, strict=True)]
-
-    def _describe_components(self, epoch: int) -> list[dict[str, Any]]:
-        counts = self.counts(epoch)
-        shares = self.recipe.shares(epoch) if self.recipe.named_epochs else [None] * len(counts)
-        return [
-            {
-                "name": part.component.name,
-                "where": part.component.where.model_dump(mode="json", exclude_defaults=True),
-                "share": None if share is None else float(share),
-                "asked": float(count if share is None else share * self.items),
-                "got": count,
-                "available": part.available,
-                "distinct": len(part.samples),
-                "repeats": math.ceil(count / len(part.samples)),
-            }
-            for part, share, count in zip(self.components, shares, counts, strict=True)
-        ]
 
 
 def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes: Collection[str] = ()) -> Mixture:
@@ -218,7 +216,7 @@ def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes
 
     Args:
         recipe: what to choose.
-        table: clips to choose from (`tables.clip_table.scan_clip_tables`).
+        table: clips to choose from (`tables.clip_frame.scan_clip_tables`).
         seed: seed of the choice and of every order.
         held_out_scenes: scene ids that the mixture is checked against.
 
@@ -228,10 +226,12 @@ def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes
     selections = select_clips(recipe, table)
     shortages = find_shortages(recipe, table, selections)
     if shortages:
-        raise InputError(shortages[0])
+        raise InputError(word_shortage(shortages[0]))
     items = samples_per_epoch(recipe, selections)
+    columns = [name for name in dict.fromkeys([*SAMPLE_SCHEMA, *LEAK_COLUMNS]) if name != "t0_us"]
     drawn = [
-        _draw(selection, count, seed) for selection, count in zip(selections, most_items(recipe, items), strict=True)
+        selection.draw(most, seed, columns)
+        for selection, most in zip(selections, most_items(recipe, items), strict=True)
     ]
     leaks = _find_leaks(
         [samples.lazy().unique(["store", "clip_id"]) for samples in drawn], table, recipe, held_out_scenes
@@ -247,8 +247,16 @@ def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes
     return Mixture(recipe, seed, items, tuple(components))
 
 
-def check_recipe(recipe: Recipe, table: ClipTable, held_out_scenes: Collection[str] = ()) -> dict[str, list[str]]:
-    """Why `compose_mixture` would refuse (`shortages`, `leaks`), and words in filters that no clip has (`absent`).
+class Findings(TypedDict):
+    """What `check_recipe` found."""
+
+    shortages: list[Shortage]
+    leaks: list[Leak]
+    absent: list[AbsentValue]
+
+
+def check_recipe(recipe: Recipe, table: ClipTable, held_out_scenes: Collection[str] = ()) -> Findings:
+    """Why `compose_mixture` would refuse (`shortages`, `leaks`), and values in filters that no clip has (`absent`).
 
     Leaks are looked for in all clips that the recipe may use, whichever of them a seed draws.
 
@@ -259,8 +267,8 @@ def check_recipe(recipe: Recipe, table: ClipTable, held_out_scenes: Collection[s
     clips = [selection.clips for selection in selections]
     return {
         "shortages": find_shortages(recipe, table, selections),
-        "leaks": [str(leak) for leak in _find_leaks(clips, table, recipe, held_out_scenes)],
-        "absent": find_absent_words(recipe, table),
+        "leaks": _find_leaks(clips, table, recipe, held_out_scenes),
+        "absent": find_absent_values(recipe, table),
     }
 
 
@@ -273,34 +281,8 @@ def _find_leaks(
     return find_leaks(used, table, recipe.split, [*recipe.held_out_scenes, *held_out_scenes])
 
 
-def _draw(selection: Selection, most: int, seed: int) -> pl.DataFrame:
-    """Draw the samples of a component that gives at most so many items to an epoch; with `LEAK_COLUMNS` besides."""
-    component, count = selection.component, min(most, selection.available)
-    category = pl.col("category")
-    others = selection.clips.filter(~category.is_in(list(component.caps)))
-    pools = [(others, selection.other_samples, count)] + [
-        (selection.clips.filter(category == name), available, min(count, component.caps[name]))
-        for name, available in selection.capped_samples.items()
-    ]
-    columns = tuple(name for name in dict.fromkeys([*SAMPLE_SCHEMA, *LEAK_COLUMNS]) if name != "t0_us")
-    drawn = [
-        draw_samples(clips, component, available, min(wanted, available), seed, columns)
-        for clips, available, wanted in pools
-    ]
-    first = pl.concat(drawn).sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
-    return first.sort("clip_id", "kind", "source", "store", "t0_us")
-
-
-def _check_slice(epoch: int, batch_size: int, rank: int, world_size: int, start_batch: int) -> None:
-    if batch_size < 1 or world_size < 1 or batch_size % world_size:
-        raise InputError(f"global batch size {batch_size} must be a multiple of the world size {world_size}")
-    if not 0 <= rank < world_size:
-        raise InputError(f"rank {rank} must be 0 to {world_size - 1}, as the world size is {world_size}")
-    if epoch < 0 or start_batch < 0:
-        raise InputError(f"epoch {epoch} and start batch {start_batch} must not be negative")
-
-
-def _describe_group(values: pl.Series, uses: Rows) -> dict[str, dict[str, int]]:
+def _count_uses(values: pl.Series, uses: Rows) -> dict[str, dict[str, int]]:
+    """For each value, the uses (samples,) of samples that have it, and the number of these samples."""
     table = pl.DataFrame({"value": values, "got": uses})
     if values.dtype == pl.List:
         table = table.explode("value", empty_as_null=False)

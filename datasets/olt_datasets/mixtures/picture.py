@@ -22,10 +22,24 @@ def draw_mixture(mixture: Mixture, path: Path) -> None:
     from matplotlib import pyplot
 
     summary = mixture.describe()
+    items = max(len(mixture), 1)
     figure, panels = pyplot.subplots(2, 3, figsize=(13, 7), layout="constrained")
-    _draw_components(panels[0, 0], mixture, summary["components"])
+    parts = summary["components"]
+    if len(mixture.recipe.named_epochs) > 1:
+        _draw_curriculum(panels[0, 0], mixture)
+    else:
+        notes = [f"{part['got']} of {part['available']}" for part in parts]
+        _draw_bars(panels[0, 0], {part["name"]: part["got"] / items for part in parts}, notes)
+        asked = [part["asked"] / items for part in parts]
+        panels[0, 0].plot(asked, range(len(parts)), "k|", ms=22, mew=2)
+        panels[0, 0].set_title("components: got (bars) and asked (marks)")
     for axes, group in zip(panels.flat[1:], GROUPS, strict=True):
-        _draw_shares(axes, summary[f"by_{group}"], max(len(mixture), 1))
+        by_size = sorted(summary[f"by_{group}"].items(), key=lambda entry: (-entry[1]["got"], entry[0]))
+        shares = {value: numbers["got"] / items for value, numbers in by_size[:MOST_BARS]}
+        rest = by_size[MOST_BARS:]
+        if rest:
+            shares[f"{len(rest)} others"] = sum(numbers["got"] for _, numbers in rest) / items
+        _draw_bars(axes, shares, [f"{share:.1%}" for share in shares.values()])
         axes.set_title(f"by {group}" + (" (a sample has any number)" if group == "factors" else ""))
     figure.suptitle(f"{mixture.recipe.name}: {len(mixture)} samples per epoch, seed {mixture.seed}")
     with write_whole(path) as temporary:
@@ -33,24 +47,8 @@ def draw_mixture(mixture: Mixture, path: Path) -> None:
     pyplot.close(figure)
 
 
-def _draw_components(axes: Any, mixture: Mixture, parts: Sequence[Mapping[str, Any]]) -> None:
-    epochs = mixture.recipe.named_epochs
-    if len(epochs) > 1:
-        _draw_curriculum(axes, mixture, range(epochs[-1] + 2))
-        return
-    places = range(len(parts))
-    got = [part["got"] / len(mixture) for part in parts]
-    axes.barh(places, got, color="tab:blue", label="got")
-    axes.plot([part["asked"] / len(mixture) for part in parts], places, "k|", ms=22, mew=2, label="asked")
-    for place, part, share in zip(places, parts, got, strict=True):
-        axes.text(share, place, f" {part['got']} of {part['available']}", va="center", fontsize=8)
-    axes.set_yticks(places, [part["name"] for part in parts])
-    _finish(axes, "components")
-    if parts:
-        axes.legend(fontsize=8, loc="lower right")
-
-
-def _draw_curriculum(axes: Any, mixture: Mixture, epochs: range) -> None:
+def _draw_curriculum(axes: Any, mixture: Mixture) -> None:
+    epochs = range(mixture.recipe.named_epochs[-1] + 2)
     shares = [[count / len(mixture) for count in mixture.counts(epoch)] for epoch in epochs]
     names = [component.name for component in mixture.recipe.components]
     axes.stackplot(epochs, list(zip(*shares, strict=True)), labels=names, step="post", alpha=0.8)
@@ -58,22 +56,13 @@ def _draw_curriculum(axes: Any, mixture: Mixture, epochs: range) -> None:
     axes.legend(fontsize=8, loc="lower left")
 
 
-def _draw_shares(axes: Any, groups: Mapping[str, Mapping[str, int]], items: int) -> None:
-    by_size = sorted(groups.items(), key=lambda entry: (-entry[1]["got"], entry[0]))
-    shown = {value: numbers["got"] for value, numbers in by_size[:MOST_BARS]}
-    rest = by_size[MOST_BARS:]
-    if rest:
-        shown[f"{len(rest)} others"] = sum(numbers["got"] for _, numbers in rest)
-    axes.barh(range(len(shown)), [got / items for got in shown.values()], color="tab:blue")
-    for place, got in enumerate(shown.values()):
-        axes.text(got / items, place, f" {got / items:.1%}", va="center", fontsize=8)
-    axes.set_yticks(range(len(shown)), shown)
-    _finish(axes, "")
-
-
-def _finish(axes: Any, title: str) -> None:
+def _draw_bars(axes: Any, shares: Mapping[str, float], notes: Sequence[str]) -> None:
+    axes.barh(range(len(shares)), list(shares.values()), color="tab:blue")
+    for place, (share, note) in enumerate(zip(shares.values(), notes, strict=True)):
+        axes.text(share, place, f" {note}", va="center", fontsize=8)
+    axes.set_yticks(range(len(shares)), list(shares))
     axes.invert_yaxis()
-    axes.set(title=title, xlabel="share of items", xlim=(0, 1.18))
+    axes.set(xlabel="share of items", xlim=(0, 1.18))
     axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0])
     axes.grid(True, axis="x", alpha=0.3)
     axes.tick_params(labelsize=8)

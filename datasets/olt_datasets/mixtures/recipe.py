@@ -23,17 +23,19 @@ a count of samples, the same way in all components of one recipe. Shares may cha
 
 import math
 from bisect import bisect_right
-from collections.abc import Sequence
 from fractions import Fraction
 from importlib.resources import files
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from olt_generator.errors import InputError
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
+
+if TYPE_CHECKING:
+    from pydantic_core import ErrorDetails
 
 RECIPE_VERSION = 1
 RECIPE_SUFFIXES = (".yaml", ".yml")
@@ -68,8 +70,11 @@ class Filter(BaseModel):
     factors_none: Words = ()
 
     def __str__(self) -> str:
-        conditions = self.model_dump(mode="json", exclude_defaults=True)
-        return "{" + ", ".join(f"{name}: {_flow(value)}" for name, value in conditions.items()) + "}"
+        conditions = self.model_dump(exclude_defaults=True)
+        words = {
+            name: f"[{', '.join(value)}]" if isinstance(value, tuple) else value for name, value in conditions.items()
+        }
+        return "{" + ", ".join(f"{name}: {text}" for name, text in words.items()) + "}"
 
 
 class Component(BaseModel):
@@ -266,40 +271,25 @@ def _validate(model: type[Model], content: object, where: str) -> Model:
         return model.model_validate(content)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
-        told = _explain(model, first["type"], first["loc"], first["msg"], first["input"])
-        raise InputError(f"{where}: {told}") from error
+        raise InputError(f"{where}: {_explain(model, first)}") from error
 
 
-def _explain(model: type[BaseModel], kind: str, location: Sequence[str | int], message: str, value: object) -> str:
-    field = _field_name(location)
-    if kind == "extra_forbidden":
-        return f"unknown key {field!r}; known here: {_known(_model_at(model, location))}"
-    if kind == "missing":
-        return f"key {field!r} is missing; add it"
+def _explain(model: type[BaseModel], error: "ErrorDetails") -> str:
+    """What is wrong with a field and what to do, in one line."""
+    location, value, message = error["loc"], error["input"], error["msg"]
+    field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
     prefix = f"{field}: " if field else ""
-    if kind == "value_error":
-        return prefix + message.removeprefix("Value error, ")
-    if kind == "tuple_type":
-        return f"{prefix}write a list, such as [{value}]"
-    if kind == "model_type":
-        return f"{prefix}write a mapping, got {value!r}"
+    match error["type"]:
+        case "extra_forbidden":
+            parents = location[:-1]
+            holder = Filter if "where" in parents else Component if "components" in parents else model
+            return f"unknown key {field!r}; known here: {', '.join(holder.model_fields)}"
+        case "missing":
+            return f"key {field!r} is missing; add it"
+        case "value_error":
+            return prefix + message.removeprefix("Value error, ")
+        case "tuple_type":
+            return f"{prefix}write a list, such as [{value}]"
+        case "model_type":
+            return f"{prefix}write a mapping, got {value!r}"
     return f"{prefix}{message[0].lower()}{message[1:]}, got {value!r}"
-
-
-def _field_name(location: Sequence[str | int]) -> str:
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
-
-
-def _model_at(model: type[BaseModel], location: Sequence[str | int]) -> type[BaseModel]:
-    parents = location[:-1]
-    if "where" in parents:
-        return Filter
-    return Component if "components" in parents else model
-
-
-def _known(model: type[BaseModel]) -> str:
-    return ", ".join(model.model_fields)
-
-
-def _flow(value: object) -> str:
-    return "[" + ", ".join(map(str, value)) + "]" if isinstance(value, list) else str(value)

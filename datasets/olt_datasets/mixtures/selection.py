@@ -4,13 +4,14 @@ Tables are scanned, never held: what is kept of ten million rows are counts.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import polars as pl
 
 from olt_datasets.mixtures.batches import epoch_counts
-from olt_datasets.mixtures.draws import sample_count
+from olt_datasets.mixtures.draws import PRIORITY, draw_samples, sample_count
 from olt_datasets.mixtures.recipe import Component, Filter, Recipe
 from olt_generator.errors import InputError
 
@@ -49,6 +50,62 @@ class Selection:
         """The most items that the component can give to one epoch."""
         return self.available * self.component.repeats
 
+    def draw(self, most: int, seed: int, columns: Collection[str]) -> pl.DataFrame:
+        """Draw the samples of a component that gives at most so many items to an epoch.
+
+        Returns:
+            `columns` of the clips and `t0_us`, ordered by clip and time.
+        """
+        count = min(most, self.available)
+        category = pl.col("category")
+        others = self.clips.filter(~category.is_in(list(self.component.caps)))
+        pools = [(others, self.other_samples, count)] + [
+            (self.clips.filter(category == name), available, min(count, self.component.caps[name]))
+            for name, available in self.capped_samples.items()
+        ]
+        drawn = [
+            draw_samples(clips, self.component, available, min(wanted, available), seed, tuple(columns))
+            for clips, available, wanted in pools
+        ]
+        first = pl.concat(drawn).sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
+        return first.sort("clip_id", "kind", "source", "store", "t0_us").drop(PRIORITY)
+
+
+@dataclass(frozen=True)
+class Shortage:
+    """A component that cannot give what its recipe asks for, or whose share rounds to nothing.
+
+    Attributes:
+        recipe, component: their names.
+        where: the component's filter, as recipes write it.
+        samples_per_epoch: items of all components together.
+        asked: the most items that an epoch asks of this one; 0 with clips available is a share too small for one.
+        clips: number of clips that the filter matches.
+        available: distinct samples that they give.
+        repeats: how often each may be used per epoch.
+        split: the split that samples are drawn from.
+        split_holds: what there is in it: number of clips of each kind, category and source.
+    """
+
+    recipe: str
+    component: str
+    where: str
+    samples_per_epoch: int
+    asked: int
+    clips: int
+    available: int
+    repeats: int
+    split: str
+    split_holds: list[dict[str, Any]]
+
+
+class AbsentValue(NamedTuple):
+    """A value that a field of a component's filter, such as "category_not", names and no clip of the table has."""
+
+    component: str
+    field: str
+    value: str
+
 
 def select_clips(recipe: Recipe, table: ClipTable) -> list[Selection]:
     """Apply the filters of a recipe to the clips of its split.
@@ -60,11 +117,32 @@ def select_clips(recipe: Recipe, table: ClipTable) -> list[Selection]:
     usable = table.lazy().filter((pl.col("split") == recipe.split) & ~held_out)
     marked = usable
     for component in recipe.components:
-        marked = _mark(marked, component, _used_by(component))
-    counted, shared = _count_clips(recipe, marked)
-    if shared is not None:
-        _refuse_shared_clip(recipe, marked, shared)
-    return [_select(component, usable, counts) for component, counts in zip(recipe.components, counted, strict=True)]
+        marked = _mark(marked, component)
+    used = [_used_by(component) for component in recipe.components]
+    counts = [
+        pl.concat_list(_counts(component)).alias(name) for component, name in zip(recipe.components, used, strict=True)
+    ]
+    shared = pl.sum_horizontal(pl.lit(0), *used) > 1
+    *counted, first_shared = (
+        marked.select(*counts, pl.col("clip_id").filter(shared).min()).collect(engine="streaming").row(0)
+    )
+    if first_shared is not None:
+        both = marked.filter((pl.col("clip_id") == first_shared) & shared).select(used).collect().row(0)
+        first, second = [component for component, uses in zip(recipe.components, both, strict=True) if uses][:2]
+        raise InputError(
+            f"clip {first_shared} is in component {first.name!r} {first.where} and in {second.name!r} {second.where}; "
+            "change the filters so that no clip is in both"
+        )
+    return [
+        Selection(
+            component,
+            clips=_mark(usable, component).filter(name).drop(name),
+            clip_count=clip_count,
+            capped_samples=dict(zip(component.caps, capped, strict=True)),
+            other_samples=other_samples,
+        )
+        for component, name, (clip_count, other_samples, *capped) in zip(recipe.components, used, counted, strict=True)
+    ]
 
 
 def samples_per_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
@@ -81,7 +159,7 @@ def samples_per_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
     )
 
 
-def plan_counts(recipe: Recipe, samples: int, epoch: int) -> list[int]:
+def count_items(recipe: Recipe, samples: int, epoch: int) -> list[int]:
     """Items that each component gives to one epoch of so many samples."""
     if not recipe.named_epochs:
         return [component.count or 0 for component in recipe.components]
@@ -91,37 +169,74 @@ def plan_counts(recipe: Recipe, samples: int, epoch: int) -> list[int]:
 def most_items(recipe: Recipe, samples: int) -> list[int]:
     """The most items that each component gives to any epoch."""
     last = max(recipe.named_epochs, default=0)
-    by_epoch = [plan_counts(recipe, samples, epoch) for epoch in range(last + 1)]
+    by_epoch = [count_items(recipe, samples, epoch) for epoch in range(last + 1)]
     return [max(counts) for counts in zip(*by_epoch, strict=True)]
 
 
-def find_shortages(recipe: Recipe, table: ClipTable, selections: Sequence[Selection]) -> list[str]:
-    """One line for each component that cannot give what it is asked for, or is asked for nothing by its share."""
+def find_shortages(recipe: Recipe, table: ClipTable, selections: Sequence[Selection]) -> list[Shortage]:
+    """Every component that cannot give what it is asked for, or is asked for nothing by its share."""
     samples = samples_per_epoch(recipe, selections)
-    shortages = []
-    for selection, count in zip(selections, most_items(recipe, samples), strict=True):
-        if count > selection.capacity or not selection.available:
-            shortages.append(_describe_shortage(selection, count, recipe, table))
-        elif count == 0 and all(other.available for other in selections):
-            shortages.append(
-                f"recipe {recipe.name}: the share of component {selection.component.name!r} of {samples} samples per "
-                "epoch gives it none; ask for more samples or a larger share"
-            )
-    return shortages
+    short = [
+        (selection, count)
+        for selection, count in zip(selections, most_items(recipe, samples), strict=True)
+        if count > selection.capacity
+        or not selection.available
+        or (count == 0 and all(other.available for other in selections))
+    ]
+    if not short:
+        return []
+    columns = ("kind", "category", "source")
+    clips = table.lazy().filter(pl.col("split") == recipe.split)
+    groups = clips.group_by(columns).agg(clips=pl.len()).sort(columns).collect(engine="streaming").to_dicts()
+    return [
+        Shortage(
+            recipe=recipe.name,
+            component=selection.component.name,
+            where=str(selection.component.where),
+            samples_per_epoch=samples,
+            asked=count,
+            clips=selection.clip_count,
+            available=selection.available,
+            repeats=selection.component.repeats,
+            split=recipe.split,
+            split_holds=groups,
+        )
+        for selection, count in short
+    ]
 
 
-def find_absent_words(recipe: Recipe, table: ClipTable) -> list[str]:
-    """One line for each source, country, category or factor that a filter names and no clip of the table has."""
+def word_shortage(shortage: Shortage) -> str:
+    """One line for people."""
+    start = f"recipe {shortage.recipe}: "
+    if shortage.available and not shortage.asked:
+        return (
+            f"{start}the share of component {shortage.component!r} of {shortage.samples_per_epoch} samples per epoch "
+            "gives it none; ask for more samples or a larger share"
+        )
+    asked = f"{shortage.asked} samples" if shortage.asked else "samples"
+    groups = [
+        f"{group['clips']} {group['kind']} {group['category']} from {group['source']}" for group in shortage.split_holds
+    ]
+    return (
+        f"{start}component {shortage.component!r} {shortage.where} asks for {asked} per epoch, but matches "
+        f"{shortage.clips} clips with {shortage.available} samples (repeats {shortage.repeats}); split "
+        f"{shortage.split} holds {', '.join(groups) or 'no clips'}; change the filter, ask for fewer or allow more "
+        "repeats"
+    )
+
+
+def find_absent_values(recipe: Recipe, table: ClipTable) -> list[AbsentValue]:
+    """Every source, country, category or factor that a filter names and no clip of the table has."""
     columns = {name: pl.col(name) for name in ("source", "country", "category")}
     columns["factors"] = pl.col("factors").explode(empty_as_null=False)
-    words = pl.collect_all([table.lazy().select(column.unique()) for column in columns.values()])
-    present = {name: set(found.to_series()) for name, found in zip(columns, words, strict=True)}
+    values = pl.collect_all([table.lazy().select(column.unique()) for column in columns.values()])
+    present = {name: set(found.to_series()) for name, found in zip(columns, values, strict=True)}
     return [
-        f"component {component.name!r}: where.{field}: no clip has {word!r}"
+        AbsentValue(component.name, field, value)
         for component in recipe.components
         for field, named in component.where.model_dump(exclude={"kind"}).items()
-        for word in named
-        if word not in present[field.partition("_")[0]]
+        for value in named
+        if value not in present[field.partition("_")[0]]
     ]
 
 
@@ -149,9 +264,9 @@ def _has_factor(name: str) -> pl.Expr:
     return pl.col("factors").list.contains(name)
 
 
-def _mark(clips: pl.LazyFrame, component: Component, name: str) -> pl.LazyFrame:
+def _mark(clips: pl.LazyFrame, component: Component) -> pl.LazyFrame:
     """Add a column that tells whether the component may use a clip."""
-    matching = matches(component.where)
+    matching, name = matches(component.where), _used_by(component)
     if component.prefer is None:
         return clips.with_columns(matching.alias(name))
     preferred = pl.col("kind") == component.prefer
@@ -164,58 +279,9 @@ def _used_by(component: Component) -> str:
     return f"used by {component.name}"
 
 
-def _count_clips(recipe: Recipe, marked: pl.LazyFrame) -> tuple[list[list[int]], str | None]:
-    """What `_counts` gives for every component, in one pass; and a clip that two of them use, if there is one."""
-    used = [_used_by(component) for component in recipe.components]
-    counts = [
-        pl.concat_list(_counts(component, pl.col(name))).alias(name)
-        for component, name in zip(recipe.components, used, strict=True)
-    ]
-    shared = pl.col("clip_id").filter(pl.sum_horizontal(pl.lit(0), *used) > 1).min()
-    *counted, first_shared = marked.select(*counts, shared).collect(engine="streaming").row(0)
-    return counted, first_shared
-
-
-def _counts(component: Component, used: pl.Expr) -> list[pl.Expr]:
-    """Number of clips, of samples in categories without a cap, and of samples in each capped category."""
-    samples, category = sample_count(component), pl.col("category")
+def _counts(component: Component) -> list[pl.Expr]:
+    """Number of its clips, of their samples in categories without a cap, and of samples in each capped category."""
+    samples, category, used = sample_count(component), pl.col("category"), pl.col(_used_by(component))
     uncapped = ~category.is_in(list(component.caps))
     capped = [samples.filter(used & (category == name)).sum() for name in component.caps]
     return [used.sum(), samples.filter(used & uncapped).sum(), *capped]
-
-
-def _select(component: Component, usable: pl.LazyFrame, counts: Sequence[int]) -> Selection:
-    clip_count, other_samples, *capped = counts
-    name = _used_by(component)
-    clips = _mark(usable, component, name).filter(name).drop(name)
-    return Selection(component, clips, clip_count, dict(zip(component.caps, capped, strict=True)), other_samples)
-
-
-def _refuse_shared_clip(recipe: Recipe, marked: pl.LazyFrame, clip_id: str) -> None:
-    used = [_used_by(component) for component in recipe.components]
-    both = marked.filter((pl.col("clip_id") == clip_id) & (pl.sum_horizontal(used) > 1)).select(used).collect().row(0)
-    first, second = [component for component, uses in zip(recipe.components, both, strict=True) if uses][:2]
-    raise InputError(
-        f"clip {clip_id} is in component {first.name!r} {first.where} and in {second.name!r} {second.where}; "
-        "change the filters so that no clip is in both"
-    )
-
-
-def _describe_shortage(selection: Selection, count: int, recipe: Recipe, table: ClipTable) -> str:
-    component = selection.component
-    found = f"{selection.clip_count} clips with {selection.available} samples"
-    asked = f"{count} samples" if count else "samples"
-    return (
-        f"recipe {recipe.name}: component {component.name!r} {component.where} asks for {asked} per epoch, but matches "
-        f"{found} (repeats {component.repeats}); split {recipe.split} holds {_summarize(recipe, table)}; "
-        "change the filter, ask for fewer or allow more repeats"
-    )
-
-
-def _summarize(recipe: Recipe, table: ClipTable) -> str:
-    columns = ("kind", "category", "source")
-    clips = table.lazy().filter(pl.col("split") == recipe.split)
-    groups = clips.group_by(columns).len().sort(columns).collect(engine="streaming")
-    return ", ".join(f"{size} {kind} {category} from {source}" for kind, category, source, size in groups.rows()) or (
-        "no clips"
-    )

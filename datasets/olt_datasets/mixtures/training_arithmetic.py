@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 from olt_generator.errors import InputError
 
@@ -54,10 +54,6 @@ class TrainingArithmetic:
     total_steps: int
     samples_per_epoch: int
     padded_samples: int
-
-    def to_dict(self) -> dict[str, int]:
-        """The attributes by name."""
-        return asdict(self)
 
 
 def training_arithmetic(samples: int, stage: TrainingStage) -> TrainingArithmetic:

@@ -14,7 +14,7 @@ from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 
 NAME = "argoverse2"
@@ -41,7 +41,7 @@ class Argoverse2:
     source = NAME
     licence = LICENCE
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, _: Path) -> None:
         self._root = root
         self._scenarios = _folders(root, _SCENARIO)
         self._logs = _folders(root, _LOG)
@@ -87,24 +87,14 @@ class Argoverse2:
         )
 
 
-class Argoverse2Reader:
-    """Opens folders of scenarios or logs; see `DatasetReader`."""
-
-    name = NAME
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; judged by the names of files."""
-        return any(any(root.glob(depth + file)) for file in (_SCENARIO, _LOG) for depth in _DEPTHS)
-
-    def open(self, root: Path, cache: Path) -> Argoverse2:
-        """See `DatasetReader.open`; nothing is cached."""
-        return Argoverse2(root)
-
-
 def _folders(root: Path, file: str) -> dict[str, Path]:
     found = (path.parent for depth in _DEPTHS for path in root.glob(depth + file))
     return {folder.relative_to(root).as_posix(): folder for folder in found}
 
 
-DATASET = Argoverse2Reader()
+DATASET = DatasetReader(
+    NAME,
+    LICENCE,
+    lambda path: any(any(path.glob(depth + file)) for file in (_SCENARIO, _LOG) for depth in _DEPTHS),
+    Argoverse2,
+)

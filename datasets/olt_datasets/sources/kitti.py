@@ -1,42 +1,136 @@
-"""What the readers of KITTI's raw data and of its odometry benchmark share: the car, its images, how it travels."""
+"""What KITTI's raw data and its odometry benchmark share: the car, its images, and drive folders as a data set.
 
+Only the front camera is read, so all other views of the target rig have to be made.
+"""
+
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_datasets.sources.times import images_within, starting_at
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert
-from olt_generator.trajectory import Trajectory
-from olt_toolkit.recordings.recording import Recording
-from olt_toolkit.rigs.rig import VehicleDimensions
+from olt_generator.video import shrink
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import WHOLE, DatasetReader, Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import FRONT_WIDE, VehicleDimensions
 
+LICENCE = Licence(
+    "CC BY-NC-SA 3.0",
+    "Download from the KITTI page with an account.",
+    "Non-commercial use only, with attribution, and derived data under the same licence.",
+)
 # VW Passat B6 estate, KITTI's car; the rear overhang places the centre of the box.
 PASSAT = VehicleDimensions(
     length=4.774, width=1.820, height=1.517, rear_axle_to_bbox_center=1.36, wheelbase=2.709, track_width=1.551
 )
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 # Steps shorter than this, in metres, say nothing about the direction of travel.
-MIN_TRAVEL_STEP = 0.2
+_MIN_TRAVEL_STEP = 0.2
+
+
+class KittiDrive(Protocol):
+    """A drive folder, of which times, calibration and names of files are read; images and poses as they are needed."""
+
+    scene: str
+    camera: str
+    image_us: NDArray[np.int64]
+    has_motion: bool
+    notes: tuple[str, ...]
+
+    def record(self, indices: NDArray[np.intp], width: int) -> Recording:
+        """Decode some images, shrunk to `width`; times are those of the drive, and so is the whole reference.
+
+        Raises:
+            InputError: an image or a file of poses is damaged.
+        """
+        ...
+
+
+class KittiDrives:
+    """Drive folders as a data set; see `Dataset`."""
+
+    licence = LICENCE
+
+    def __init__(self, source: str, root: Path, folders: dict[str, Path], read: Callable[[Path], KittiDrive]) -> None:
+        self.source, self._root, self._folders, self._read = source, root, folders, read
+
+    def keys(self) -> list[str]:
+        """See `Dataset.keys`: paths of the drive folders."""
+        return sorted(self._folders)
+
+    def drive(self, key: str) -> Drive:
+        """See `Dataset.drive`; no image is read."""
+        drive = self._read(self._folder(key))
+        return Drive(
+            source=self.source,
+            scene_id=f"{self.source}/{drive.scene}",
+            key=key,
+            front_us=drive.image_us,
+            cameras=(drive.camera,),
+            ego_span_us=(0, int(drive.image_us[-1])) if drive.has_motion else None,
+            true_views=(FRONT_WIDE,),
+            country="DE",
+            notes=drive.notes,
+        )
+
+    def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
+        """See `Dataset.open`; field of view and height are those of KITTI's car, whatever the options say."""
+        folder = self._folder(key)
+        drive = self._read(folder)
+        recording = drive.record(images_within(drive.image_us, window_us, str(folder)), options.width)
+        start_us = int(recording.timestamps_us[0])
+        reference = None if recording.reference is None else starting_at(recording.reference, start_us)
+        return replace(recording, timestamps_us=recording.timestamps_us - start_us, reference=reference)
+
+    def _folder(self, key: str) -> Path:
+        if key not in self._folders:
+            raise InputError(f"{self._root}: there is no KITTI drive {key!r}")
+        return self._folders[key]
+
+
+def kitti_reader(name: str, is_drive: Callable[[Path], bool], read: Callable[[Path], KittiDrive]) -> DatasetReader:
+    """The reader of drive folders that `is_drive` tells by their names and `read` reads."""
+
+    def find(root: Path) -> dict[str, Path]:
+        """Drive folders by key: the root itself, or folders in it, or in its folders of dates or in `sequences`."""
+        if is_drive(root.resolve()):
+            return {WHOLE: root.resolve()}
+        folders = [path for path in (*root.glob("*"), *root.glob("*/*")) if path.is_dir()]
+        return {path.relative_to(root).as_posix(): path.resolve() for path in folders if is_drive(path)}
+
+    return DatasetReader(
+        name, LICENCE, lambda path: bool(find(path)), lambda path, _: KittiDrives(name, path, find(path), read)
+    )
 
 
 def list_images(folder: Path) -> list[Path]:
     """The image files of a folder in the order of their names."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES)
+    return sorted(file for file in folder.iterdir() if file.suffix.lower() in (".png", ".jpg", ".jpeg"))
 
 
-def decode_image(file: Path) -> NDArray[np.uint8]:
-    """An image file as (H, W, 3) RGB.
+def read_images(files: list[Path], width: int) -> tuple[NDArray[np.uint8], tuple[int, int]]:
+    """Images (n, H, W, 3) RGB, shrunk to `width`, and their width and height as they are stored.
 
     Raises:
-        InputError: it cannot be decoded.
+        InputError: an image cannot be decoded, or is not as large as the one before it.
     """
-    image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-    if image is None:
-        raise InputError(f"{file}: cannot be decoded as an image; copy it again")
-    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+    images, size = [], None
+    for file in files:
+        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        if image is None:
+            raise InputError(f"{file}: cannot be decoded as an image; copy it again")
+        if size not in (None, image.shape[1::-1]):
+            raise InputError(f"{file}: is {image.shape[1]} x {image.shape[0]} pixels, unlike the images before it")
+        size = image.shape[1], image.shape[0]
+        images.append(shrink(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), width))
+    assert size is not None  # a window holds at least one image
+    return np.stack(images), size
 
 
 def check_increasing(times: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
@@ -55,14 +149,5 @@ def usual_travel(T_world_body: Array) -> Array | None:
     """The usual direction of travel (3,) in the axes of a body with poses (n, 4, 4); None where it does not move."""
     steps = (invert(T_world_body[:-1]) @ T_world_body[1:])[:, :3, 3]
     length = np.linalg.norm(steps, axis=1)
-    moving = length > MIN_TRAVEL_STEP
+    moving = length > _MIN_TRAVEL_STEP
     return np.median(steps[moving] / length[moving, None], axis=0) if moving.any() else None
-
-
-def trim_reference(recording: Recording) -> Recording:
-    """The recording with its reference over the times of its images only, in the frame of the first."""
-    if recording.reference is None:
-        return recording
-    times_us = recording.timestamps_us
-    shown = Trajectory(times_us, recording.reference.interpolate(times_us))
-    return replace(recording, reference=shown.in_first_frame())

@@ -9,7 +9,7 @@ close to the rear axle). Its x axis is the direction in which the vehicle travel
 IMU itself is mounted with its nose up to a degree off the road.
 """
 
-from dataclasses import dataclass
+import re
 from datetime import datetime
 from pathlib import Path
 
@@ -17,19 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from olt_datasets.sources.kitti import PASSAT, check_increasing, decode_image, list_images, trim_reference, usual_travel
+from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, usual_travel
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, make_pose
 from olt_generator.trajectory import Trajectory
-from olt_generator.video import shrink
-from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.recordings.recording import Recording
 
 IMU_HEIGHT = 0.93
 EARTH_RADIUS = 6378137.0
 CAMERA_FILE, VELODYNE_FILE, IMU_FILE = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt"
 OXTS_FIELDS = 30
 NAME = "kitti_raw"
+_OFFICIAL_IMAGES = "image_02/data"
+_DRIVE_NAME = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")
 ASSUMPTIONS = (
     f"The rig origin is the IMU's position projected to the ground, {IMU_HEIGHT} m below it, and is taken for the "
     "middle of the rear axle.",
@@ -38,103 +39,69 @@ ASSUMPTIONS = (
 )
 
 
-@dataclass(frozen=True)
-class _Layout:
-    """Where the parts of a drive lie."""
-
-    images: Path
-    image_times: Path
-    oxts: Path
-    oxts_times: Path
-    calibration: Path
-
-    @classmethod
-    def find(cls, path: Path) -> "_Layout | None":
-        official = path / "image_02" / "data"
-        if official.is_dir():
-            times, oxts = path / "image_02" / "timestamps.txt", path / "oxts"
-            return cls(official, times, oxts / "data", oxts / "timestamps.txt", path.parent)
-        if (path / "image_02").is_dir() and (path / CAMERA_FILE).is_file():
-            times, oxts_times = path / "image_02_timestamps.txt", path / "oxts_timestamps.txt"
-            return cls(path / "image_02", times, path / "oxts", oxts_times, path)
-        return None
-
-
 class KittiRawDrive:
-    """A drive folder, of which times, calibration and names of files are read; images and poses as they are needed.
+    """A drive folder; see `KittiDrive`."""
 
-    Attributes:
-        path: the folder.
-        image_us: (n,) int64 times of the images, the first is 0.
-    """
+    camera, has_motion, notes = "image_02", True, ASSUMPTIONS
 
     def __init__(self, path: Path) -> None:
-        """Read what describes the drive.
+        """Read what describes the drive, no image and no GPS/IMU file.
 
         Raises:
-            InputError: the folder is no drive, or its files are missing, damaged or not as many as their times.
+            InputError: files are missing, damaged or not as many as their times.
         """
-        layout = _Layout.find(path)
-        if layout is None:
-            raise InputError(f"{path}: not a KITTI raw drive; give the folder that holds image_02")
-        image_ns, oxts_ns = _read_times(layout.image_times), _read_times(layout.oxts_times)
-        camera_file = layout.calibration / CAMERA_FILE
-        self.path = path
+        if (path / _OFFICIAL_IMAGES).is_dir():
+            images, image_times, calibration = path / _OFFICIAL_IMAGES, path / "image_02/timestamps.txt", path.parent
+            oxts, oxts_times = path / "oxts/data", path / "oxts/timestamps.txt"
+        else:
+            images, image_times, calibration = path / "image_02", path / "image_02_timestamps.txt", path
+            oxts, oxts_times = path / "oxts", path / "oxts_timestamps.txt"
+        image_ns, oxts_ns = _read_times(image_times), _read_times(oxts_times)
+        name = _DRIVE_NAME.search(path.name)
+        self.scene = name[0] if name else path.name
         self.image_us = np.rint((image_ns - image_ns[0]) / 1000).astype(np.int64)
+        self._name = path.name
         self._oxts_us = np.rint((oxts_ns - image_ns[0]) / 1000).astype(np.int64)
-        self._calibration = _read_calibration(camera_file, {"S_rect_02": 2, "P_rect_02": 12, "R_rect_00": 9})
-        self._T_imu_camera = _imu_to_camera(layout.calibration, self._calibration)
-        self._oxts = _list_oxts(layout.oxts, len(oxts_ns))
-        self._images = list_images(layout.images)
+        fields = {"S_rect_02": 2, "P_rect_02": 12, "R_rect_00": 9}
+        self._calibration = _read_calibration(calibration / CAMERA_FILE, fields)
+        self._T_imu_camera = _imu_to_camera(calibration, self._calibration)
+        self._oxts = sorted(oxts.glob("*.txt"))
+        if len(self._oxts) != len(oxts_ns):
+            raise InputError(
+                f"{oxts}: {len(self._oxts)} GPS/IMU files for {len(oxts_ns)} timestamps; copy the drive again"
+            )
+        self._images = list_images(images)
         if len(self._images) != len(image_ns):
             raise InputError(
-                f"{layout.images}: {len(self._images)} images for {len(image_ns)} timestamps; copy the drive again"
+                f"{images}: {len(self._images)} images for {len(image_ns)} timestamps; copy the drive again"
             )
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
-        """Decode some images, shrunk to `width`; times are those of the drive, and so is the whole reference.
-
-        Raises:
-            InputError: an image or a GPS/IMU file is damaged.
-        """
+        """See `KittiDrive.record`."""
         T_world_imu = _read_oxts(self._oxts)
         T_rig_imu = _align_rig(T_world_imu)
         measured = _extended(Trajectory(self._oxts_us, T_world_imu @ invert(T_rig_imu)))
         files = [self._images[index] for index in indices]
-        frames = _read_images(files, width, self._calibration["S_rect_02"])
+        frames, stored = read_images(files, width)
+        width_02, height_02 = self._calibration["S_rect_02"].astype(int).tolist()
+        if stored != (width_02, height_02):
+            raise InputError(
+                f"{files[0]}: is {stored[0]} x {stored[1]} pixels, S_rect_02 of the calibration says "
+                f"{width_02} x {height_02}; use images and calibration of the same date"
+            )
+        P = self._calibration["P_rect_02"].reshape(3, 4)
+        camera = PinholeCamera(width_02, height_02, float(P[0, 0]), float(P[1, 1]), float(P[0, 2]), float(P[1, 2]))
         return Recording(
-            name=self.path.name,
+            name=self._name,
             source=NAME,
             frames=frames,
             timestamps_us=self.image_us[indices],
-            camera=_rectified_camera(self._calibration).resized(frames.shape[2], frames.shape[1]),
+            camera=camera.resized(frames.shape[2], frames.shape[1]),
             T_rig_camera=T_rig_imu @ self._T_imu_camera,
             vehicle=PASSAT,
             assumptions=ASSUMPTIONS,
             reference=Trajectory(self.image_us, measured.interpolate(self.image_us)),
         )
-
-
-class KittiRawSource:
-    """Opens a KITTI raw drive folder."""
-
-    name = NAME
-
-    def recognises(self, path: Path) -> bool:
-        """See `Source.recognises`; judged by the folders."""
-        return path.is_dir() and _Layout.find(path) is not None
-
-    def open(self, path: Path, options: OpenOptions) -> Recording:
-        """See `Source.open`; field of view and height come from the calibration, whatever the options say."""
-        drive = KittiRawDrive(path)
-        recording = drive.record(np.flatnonzero(drive.image_us < options.duration * 1e6), options.width)
-        return trim_reference(recording)
-
-
-def _rectified_camera(calibration: dict[str, Array]) -> PinholeCamera:
-    width, height = calibration["S_rect_02"].astype(int).tolist()
-    P = calibration["P_rect_02"].reshape(3, 4)
-    return PinholeCamera(width, height, float(P[0, 0]), float(P[1, 1]), float(P[0, 2]), float(P[1, 2]))
 
 
 def _imu_to_camera(folder: Path, camera: dict[str, Array]) -> Array:
@@ -179,27 +146,21 @@ def _read_times(path: Path) -> NDArray[np.int64]:
         raise InputError(f"{path}: timestamps are missing; copy them from the KITTI download")
     times = []
     for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").split("\n"), start=1):
-        if line.strip():
-            times.append(_parse_time(line.strip(), f"{path}: line {number}"))
+        text = line.strip()
+        if not text:
+            continue
+        seconds, _, fraction = text.partition(".")
+        try:
+            since_epoch = datetime.fromisoformat(seconds) - datetime(1970, 1, 1)
+            whole = since_epoch.days * 86400 + since_epoch.seconds
+            times.append(whole * 1_000_000_000 + int(fraction[:9].ljust(9, "0")))
+        except ValueError as error:
+            raise InputError(
+                f"{path}: line {number}: {text!r} is no time of the form 2011-09-26 13:10:51.168593664"
+            ) from error
     if len(times) < 2:
         raise InputError(f"{path}: holds {len(times)} timestamps; give a drive of at least 2 frames")
     return check_increasing(np.array(times, dtype=np.int64), path)
-
-
-def _parse_time(text: str, where: str) -> int:
-    seconds, _, fraction = text.partition(".")
-    try:
-        since_epoch = datetime.fromisoformat(seconds) - datetime(1970, 1, 1)
-        return (since_epoch.days * 86400 + since_epoch.seconds) * 1_000_000_000 + int(fraction[:9].ljust(9, "0"))
-    except ValueError as error:
-        raise InputError(f"{where}: {text!r} is no time of the form 2011-09-26 13:10:51.168593664") from error
-
-
-def _list_oxts(folder: Path, count: int) -> list[Path]:
-    files = sorted(folder.glob("*.txt"))
-    if len(files) != count:
-        raise InputError(f"{folder}: {len(files)} GPS/IMU files for {count} timestamps; copy the drive again")
-    return files
 
 
 def _read_oxts(files: list[Path]) -> Array:
@@ -234,18 +195,10 @@ def _extended(trajectory: Trajectory) -> Trajectory:
     return Trajectory(np.concatenate([ends[:1], times, ends[1:]]), np.concatenate([before[None], poses, after[None]]))
 
 
-def _read_images(files: list[Path], width: int, size: Array) -> NDArray[np.uint8]:
-    """Images (n, H, W, 3) RGB, shrunk to `width`; all must have the calibrated size."""
-    images = []
-    for file in files:
-        image = decode_image(file)
-        if image.shape[1::-1] != tuple(size.astype(int)):
-            raise InputError(
-                f"{file}: is {image.shape[1]} x {image.shape[0]} pixels, S_rect_02 of the calibration says "
-                f"{size[0]:.0f} x {size[1]:.0f}; use images and calibration of the same date"
-            )
-        images.append(shrink(image, width))
-    return np.stack(images)
+def is_drive(path: Path) -> bool:
+    """Whether a folder looks like a drive, judged by the names in it."""
+    is_flat = (path / "image_02").is_dir() and (path / CAMERA_FILE).is_file()
+    return (path / _OFFICIAL_IMAGES).is_dir() or is_flat
 
 
-SOURCE = KittiRawSource()
+DATASET = kitti_reader(NAME, is_drive, KittiRawDrive)

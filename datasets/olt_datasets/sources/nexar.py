@@ -15,13 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from olt_datasets.sources.video import CAMERA
-from olt_datasets.sources.video_folder import UNKNOWN_CAMERA, open_video_window
+from olt_datasets.sources.video import CAMERA, UNKNOWN_CAMERA, open_video_window
 from olt_generator.errors import InputError
 from olt_generator.video import read_frame_times
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE
 
@@ -31,10 +30,15 @@ LICENCE = Licence(
     "Download from the hub (nexar-ai/nexar_collision_prediction) or from the challenge's page.",
     "The file LICENSE of the data set tells the terms, with limits on ethical grounds; read it before passing data on.",
 )
-_CHALLENGE_TABLES: dict[str, Split] = {"train.csv": "train", "test.csv": "test"}
 _HUB_FOLDERS: dict[str, Split] = {"train": "train", "test-public": "test", "test-private": "test"}
-_HUB_TABLE = "metadata.csv"
 _POSITIVE, _NEGATIVE = "positive", "negative"
+# Each table, the folder from which its file names count, and its split; first those of the challenge.
+_TABLES: list[tuple[str, str, Split]] = [("train.csv", "train", "train"), ("test.csv", "test", "test")]
+_HUB_TABLES: list[tuple[str, str, Split]] = [
+    (f"{folder}/metadata.csv", folder, split)
+    for name, split in _HUB_FOLDERS.items()
+    for folder in (name, f"{name}/{_POSITIVE}", f"{name}/{_NEGATIVE}")
+]
 # Column, and what the factor made of it begins with.
 _FACTORS = {"light_conditions": "light", "weather": "weather", "scene": "scene"}
 
@@ -64,8 +68,21 @@ class Nexar:
 
     def __init__(self, root: Path, cache: Path) -> None:
         self._root = root
-        self._cache = cache
-        self._videos = _read_tables(root)
+        self._cache = cache / NAME
+        self._videos: dict[str, _Video] = {}
+        for table, folder, split in (*_TABLES, *_HUB_TABLES):
+            if not (root / table).is_file():
+                continue
+            for number, row in enumerate(_read_rows(root / table), start=2):
+                video = _read_video(row, root / folder, split, f"{root / table}, line {number}")
+                key = video.path.relative_to(root).with_suffix("").as_posix()
+                if key in self._videos:
+                    raise InputError(
+                        f"{root / table}, line {number}: video {key} is listed twice; keep one of the rows"
+                    )
+                self._videos[key] = video
+        if not self._videos:
+            raise InputError(f"{root}: no train.csv, test.csv or metadata.csv lists a video; give Nexar's folder")
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: paths of the videos without suffix; what stands in them stays text, `00022`."""
@@ -74,18 +91,27 @@ class Nexar:
     def drive(self, key: str) -> Drive:
         """See `Dataset.drive`; reads the times of the frames and decodes none."""
         video = self._video(key)
+        front_us, usable_us, notes = read_frame_times(video.path), None, UNKNOWN_CAMERA
+        if video.ends_badly is None:
+            notes += ("Whether a collision follows is not told.",)
+        elif video.ends_badly:
+            what, end = ("event", video.event) if video.alert is None else ("alert", video.alert)
+            if end is None:
+                raise InputError(f"Nexar video {key}: ends badly, but no time_of_alert or time_of_event says when")
+            usable_us = 0, max(0, round(end * 1e6) - 1)
+            notes += (f"It ends in a collision or a near miss; only what lies before the {what} may be imitated.",)
         return Drive(
             source=NAME,
             scene_id=f"{NAME}/{video.split}/{video.path.stem}",
             key=key,
-            front_us=read_frame_times(video.path),
+            front_us=front_us,
             cameras=(CAMERA,),
             ego_span_us=None,
             true_views=(FRONT_WIDE,),
             factors=video.factors,
             split=video.split,
-            usable_us=_usable(video, key),
-            notes=(*UNKNOWN_CAMERA, *_ending(video)),
+            usable_us=usable_us,
+            notes=notes,
         )
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
@@ -98,54 +124,7 @@ class Nexar:
         return self._videos[key]
 
 
-class NexarReader:
-    """Opens either layout; see `DatasetReader`."""
-
-    name = NAME
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; judged by the names of tables and folders."""
-        challenge = (root / "train.csv").is_file() and (root / "train").is_dir()
-        return challenge or any(_hub_tables(root / folder) for folder in _HUB_FOLDERS)
-
-    def open(self, root: Path, cache: Path) -> Nexar:
-        """See `DatasetReader.open`."""
-        return Nexar(root, cache / NAME)
-
-
-def _tables(root: Path) -> list[tuple[Path, Path, Split]]:
-    """Each table, the folder from which its file names count, and its split."""
-    found: list[tuple[Path, Path, Split]] = []
-    for name, split in _CHALLENGE_TABLES.items():
-        if (root / name).is_file():
-            found.append((root / name, root / name.removesuffix(".csv"), split))
-    for name, split in _HUB_FOLDERS.items():
-        found.extend((table, table.parent, split) for table in _hub_tables(root / name))
-    return found
-
-
-def _hub_tables(folder: Path) -> list[Path]:
-    places = (folder, folder / _POSITIVE, folder / _NEGATIVE)
-    return [place / _HUB_TABLE for place in places if (place / _HUB_TABLE).is_file()]
-
-
-def _read_tables(root: Path) -> dict[str, _Video]:
-    """All videos that the tables list, by key."""
-    videos: dict[str, _Video] = {}
-    for table, folder, split in _tables(root):
-        for number, row in enumerate(_rows(table), start=2):
-            video = _read_row(row, folder, split, f"{table}, line {number}")
-            key = video.path.relative_to(root).with_suffix("").as_posix()
-            if key in videos:
-                raise InputError(f"{table}, line {number}: video {key} is listed twice; keep one of the rows")
-            videos[key] = video
-    if not videos:
-        raise InputError(f"{root}: no train.csv, test.csv or {_HUB_TABLE} lists a video; give Nexar's folder")
-    return videos
-
-
-def _rows(table: Path) -> list[dict[str, str]]:
+def _read_rows(table: Path) -> list[dict[str, str]]:
     try:
         with table.open(encoding="utf-8-sig", newline="") as file:
             return [
@@ -155,7 +134,7 @@ def _rows(table: Path) -> list[dict[str, str]]:
         raise InputError(f"{table}: cannot be read ({error}); download it again") from error
 
 
-def _read_row(row: dict[str, str], folder: Path, split: Split, where: str) -> _Video:
+def _read_video(row: dict[str, str], folder: Path, split: Split, where: str) -> _Video:
     name = row.get("file_name") or (f"{row['id']}.mp4" if row.get("id") else "")
     path = folder / name
     if not name or not path.resolve().is_relative_to(folder.resolve()):
@@ -163,18 +142,19 @@ def _read_row(row: dict[str, str], folder: Path, split: Split, where: str) -> _V
             f"{where}: neither 'id' nor 'file_name' names a video in {folder.name}; download the table again"
         )
     event, alert = _seconds(row, "time_of_event", where), _seconds(row, "time_of_alert", where)
-    factors = tuple(f"{kind}_{_word(row[column])}" for column, kind in _FACTORS.items() if row.get(column))
-    return _Video(path, split, _ends_badly(row, path, event, where), event, alert, factors)
-
-
-def _ends_badly(row: dict[str, str], path: Path, event: float | None, where: str) -> bool | None:
-    if row.get("target"):
-        if row["target"] not in ("0", "1"):
-            raise InputError(f"{where}: target {row['target']!r} is neither 0 nor 1")
-        return row["target"] == "1"
-    if path.parent.name in (_POSITIVE, _NEGATIVE):
-        return path.parent.name == _POSITIVE
-    return True if event is not None else None
+    ends_badly = True if event is not None else None
+    if target := row.get("target"):
+        if target not in ("0", "1"):
+            raise InputError(f"{where}: target {target!r} is neither 0 nor 1")
+        ends_badly = target == "1"
+    elif path.parent.name in (_POSITIVE, _NEGATIVE):
+        ends_badly = path.parent.name == _POSITIVE
+    factors = tuple(
+        f"{kind}_{re.sub(r'[^a-z0-9]+', '_', row[column].lower()).strip('_')}"
+        for column, kind in _FACTORS.items()
+        if row.get(column)
+    )
+    return _Video(path, split, ends_badly, event, alert, factors)
 
 
 def _seconds(row: dict[str, str], column: str, where: str) -> float | None:
@@ -188,26 +168,9 @@ def _seconds(row: dict[str, str], column: str, where: str) -> float | None:
     return None if np.isnan(value) else value
 
 
-def _word(text: str) -> str:
-    return re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
+def _is_nexar(path: Path) -> bool:
+    challenge = (path / "train.csv").is_file() and (path / "train").is_dir()
+    return challenge or any((path / table).is_file() for table, _, _ in _HUB_TABLES)
 
 
-def _usable(video: _Video, key: str) -> Span | None:
-    if not video.ends_badly:
-        return None
-    end = video.event if video.alert is None else video.alert
-    if end is None:
-        raise InputError(f"Nexar video {key}: ends badly, but no time_of_alert or time_of_event says when")
-    return 0, max(0, round(end * 1e6) - 1)
-
-
-def _ending(video: _Video) -> tuple[str, ...]:
-    if video.ends_badly is None:
-        return ("Whether a collision follows is not told.",)
-    if not video.ends_badly:
-        return ()
-    what = "event" if video.alert is None else "alert"
-    return (f"It ends in a collision or a near miss; only what lies before the {what} may be imitated.",)
-
-
-DATASET = NexarReader()
+DATASET = DatasetReader(NAME, LICENCE, _is_nexar, Nexar)

@@ -19,7 +19,7 @@ from olt_generator.poses import pose_from_quaternion
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import MountedCamera
 from olt_toolkit.rigs.rig_files import load_rig
@@ -49,12 +49,22 @@ class Nuscenes:
     licence = LICENCE
 
     def __init__(self, root: Path, cache: Path) -> None:
+        if not any((root / name).is_dir() for name in RELEASES):
+            raise InputError(f"{root}: holds none of the tables {', '.join(RELEASES)}; give the root of nuScenes")
         self.root = root
         self._cache = cache
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: the names of the scenes of which front images are on disk."""
-        on_disk = pl.Series(sorted(_files_on_disk(self.root, FRONT)), dtype=pl.String)
+        folders = [f"{kind}/{FRONT}" for kind in ("samples", "sweeps")]
+        # Names as the tables have them.
+        names = [
+            f"{name}/{file.name}"
+            for name in folders
+            if (self.root / name).is_dir()
+            for file in (self.root / name).iterdir()
+        ]
+        on_disk = pl.Series(sorted(names), dtype=pl.String)
         scenes: set[str] = set()
         for release in set(self._tables.values()):
             images = pl.scan_parquet(camera_images(release, self._cache))
@@ -68,11 +78,14 @@ class Nuscenes:
         drive = self._read(key, rows)
         location, description = rows["location"][0], rows["description"][0]
         release = self._tables[key].name
-        return drive.describe(
-            country=_COUNTRIES.get(location.split("-")[0]),
-            split=_SPLITS.get(release),
-            notes=(f"nuScenes describes the scene as: {description}", *_rate_notes(drive), *_split_notes(release)),
-        )
+        notes = [f"nuScenes describes the scene as: {description}"]
+        rate = 1e6 / float(np.median(np.diff(drive.cameras[FRONT].times_us)))
+        if rate < _SWEEP_RATE:
+            notes.append(f"The front camera has {rate:.1f} images a second on disk; its sweeps are missing.")
+        if release not in _SPLITS:
+            notes.append("The tables do not tell which scenes nuScenes keeps for validation.")
+        country = _COUNTRIES.get(location.split("-")[0])
+        return drive.describe(country=country, split=_SPLITS.get(release), notes=tuple(notes))
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""
@@ -130,29 +143,6 @@ class Nuscenes:
         return CameraImages(mounted, tuple(self.root / name for name in rows["filename"]), times_us)
 
 
-class NuscenesReader:
-    """Opens folders of nuScenes releases."""
-
-    name = SOURCE
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; judged by the folders of tables."""
-        return any((root / name / f"{TABLES[0]}.json").is_file() for name in RELEASES)
-
-    def open(self, root: Path, cache: Path) -> Nuscenes:
-        """See `DatasetReader.open`; the tables are kept as Parquet in the cache."""
-        if not any((root / name).is_dir() for name in RELEASES):
-            raise InputError(f"{root}: holds none of the tables {', '.join(RELEASES)}; give the root of nuScenes")
-        return Nuscenes(root, cache)
-
-
-def _files_on_disk(root: Path, channel: str) -> set[str]:
-    """Names of a camera's images as the tables have them."""
-    folders = [f"{kind}/{channel}" for kind in ("samples", "sweeps")]
-    return {f"{name}/{file.name}" for name in folders if (root / name).is_dir() for file in (root / name).iterdir()}
-
-
 def _ego_motion(rows: pl.DataFrame, start_us: int) -> Trajectory:
     """The vehicle's poses at the times of all images, over drive time; of those too close together the first."""
     rows = rows.unique("timestamp", keep="first").sort("timestamp")
@@ -165,18 +155,9 @@ def _ego_motion(rows: pl.DataFrame, start_us: int) -> Trajectory:
     return Trajectory(times_us[kept], pose_from_quaternion(turn, rows.select(POSITION).to_numpy()[kept]))
 
 
-def _rate_notes(drive: SurroundDrive) -> list[str]:
-    times_us = drive.cameras[FRONT].times_us
-    rate = 1e6 / float(np.median(np.diff(times_us)))
-    if rate >= _SWEEP_RATE:
-        return []
-    return [f"The front camera has {rate:.1f} images a second on disk; its sweeps are missing."]
-
-
-def _split_notes(release: str) -> list[str]:
-    if release in _SPLITS:
-        return []
-    return ["The tables do not tell which scenes nuScenes keeps for validation."]
-
-
-DATASET = NuscenesReader()
+DATASET = DatasetReader(
+    SOURCE,
+    LICENCE,
+    lambda path: any((path / name / f"{TABLES[0]}.json").is_file() for name in RELEASES),
+    Nuscenes,
+)

@@ -7,7 +7,7 @@ row, and the result is kept as Parquet in the cache for as long as the tables st
 from collections.abc import Iterator
 from hashlib import blake2b
 from itertools import islice
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -52,35 +52,26 @@ def camera_images(release: Path, cache: Path) -> Path:
     Raises:
         InputError: a table is missing or damaged; names file, row and field.
     """
-    path = cache / f"nuscenes-{release.name}-{_fingerprint(release)}.parquet"
-    if not path.is_file():
-        table = _read_images(release)
-        with write_whole(path) as temporary:
-            table.write_parquet(temporary, row_group_size=_ROW_GROUP)
-    return path
-
-
-def _fingerprint(release: Path) -> str:
-    """Changes when a table is replaced."""
-    digest = blake2b(_FORMAT.encode(), digest_size=8)
+    digest = blake2b(_FORMAT.encode(), digest_size=8)  # changes when a table is replaced
     for name in TABLES:
-        path = release / f"{name}.json"
-        if not path.is_file():
-            raise InputError(f"{path}: no such table; copy the release's tables again")
-        status = path.stat()
+        table = release / f"{name}.json"
+        if not table.is_file():
+            raise InputError(f"{table}: no such table; copy the release's tables again")
+        status = table.stat()
         digest.update(f"{name} {status.st_size} {status.st_mtime_ns}".encode())
-    return digest.hexdigest()
-
-
-def _read_images(release: Path) -> pl.DataFrame:
-    calibrations = _read_calibrations(release)
-    images = _read_sample_data(release, set(calibrations["calibrated_sensor"]))
-    images = _joined(images, _read_scenes(release), "sample_token", release / "sample.json")
-    images = _joined(images, calibrations, "calibrated_sensor", release / "calibrated_sensor.json")
-    poses = _read_poses(release, set(images["ego_pose_token"]))
-    images = _joined(images, poses, "ego_pose_token", release / "ego_pose.json")
-    columns = [*IMAGE_SCHEMA, *POSITION, *QUATERNION, *MOUNTING, *LENS]
-    return images.select(columns).sort("scene", "channel", "timestamp")
+    path = cache / f"nuscenes-{release.name}-{digest.hexdigest()}.parquet"
+    if not path.is_file():
+        calibrations = _read_calibrations(release)
+        images = _read_sample_data(release, set(calibrations["calibrated_sensor"]))
+        images = _joined(images, _read_scenes(release), "sample_token", release / "sample.json")
+        images = _joined(images, calibrations, "calibrated_sensor", release / "calibrated_sensor.json")
+        images = _joined(
+            images, _read_poses(release, set(images["ego_pose_token"])), "ego_pose_token", release / "ego_pose.json"
+        )
+        images = images.select([*IMAGE_SCHEMA, *POSITION, *QUATERNION, *MOUNTING, *LENS])
+        with write_whole(path) as temporary:
+            images.sort("scene", "channel", "timestamp").write_parquet(temporary, row_group_size=_ROW_GROUP)
+    return path
 
 
 def _joined(images: pl.DataFrame, table: pl.DataFrame, key: str, path: Path) -> pl.DataFrame:
@@ -99,11 +90,15 @@ def _read_calibrations(release: Path) -> pl.DataFrame:
     }
     path = release / "calibrated_sensor.json"
     fields = {"token": str, "sensor_token": str, "translation": list, "rotation": list, "camera_intrinsic": list}
-    rows = [
-        (row["token"], channels[row["sensor_token"]], *_pose(row, path), *_lens(row, path))
-        for row in read_rows(path, fields)
-        if row["sensor_token"] in channels
-    ]
+    rows = []
+    for row in read_rows(path, fields):
+        if row["sensor_token"] not in channels:
+            continue
+        matrix = np.array(row["camera_intrinsic"])
+        if matrix.shape != (3, 3) or matrix[0, 1] != 0.0 or min(matrix[0, 0], matrix[1, 1]) <= 0.0:
+            raise InputError(f"{path}: token {row['token']}: camera_intrinsic must be a 3 x 3 matrix without skew")
+        lens = [float(matrix[place]) for place in ((0, 0), (1, 1), (0, 2), (1, 2))]
+        rows.append((row["token"], channels[row["sensor_token"]], *_pose(row, path), *lens))
     schema = {"calibrated_sensor": pl.String, "channel": pl.String} | dict.fromkeys([*MOUNTING, *LENS], pl.Float64)
     return pl.DataFrame(rows, schema, orient="row").unique("calibrated_sensor", keep="first", maintain_order=True)
 
@@ -133,12 +128,15 @@ def _read_sample_data(release: Path, calibrations: set[str]) -> pl.DataFrame:
     names = ["sample_token", "ego_pose_token", "calibrated_sensor_token", "filename", "timestamp", "width", "height"]
     fields = {name: int if name in ("timestamp", "width", "height") else str for name in names}
     rows = (
-        tuple(_inside_name(row[name], path) if name == "filename" else row[name] for name in names)
+        tuple(row[name] for name in names)
         for row in read_rows(path, {"calibrated_sensor_token": str} | fields)
         if row["calibrated_sensor_token"] in calibrations
     )
     schema = {name: pl.Int64 if fields[name] is int else pl.String for name in names}
     images = _collect(rows, schema).rename({"calibrated_sensor_token": "calibrated_sensor"})
+    outside = images.filter(pl.col("filename").str.contains(r"^/|(^|/)\.\.(/|$)"))["filename"]
+    if len(outside):
+        raise InputError(f"{path}: filename {outside[0]!r} leaves the data set")
     return images.with_columns(pl.col("width", "height").cast(pl.Int32))
 
 
@@ -168,18 +166,3 @@ def _pose(row: dict[str, Any], path: Path) -> list[float]:
     if abs(np.linalg.norm(row["rotation"]) - 1.0) > 1e-3:
         raise InputError(f"{path}: token {row['token']}: rotation must be a quaternion of length 1")
     return [*row["translation"], *row["rotation"]]
-
-
-def _lens(row: dict[str, Any], path: Path) -> list[float]:
-    """fx, fy, cx, cy of the 3 x 3 matrix."""
-    matrix = np.array(row["camera_intrinsic"])
-    if matrix.shape != (3, 3) or matrix[0, 1] != 0.0 or min(matrix[0, 0], matrix[1, 1]) <= 0.0:
-        raise InputError(f"{path}: token {row['token']}: camera_intrinsic must be a 3 x 3 matrix without skew")
-    return [float(matrix[0, 0]), float(matrix[1, 1]), float(matrix[0, 2]), float(matrix[1, 2])]
-
-
-def _inside_name(name: str, path: Path) -> str:
-    """The name of a file that cannot lie outside the data set."""
-    if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts:
-        raise InputError(f"{path}: filename {name!r} leaves the data set")
-    return name

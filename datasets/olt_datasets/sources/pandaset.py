@@ -24,9 +24,8 @@ from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, pose_from_quaternion
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
-from olt_toolkit.rigs.rig import MountedCamera
 from olt_toolkit.rigs.rig_files import load_rig
 
 SOURCE = "pandaset"
@@ -67,10 +66,6 @@ class _Pose(BaseModel):
     position: _Position
     heading: _Heading
 
-    def matrix(self) -> Array:
-        turn, place = self.heading, self.position
-        return pose_from_quaternion([turn.x, turn.y, turn.z, turn.w], [place.x, place.y, place.z])
-
 
 class Pandaset:
     """The sequences in a folder."""
@@ -78,28 +73,46 @@ class Pandaset:
     source = SOURCE
     licence = LICENCE
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
+    def __init__(self, root: Path, _: Path) -> None:
+        self._root = root
+        self._folders = _sequences(root)
         self._rig = load_rig("pandaset")
+        if not self._folders:
+            raise InputError(f"{root}: holds no PandaSet sequence; give the folder that holds 001, 002, ...")
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: the sequences whose front images are there."""
-        return [folder.name for folder in _sequences(self.root)]
+        return sorted(self._folders)
 
     def drive(self, key: str) -> Drive:
         """See `Dataset.drive`."""
         drive = self._read(key)
         span_us = int(drive.ego.timestamps_us[-1])
-        return drive.describe(notes=(_sample_note(len(drive.ego), span_us),))
+        note = (
+            f"The {len(drive.ego)} images and poses of the drive span {span_us / 1e6:.3f} s and a policy sample needs "
+            f"{_NEEDED_US / 1e6:.1f} s of motion: "
+        )
+        if span_us < _NEEDED_US:
+            return drive.describe(notes=(f"{note}none fits.",))
+        first = -int(HISTORY_OFFSETS_US[0]) / 1e6
+        last = (span_us - int(FUTURE_OFFSETS_US[-1])) / 1e6
+        return drive.describe(
+            notes=(
+                f"{note}t0 can only lie between {first:.3f} and {last:.3f} s of the drive, the time of the 16th image; "
+                "as loaders refuse t0 up to 1.6 s, clip time must begin before the first image.",
+            )
+        )
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; the front images are freed of their distortion."""
         return self._read(key).open(window_us, options)
 
     def _read(self, key: str) -> SurroundDrive:
-        folder = self.root / key / "camera"
-        if key not in self.keys():
-            raise InputError(f"{folder / FRONT}: no such folder; PandaSet has no sequence {key!r} here")
+        if key not in self._folders:
+            raise InputError(
+                f"{self._root / key / 'camera' / FRONT}: no such folder; PandaSet has no sequence {key!r} here"
+            )
+        folder = self._folders[key] / "camera"
         start = _read_times(folder / FRONT)[0]
         cameras = {name: self._camera(folder / name, start) for name in self._rig.cameras if (folder / name).is_dir()}
         front = cameras[FRONT]
@@ -128,53 +141,21 @@ class Pandaset:
         if np.any(np.diff(times_us) <= 0):
             index = int(np.argmax(np.diff(times_us) <= 0)) + 1
             raise InputError(f"{folder / 'timestamps.json'}: time {index} is not after the one before it")
-        return CameraImages(self._lens(folder), files, times_us)
-
-    def _lens(self, folder: Path) -> MountedCamera:
-        """The lens of the sequence's own file with the distortion and the mounting of the static calibration."""
-        own = _read_json(folder / "intrinsics.json", TypeAdapter(_Intrinsics))
-        mounted = self._rig[folder.name]
+        # The lens of the sequence's own file with the distortion and the mounting of the static calibration.
+        own, mounted = _read_json(folder / "intrinsics.json", TypeAdapter(_Intrinsics)), self._rig[folder.name]
         if not isinstance(mounted.camera, BrownConradyCamera):
             raise TypeError(f"rig pandaset: {folder.name} must be a brown_conrady camera")
-        return replace(mounted, camera=replace(mounted.camera, fx=own.fx, fy=own.fy, cx=own.cx, cy=own.cy))
+        lens = replace(mounted.camera, fx=own.fx, fy=own.fy, cx=own.cx, cy=own.cy)
+        return CameraImages(replace(mounted, camera=lens), files, times_us)
 
 
-class PandasetReader:
-    """Opens folders of PandaSet sequences."""
-
-    name = SOURCE
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; judged by the folders of sequences."""
-        return root.is_dir() and bool(_sequences(root))
-
-    def open(self, root: Path, cache: Path) -> Pandaset:
-        """See `DatasetReader.open`; nothing is cached."""
-        if not _sequences(root):
-            raise InputError(f"{root}: holds no PandaSet sequence; give the folder that holds 001, 002, ...")
-        return Pandaset(root)
-
-
-def _sequences(root: Path) -> list[Path]:
-    return sorted(
-        folder
-        for folder in root.iterdir()
-        if len(folder.name) == 3 and folder.name.isdecimal() and (folder / "camera" / FRONT).is_dir()
-    )
-
-
-def _sample_note(count: int, span_us: int) -> str:
-    found = f"The {count} images and poses of the drive span {span_us / 1e6:.3f} s and a policy sample needs"
-    needed = f"{_NEEDED_US / 1e6:.1f} s of motion"
-    if span_us < _NEEDED_US:
-        return f"{found} {needed}: none fits."
-    first = -int(HISTORY_OFFSETS_US[0]) / 1e6
-    last = (span_us - int(FUTURE_OFFSETS_US[-1])) / 1e6
-    return (
-        f"{found} {needed}: t0 can only lie between {first:.3f} and {last:.3f} s of the drive, the time of the "
-        "16th image; as loaders refuse t0 up to 1.6 s, clip time must begin before the first image."
-    )
+def _sequences(root: Path) -> dict[str, Path]:
+    """The sequences with front images, by name."""
+    return {
+        folder.name: folder
+        for folder in root.glob("[0-9][0-9][0-9]")
+        if folder.name.isdecimal() and (folder / "camera" / FRONT).is_dir()
+    }
 
 
 def _read_times(folder: Path) -> NDArray[np.float64]:
@@ -192,11 +173,12 @@ def _read_poses(folder: Path, count: int) -> Array:
     poses = _read_json(path, TypeAdapter(list[_Pose]))
     if len(poses) != count:
         raise InputError(f"{path}: {len(poses)} poses for {count} images; copy the camera again")
-    for index, pose in enumerate(poses):
-        turn = pose.heading
-        if abs(np.linalg.norm([turn.x, turn.y, turn.z, turn.w]) - 1.0) > 1e-3:
-            raise InputError(f"{path}: {index}.heading: a quaternion must have length 1")
-    return np.stack([pose.matrix() for pose in poses])
+    turns = np.array([[pose.heading.x, pose.heading.y, pose.heading.z, pose.heading.w] for pose in poses])
+    wrong = np.flatnonzero(np.abs(np.linalg.norm(turns, axis=1) - 1.0) > 1e-3)
+    if len(wrong):
+        raise InputError(f"{path}: {wrong[0]}.heading: a quaternion must have length 1")
+    places = np.array([[pose.position.x, pose.position.y, pose.position.z] for pose in poses])
+    return pose_from_quaternion(turns, places)
 
 
 def _read_json(path: Path, content: TypeAdapter[Content]) -> Content:
@@ -215,4 +197,4 @@ def _read_json(path: Path, content: TypeAdapter[Content]) -> Content:
         raise InputError(f"{path}: not readable as JSON ({error}); copy it again") from error
 
 
-DATASET = PandasetReader()
+DATASET = DatasetReader(SOURCE, LICENCE, lambda path: bool(_sequences(path)), Pandaset)

@@ -5,13 +5,12 @@ chunks: its clips are those whose front images are on disk, and each has the cam
 the index marks as not valid are left out. Frames are found through their table of timestamps, which has a row a frame.
 """
 
-from functools import cached_property, lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.image_times import FARTHEST_US, farthest_apart, nearest_images, starting_at
 from olt_datasets.sources.pav_tables import (
     ClipEvents,
     IndexedClip,
@@ -20,9 +19,8 @@ from olt_datasets.sources.pav_tables import (
     read_countries,
     read_events,
 )
-from olt_datasets.sources.windows import images_within
+from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator.errors import InputError
-from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
 from olt_toolkit.clips.chunk_archive import ChunkArchive
 from olt_toolkit.clips.pai_layout import (
@@ -40,7 +38,7 @@ from olt_toolkit.clips.pai_tables import read_egomotion, read_mounted_camera, re
 from olt_toolkit.clips.table import CLIP_TABLE
 from olt_toolkit.clips.video import decode_frames
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, short_name
 
@@ -65,9 +63,19 @@ class Pav:
     source = SOURCE
     licence = LICENCE
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, _: Path) -> None:
+        if not (root / CLIP_INDEX).is_file():
+            raise InputError(f"{root / CLIP_INDEX}: no such file; give the root of a PhysicalAI-AV tree")
+        if _is_clip_store(root):
+            raise InputError(
+                f"{root}: a clip store of this toolkit ({CLIP_TABLE}), whose images need not be true; use it as it is"
+            )
         self.root = root
         self._archive = lru_cache(maxsize=_KEPT_ARCHIVES)(ChunkArchive)
+        self._clips = read_clip_index(root)
+        self._absent = read_absence(root)
+        # Read where a clip is described: opening needs neither.
+        self._countries, self._events = cache(lambda: read_countries(root)), cache(lambda: read_events(root))
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: the ids of valid clips whose front images are on disk."""
@@ -79,24 +87,32 @@ class Pav:
 
     def drive(self, key: str) -> Drive:
         """See `Dataset.drive`."""
-        clip, events = self._clip(key), self._events.get(key, ClipEvents())
+        clip, events = self._clip(key), self._events().get(key, ClipEvents())
         clip_us = self._timestamps(key, FRONT_WIDE)
         start_us, end_us = int(clip_us[0]), int(clip_us[-1])
         cameras = tuple(name for name in CAMERA_INDEX if self._has(key, name, VIDEO))
         event_times = sorted({*clip.event_t0s_us, *events.times_us})
+        elsewhere = [name for name in CAMERA_INDEX if name not in cameras and not self._is_absent(key, name)]
+        notes = [f"Images of {short_name(name)} are not in this folder." for name in elsewhere]
+        ego_span_us = None
+        if self._has(key, EGOMOTION, EGOMOTION):
+            ego_us = read_timestamps(*self._member(key, EGOMOTION, EGOMOTION)) - start_us
+            ego_span_us = int(ego_us[0]), int(ego_us[-1])
+        else:
+            notes.append("Measured ego motion is not in this folder.")
         return Drive(
             source=SOURCE,
             scene_id=f"{SOURCE}/{key}",
             key=key,
             front_us=clip_us - start_us,
             cameras=cameras,
-            ego_span_us=self._ego_span(key, start_us),
+            ego_span_us=ego_span_us,
             true_views=self._cameras_beside(key, POLICY_CAMERAS, clip_us),
             category=events.category,
-            country=self._countries.get(key),
+            country=self._countries().get(key),
             split=clip.split,
             event_t0s_us=tuple(time - start_us for time in event_times if start_us <= time <= end_us),
-            notes=self._notes(key, cameras),
+            notes=tuple(notes),
         )
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
@@ -107,6 +123,11 @@ class Pav:
         beside = [name for name in self._cameras_beside(key, options.views, times_us) if name != FRONT_WIDE]
         frames, front = self._images(key, FRONT_WIDE, times_us, options.width)
         views = {name: self._images(key, name, times_us, options.width) for name in beside}
+        apart_ms = {name: farthest_apart(self._timestamps(key, name), times_us) / 1000 for name in beside}
+        reference = None
+        if self._has(key, EGOMOTION, EGOMOTION):
+            measured = read_egomotion(*self._member(key, EGOMOTION, EGOMOTION)).trajectory
+            reference = starting_at(measured, int(times_us[0]))
         return Recording(
             name=key,
             source=SOURCE,
@@ -115,31 +136,14 @@ class Pav:
             camera=front.camera,
             T_rig_camera=front.T_rig_camera,
             vehicle=read_vehicle(self._chunk_file(key, VEHICLE_DIMENSIONS), key),
-            assumptions=tuple(self._time_note(key, name, times_us) for name in beside),
-            reference=self._reference(key, int(times_us[0])),
+            assumptions=tuple(
+                f"Images of {short_name(name)} are those nearest in time to the front ones, up to {apart:.1f} ms away."
+                for name, apart in apart_ms.items()
+            ),
+            reference=reference,
             views={name: images for name, (images, _) in views.items()},
             mounted={name: mounted for name, (_, mounted) in views.items()},
         )
-
-    # Tables of the tree
-
-    @cached_property
-    def _clips(self) -> dict[str, IndexedClip]:
-        return read_clip_index(self.root)
-
-    @cached_property
-    def _absent(self) -> dict[str, frozenset[str]]:
-        return read_absence(self.root)
-
-    @cached_property
-    def _countries(self) -> dict[str, str]:
-        return read_countries(self.root)
-
-    @cached_property
-    def _events(self) -> dict[str, ClipEvents]:
-        return read_events(self.root)
-
-    # Parts of a clip
 
     def _timestamps(self, key: str, camera: str) -> NDArray[np.int64]:
         return read_timestamps(*self._member(key, camera, FRAME_TIMESTAMPS))
@@ -152,20 +156,13 @@ class Pav:
             if self._has(key, name, VIDEO) and farthest_apart(self._timestamps(key, name), times_us) <= FARTHEST_US
         )
 
-    def _ego_span(self, key: str, start_us: int) -> Span | None:
-        if not self._has(key, EGOMOTION, EGOMOTION):
-            return None
-        times_us = read_timestamps(*self._member(key, EGOMOTION, EGOMOTION)) - start_us
-        return int(times_us[0]), int(times_us[-1])
-
-    def _reference(self, key: str, start_us: int) -> Trajectory | None:
-        if not self._has(key, EGOMOTION, EGOMOTION):
-            return None
-        return starting_at(read_egomotion(*self._member(key, EGOMOTION, EGOMOTION)).trajectory, start_us)
-
     def _images(self, key: str, camera: str, times_us: NDArray[np.int64], width: int) -> tuple[Images, MountedCamera]:
         """Images (n, H, W, 3) nearest to clip times (n,), at most `width` pixels wide, and their camera."""
-        mounted = self._mounted(key, camera)
+        intrinsics, extrinsics = (self._chunk_file(key, name) for name in (CAMERA_INTRINSICS, SENSOR_EXTRINSICS))
+        try:
+            mounted = read_mounted_camera(intrinsics, extrinsics, key, camera)
+        except InputError as error:
+            raise InputError(f"{self.root}: clip {key}: {camera}: {error}") from error
         video, where = self._member(key, camera, VIDEO)
         indices = nearest_images(self._timestamps(key, camera), times_us)
         images: list[Images] = []
@@ -179,26 +176,6 @@ class Pav:
             images += [shrink(frame, width) for frame in frames]
         small = np.stack(images)
         return small, MountedCamera(mounted.camera.resized(small.shape[2], small.shape[1]), mounted.T_rig_camera)
-
-    def _mounted(self, key: str, camera: str) -> MountedCamera:
-        intrinsics, extrinsics = (self._chunk_file(key, name) for name in (CAMERA_INTRINSICS, SENSOR_EXTRINSICS))
-        try:
-            return read_mounted_camera(intrinsics, extrinsics, key, camera)
-        except InputError as error:
-            raise InputError(f"{self.root}: clip {key}: {camera}: {error}") from error
-
-    def _time_note(self, key: str, camera: str, times_us: NDArray[np.int64]) -> str:
-        apart = farthest_apart(self._timestamps(key, camera), times_us) / 1000
-        return f"Images of {short_name(camera)} are those nearest in time to the front ones, up to {apart:.1f} ms away."
-
-    def _notes(self, key: str, cameras: tuple[str, ...]) -> tuple[str, ...]:
-        elsewhere = [name for name in CAMERA_INDEX if name not in cameras and not self._is_absent(key, name)]
-        notes = [f"Images of {short_name(name)} are not in this folder." for name in elsewhere]
-        if not self._has(key, EGOMOTION, EGOMOTION):
-            notes.append("Measured ego motion is not in this folder.")
-        return tuple(notes)
-
-    # Where things are
 
     def _clip(self, key: str) -> IndexedClip:
         if key not in self._clips:
@@ -222,29 +199,14 @@ class Pav:
         return self._archive(path).read(name), f"{path}: {name}"
 
 
-class PavReader:
-    """Opens PhysicalAI-AV trees."""
-
-    name = SOURCE
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; clip stores of this toolkit have the same layout and are none."""
-        return all((root / name).is_file() for name in (CLIP_INDEX, FEATURE_TABLE)) and not _is_clip_store(root)
-
-    def open(self, root: Path, cache: Path) -> Pav:
-        """See `DatasetReader.open`; nothing is cached."""
-        if not (root / CLIP_INDEX).is_file():
-            raise InputError(f"{root / CLIP_INDEX}: no such file; give the root of a PhysicalAI-AV tree")
-        if _is_clip_store(root):
-            raise InputError(
-                f"{root}: a clip store of this toolkit ({CLIP_TABLE}), whose images need not be true; use it as it is"
-            )
-        return Pav(root)
-
-
 def _is_clip_store(root: Path) -> bool:
     return (root / CLIP_TABLE).exists()
 
 
-DATASET = PavReader()
+DATASET = DatasetReader(
+    SOURCE,
+    LICENCE,
+    # Clip stores of this toolkit have the same layout and are none.
+    lambda path: all((path / name).is_file() for name in (CLIP_INDEX, FEATURE_TABLE)) and not _is_clip_store(path),
+    Pav,
+)

@@ -11,9 +11,10 @@ import numpy as np
 import pandas as pd
 
 from olt_generator.errors import InputError
-from olt_toolkit.clips.clip import UNLABELLED, Split, check_clip_id
+from olt_toolkit.clips.clip import check_clip_id
 from olt_toolkit.clips.pai_layout import CLIP_INDEX, DATA_COLLECTION, FEATURE_PRESENCE, FEATURES
 from olt_toolkit.clips.pai_tables import read_indexed
+from olt_toolkit.recordings.labels import UNLABELLED, Split
 
 REASONING = "reasoning/ood_reasoning.parquet"
 OLDER_FEATURE_PRESENCE = "metadata/sensor_presence.parquet"
@@ -76,11 +77,16 @@ def read_clip_index(root: Path) -> dict[str, IndexedClip]:
     for column, kind in {"chunk": np.int64, "clip_is_valid": np.bool_}.items():
         if table[column].dtype != kind:
             raise InputError(f"{path}: column {column} is {table[column].dtype}; it must be {np.dtype(kind)}")
+    unknown = set(table.loc[table["clip_is_valid"], "split"]) - set(get_args(Split))
+    if unknown:
+        raise InputError(
+            f"{path}: column split holds {unknown.pop()!r}; it must be one of {', '.join(get_args(Split))}"
+        )
     event_t0s = table["event_t0s"].tolist() if "event_t0s" in table else [()] * len(table)
     rows = zip(table.index, table["clip_is_valid"], table["chunk"], table["split"], event_t0s, strict=True)
     return {
         check_clip_id(clip_id, str(path)): IndexedClip(
-            int(chunk), _split(split, path), _integers(times, f"{path}: clip {clip_id}: event_t0s")
+            int(chunk), split, _integers(times, f"{path}: clip {clip_id}: event_t0s")
         )
         for clip_id, valid, chunk, split, times in rows
         if valid
@@ -129,10 +135,12 @@ def read_events(root: Path) -> dict[str, ClipEvents]:
         return {}
     table = read_indexed(path, ["events"], ["clip_id"])
     clusters = table["event_cluster"] if "event_cluster" in table else pd.Series(None, table.index, "string")
-    return {
-        str(clip_id): ClipEvents(_event_times(events, f"{path}: clip {clip_id}"), _category(cluster))
-        for clip_id, events, cluster in zip(table.index, table["events"], clusters, strict=True)
-    }
+    found = {}
+    for clip_id, events, cluster in zip(table.index, table["events"], clusters, strict=True):
+        # The name of a cluster of events as categories are written.
+        words = re.sub(r"[^a-z0-9]+", "_", cluster.lower()).strip("_") if isinstance(cluster, str) else ""
+        found[str(clip_id)] = ClipEvents(_event_times(events, f"{path}: clip {clip_id}"), words or UNLABELLED)
+    return found
 
 
 def _event_times(events: Any, where: str) -> tuple[int, ...]:
@@ -151,16 +159,3 @@ def _integers(times: Iterable[Any] | None, where: str) -> tuple[int, ...]:
         if not isinstance(time, (int, np.integer)) or isinstance(time, bool):
             raise InputError(f"{where} holds {time}; it must hold integer microseconds")
     return tuple(int(time) for time in times)
-
-
-def _split(split: Any, path: Path) -> Split:
-    if split not in get_args(Split):
-        raise InputError(f"{path}: column split holds {split!r}; it must be one of {', '.join(get_args(Split))}")
-    return split
-
-
-def _category(cluster: Any) -> str:
-    """The name of a cluster of events as categories are written."""
-    if not isinstance(cluster, str):
-        return UNLABELLED
-    return re.sub(r"[^a-z0-9]+", "_", cluster.lower()).strip("_") or UNLABELLED

@@ -4,7 +4,7 @@ The front camera gives the recording. The views of the target rig are mosaics of
 time: that is what is true in such data, with seams, and with a mask of what nobody saw.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,17 +14,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.image_times import FARTHEST_US, farthest_apart, nearest_images, starting_at
 from olt_datasets.sources.mosaic import Mosaic, coverage
-from olt_datasets.sources.windows import images_within
+from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator.cameras import Camera, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.lenses.remap import Remapper
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
-from olt_toolkit.clips.clip import UNLABELLED, Split
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import Drive
+from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, pav_rig, short_name
 
@@ -114,7 +113,15 @@ class SurroundDrive:
         notes: tuple[str, ...] = (),
     ) -> Drive:
         """The drive as data set readers tell it; the arguments are those of `Drive`."""
-        true_views = tuple(name for name in POLICY_CAMERAS if name == FRONT_WIDE or name in self.mosaics)
+        mosaics = (
+            f"The true {short_name(name)} view is a mosaic of several cameras, which shows {share:.0%} of it."
+            for name, share in self.mosaics.items()
+        )
+        unsteady = (
+            f"{name} lacks images near some front images and is left out of the mosaics."
+            for name in self.cameras
+            if name not in self._steady_cameras
+        )
         return Drive(
             source=self.source,
             scene_id=f"{self.source}/{self.key}",
@@ -122,11 +129,11 @@ class SurroundDrive:
             front_us=self.cameras[self.front].times_us,
             cameras=tuple(self.cameras),
             ego_span_us=(int(self.ego.timestamps_us[0]), int(self.ego.timestamps_us[-1])),
-            true_views=true_views,
+            true_views=tuple(name for name in POLICY_CAMERAS if name == FRONT_WIDE or name in self.mosaics),
             category=category,
             country=country,
             split=split,
-            notes=(*notes, *self._mosaic_notes(), *self._unsteady_notes(), *self.assumptions),
+            notes=(*notes, *mosaics, *unsteady, *self.assumptions),
         )
 
     def open(self, window_us: Span, options: OpenOptions) -> Recording:
@@ -134,14 +141,34 @@ class SurroundDrive:
         front = self.cameras[self.front]
         indices = images_within(front.times_us, window_us, f"{self.source}/{self.key}")
         times_us = front.times_us[indices]
-        wanted = [name for name in options.views if name in self.mosaics]
-        views = _Views(self._mosaics_of(wanted, options.width), self.cameras, times_us)
-        camera, straighten = _straightened(front.mounted.camera, options.width)
+        rig = pav_rig().fitted(options.width, round(options.width * _ASPECT))
+        mosaics = {name: Mosaic(rig[name], self._steady_cameras) for name in options.views if name in self.mosaics}
+        used = {name: self.cameras[name] for name in sorted({each for m in mosaics.values() for each in m.cameras})}
+        beside = {name: nearest_images(camera.times_us, times_us) for name, camera in used.items()}
+        views = {
+            name: np.empty((len(times_us), *mosaic.observed.shape, 3), np.uint8) for name, mosaic in mosaics.items()
+        }
+        camera, straighten = straightened(front.mounted.camera, options.width)
         frames = np.empty((len(indices), camera.height, camera.width, 3), np.uint8)
+        # Image by image, so that only one stored image of each camera is in memory.
         for place, index in enumerate(indices.tolist()):
             image = read_image(front.files[index], front.mounted.camera)
             frames[place] = straighten(image)
-            views.add(place, {self.front: image})
+            stored = {self.front: image} | {
+                name: read_image(each.files[beside[name][place]], each.mounted.camera)
+                for name, each in used.items()
+                if name != self.front
+            }
+            for name, mosaic in mosaics.items():
+                views[name][place] = mosaic.compose(stored)
+        assumptions = list(self.assumptions)
+        for name, mosaic in mosaics.items():
+            apart = max(farthest_apart(used[each].times_us, times_us) for each in mosaic.cameras) / 1000
+            assumptions.append(
+                f"The true {short_name(name)} view is a mosaic of {', '.join(mosaic.cameras)}, as if everything were "
+                f"infinitely far and nothing moved within {apart:.0f} ms; {mosaic.coverage:.0%} of it is seen, the "
+                "rest is black."
+            )
         return Recording(
             name=self.key,
             source=self.source,
@@ -150,63 +177,11 @@ class SurroundDrive:
             camera=camera,
             T_rig_camera=front.mounted.T_rig_camera,
             vehicle=self.vehicle,
-            assumptions=(*self.assumptions, *views.sentences()),
+            assumptions=tuple(assumptions),
             reference=starting_at(self.ego, int(times_us[0])),
-            views=views.images,
-            mounted={name: mosaic.target for name, mosaic in views.mosaics.items()},
-            observed={name: mosaic.observed for name, mosaic in views.mosaics.items()},
-        )
-
-    def _mosaics_of(self, names: list[str], width: int) -> dict[str, Mosaic]:
-        rig = pav_rig().fitted(width, round(width * _ASPECT))
-        return {name: Mosaic(rig[name], self._steady_cameras) for name in names}
-
-    def _mosaic_notes(self) -> list[str]:
-        return [
-            f"The true {short_name(name)} view is a mosaic of several cameras, which shows {share:.0%} of it."
-            for name, share in self.mosaics.items()
-        ]
-
-    def _unsteady_notes(self) -> list[str]:
-        left_out = [name for name in self.cameras if name not in self._steady_cameras]
-        return [f"{name} lacks images near some front images and is left out of the mosaics." for name in left_out]
-
-
-class _Views:
-    """Mosaics of a window, filled image by image, so that only one stored image of each camera is in memory."""
-
-    def __init__(
-        self, mosaics: dict[str, Mosaic], cameras: Mapping[str, CameraImages], times_us: NDArray[np.int64]
-    ) -> None:
-        self.mosaics = mosaics
-        self.images = {
-            name: np.empty((len(times_us), *mosaic.observed.shape, 3), np.uint8) for name, mosaic in mosaics.items()
-        }
-        used = sorted({name for mosaic in mosaics.values() for name in mosaic.cameras})
-        self._cameras = {name: cameras[name] for name in used}
-        self._indices = {name: nearest_images(cameras[name].times_us, times_us) for name in used}
-        self._apart_us = {name: farthest_apart(cameras[name].times_us, times_us) for name in used}
-
-    def add(self, place: int, known: dict[str, Image]) -> None:
-        """Make the mosaics of one front image; `known` are stored images that are decoded already."""
-        stored = known | {
-            name: read_image(camera.files[self._indices[name][place]], camera.mounted.camera)
-            for name, camera in self._cameras.items()
-            if name not in known
-        }
-        for name, mosaic in self.mosaics.items():
-            self.images[name][place] = mosaic.compose(stored)
-
-    def sentences(self) -> list[str]:
-        """What the mosaics assume."""
-        return [self._sentence(name, mosaic) for name, mosaic in self.mosaics.items()]
-
-    def _sentence(self, name: str, mosaic: Mosaic) -> str:
-        apart = max(self._apart_us[camera] for camera in mosaic.cameras) / 1000
-        return (
-            f"The true {short_name(name)} view is a mosaic of {', '.join(mosaic.cameras)}, as if everything were "
-            f"infinitely far and nothing moved within {apart:.0f} ms; {mosaic.coverage:.0%} of it is seen, the rest is "
-            "black."
+            views=views,
+            mounted={name: mosaic.target for name, mosaic in mosaics.items()},
+            observed={name: mosaic.observed for name, mosaic in mosaics.items()},
         )
 
 
@@ -217,7 +192,10 @@ def read_image(stored: StoredImage, camera: Camera) -> Image:
         InputError: it is missing, too large to be one, cannot be decoded, or has another size.
     """
     if isinstance(stored, Path):
-        _check_file(stored)
+        if not stored.is_file():
+            raise InputError(f"{stored}: no such image; copy the data set again")
+        if stored.stat().st_size > _LARGEST_IMAGE_BYTES:
+            raise InputError(f"{stored}: {stored.stat().st_size} bytes are too many for an image; copy it again")
     content = np.frombuffer(stored.read_bytes(), np.uint8)
     image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
     if image is None:
@@ -228,14 +206,7 @@ def read_image(stored: StoredImage, camera: Camera) -> Image:
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
-def _check_file(file: Path) -> None:
-    if not file.is_file():
-        raise InputError(f"{file}: no such image; copy the data set again")
-    if file.stat().st_size > _LARGEST_IMAGE_BYTES:
-        raise InputError(f"{file}: {file.stat().st_size} bytes are too many for an image; copy it again")
-
-
-def _straightened(camera: Camera, width: int) -> tuple[Camera, Callable[[Image], Image]]:
+def straightened(camera: Camera, width: int) -> tuple[Camera, Callable[[Image], Image]]:
     """The camera without distortion, at most `width` pixels wide, and what makes its images of stored ones."""
     scale = min(1.0, width / camera.width)
     size = round(camera.width * scale), round(camera.height * scale)

@@ -26,7 +26,7 @@ from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import POLICY_CAMERAS, pav_rig
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
@@ -37,6 +37,7 @@ LICENCE = Licence("Apache-2.0", "Made by the toolkit itself.", "None but those o
 # Shape of the images: that of the target rig's.
 _ASPECT = 9 / 16
 _MOST_DRIVES = 1_000_000
+_generate_scene = lru_cache(maxsize=8)(generate_scene)
 
 
 class _Specification(BaseModel):
@@ -66,9 +67,15 @@ class Synthetic:
     source = NAME
     licence = LICENCE
 
-    def __init__(self, root: Path) -> None:
+    def __init__(self, root: Path, _: Path) -> None:
         self._file = root / FILE
-        self._asked = _read_specification(self._file)
+        content = read_yaml_mapping(self._file, "specification of synthetic drives", _Specification.model_fields)
+        try:
+            self._asked = _Specification.model_validate(content)
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(part) for part in first["loc"])
+            raise InputError(f"{self._file}: {place}: {first['msg']}") from error
         seeds = range(self._asked.seed, self._asked.seed + self._asked.count)
         self._drives = {f"{name}_{seed:06d}": (name, seed) for name in self._asked.categories for seed in seeds}
 
@@ -96,46 +103,15 @@ class Synthetic:
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; lens and mounting are those of the nominal rig, whatever the options say."""
-        size = options.width, round(options.width * _ASPECT)
-        scene = self._scene(key)
+        size, scene = (options.width, round(options.width * _ASPECT)), self._scene(key)
         return record_drive(scene, *size, self._asked.frame_rate, cameras=options.views, window_us=window_us)
 
     def _scene(self, key: str) -> Scene:
         if key not in self._drives:
             raise InputError(f"{self._file}: asks for no drive {key!r}")
-        scene = _generate(*self._drives[key])
+        scene = _generate_scene(*self._drives[key])
         shown = scene.ego.timestamps_us <= round(self._asked.duration * 1e6)
         return replace(scene, ego=Trajectory(scene.ego.timestamps_us[shown], scene.ego.T_world_rig[shown]))
 
 
-class SyntheticReader:
-    """Opens a folder with `synthetic.yaml`; see `DatasetReader`."""
-
-    name = NAME
-    licence = LICENCE
-
-    def recognises(self, root: Path) -> bool:
-        """See `DatasetReader.recognises`; judged by the file."""
-        return (root / FILE).is_file()
-
-    def open(self, root: Path, cache: Path) -> Synthetic:
-        """See `DatasetReader.open`; nothing is cached."""
-        return Synthetic(root)
-
-
-@lru_cache(maxsize=8)
-def _generate(category: str, seed: int) -> Scene:
-    return generate_scene(category, seed)
-
-
-def _read_specification(file: Path) -> _Specification:
-    content = read_yaml_mapping(file, "specification of synthetic drives", _Specification.model_fields)
-    try:
-        return _Specification.model_validate(content)
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{file}: {place}: {first['msg']}") from error
-
-
-DATASET = SyntheticReader()
+DATASET = DatasetReader(NAME, LICENCE, lambda path: (path / FILE).is_file(), Synthetic)

@@ -1,6 +1,13 @@
-"""Plain video files of a front camera, with nothing known about the camera."""
+"""Plain front videos, with nothing known about the camera: a file, or a folder in which every video is a drive.
 
-from dataclasses import dataclass
+What no video tells is assumed and said. Windows of one video share one lens: the field of view is looked for once, in
+the beginning of the video, and kept in the cache.
+"""
+
+import hashlib
+import json
+import math
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -8,37 +15,146 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
+from olt_generator.files import write_whole
 from olt_generator.motion.focal_length import estimate_field_of_view
-from olt_generator.video import Video, read_video
+from olt_generator.video import Video, read_frame_times, read_video, read_video_window
+from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.drives import WHOLE, DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import FRONT_WIDE
 from olt_toolkit.rigs.rig_files import load_rig
 
+NAME = "video"
+LICENCE = Licence(
+    "not told",
+    "Files of the user's own; nobody told where they come from.",
+    "Not told: ask whoever owns the videos before training on them or passing them on.",
+)
 SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm", ".ts", ".mpg", ".mpeg"})
 # The rig in which an unknown camera is taken to be, and its only camera.
 RIG, CAMERA = "dashcam", "front"
+UNKNOWN_CAMERA = (
+    "Lens, mounting and vehicle are not known; they are assumed when the drive is opened, and said there.",
+    "There is no measured motion; it is recovered from the images.",
+)
 # Wider lenses are built to keep angles rather than straight lines.
 WIDEST_PINHOLE = np.radians(100.0)
-# Where a lens comes from that the user told.
-GIVEN = "as given"
 FIELD_OF_VIEW_RANGE = (np.radians(10.0), np.radians(200.0))
+# The field of view is looked for in so many seconds from the start where windows of any duration are opened.
+LENS_SECONDS = 20.0
 
 
-class VideoSource:
-    """Opens a video file; what no video tells is assumed and said."""
+class Videos:
+    """A video file, or the videos in a folder and below; see `Dataset`."""
 
-    name = "video"
+    source = NAME
+    licence = LICENCE
 
-    def recognises(self, path: Path) -> bool:
-        """See `Source.recognises`; judged by the suffix."""
-        return path.is_file() and path.suffix.lower() in SUFFIXES
+    def __init__(self, path: Path, cache: Path) -> None:
+        self._path, self._cache = path, cache / NAME
+        found = [path] if path.is_file() else [each for each in path.rglob("*") if is_video(each)]
+        self._videos = {each.relative_to(path).as_posix(): each for each in found}
 
-    def open(self, path: Path, options: OpenOptions) -> Recording:
-        """See `Source.open`."""
-        video = read_video(path, options.width, options.duration)
-        if len(video.frames) < 2:
+    def keys(self) -> list[str]:
+        """See `Dataset.keys`: paths of the video files in the folder."""
+        return sorted(self._videos)
+
+    def drive(self, key: str) -> Drive:
+        """See `Dataset.drive`; reads the times of the frames and decodes none."""
+        video = self._video(key)
+        folder = (video.parent if key == WHOLE else self._path).resolve()
+        return Drive(
+            source=NAME,
+            scene_id=f"{NAME}/{folder.name}/{video.name if key == WHOLE else key}",
+            key=key,
+            front_us=read_frame_times(video),
+            cameras=(CAMERA,),
+            ego_span_us=None,
+            true_views=(FRONT_WIDE,),
+            notes=UNKNOWN_CAMERA,
+        )
+
+    def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
+        """See `Dataset.open`."""
+        video = self._video(key)
+        return open_video_window(video, video.stem, NAME, window_us, options, self._cache)
+
+    def _video(self, key: str) -> Path:
+        if key not in self._videos:
+            raise InputError(f"{self._path}: there is no video {key!r}")
+        return self._videos[key]
+
+
+def is_video(path: Path) -> bool:
+    """Whether a path is a video file, judged by its suffix."""
+    return path.suffix.lower() in SUFFIXES and path.is_file()
+
+
+def open_video_window(
+    path: Path, name: str, source: str, window_us: Span, options: OpenOptions, cache: Path
+) -> Recording:
+    """Decode a window of a front video of which nothing is known, in the rig in which unknown cameras are taken to be.
+
+    Args:
+        path: the video.
+        name: name of the recording.
+        source: name of the reader.
+        window_us: times of the first and the last frame.
+        options: working width, what to assume, and in how much from the start the field of view is looked for.
+        cache: where the field of view is kept for as long as the file stays the same.
+
+    Raises:
+        InputError: the video is damaged, or shows no frame in the window, or a single one in all that is opened.
+    """
+    first_us, last_us = window_us
+    beginning_us = round(1e6 * (options.duration if math.isfinite(options.duration) else LENS_SECONDS))
+    if first_us > 0:
+        video = read_video_window(path, first_us, last_us, options.width)
+    else:
+        video = read_video(path, options.width, (last_us + 1) / 1e6)
+        if len(video.frames) < 2 and last_us >= beginning_us - 1:
             raise InputError(f"{path}: holds a single frame; give a video of at least 2 frames")
-        lens = find_field_of_view(video.frames, video.timestamps_us, options.horizontal_fov)
-        return record_front_video(path.stem, self.name, video, lens, options)
+    is_beginning = window_us == (0, beginning_us - 1)
+    lens = (
+        _find_lens(path, video if is_beginning else None, beginning_us, options.width, cache)
+        if options.horizontal_fov is None
+        else describe_lens(options.horizontal_fov, "as given")
+    )
+    height, width = video.frames.shape[1:3]
+    rig = load_rig(RIG)
+    T_rig_camera = rig[CAMERA].T_rig_camera
+    if options.camera_height is not None:
+        T_rig_camera[2, 3] = options.camera_height
+    (forward, _, up), told = T_rig_camera[:3, 3], "the default" if options.camera_height is None else "as given"
+    return Recording(
+        name=name,
+        source=source,
+        frames=video.frames,
+        timestamps_us=video.timestamps_us - video.timestamps_us[0],
+        camera=assume_camera(width, height, lens.field_of_view),
+        T_rig_camera=T_rig_camera,
+        vehicle=rig.vehicle,
+        assumptions=(
+            lens.sentence,
+            f"The camera is {up:.2f} m above ground ({told}), which fixes the metric scale.",
+            f"The camera is {forward:.1f} m ahead of the rear axle, in the middle of the vehicle and not rolled.",
+            "The vehicle has the size of the default passenger car.",
+        ),
+    )
+
+
+def _find_lens(path: Path, beginning: Video | None, beginning_us: int, width: int, cache: Path) -> "AssumedLens":
+    """The lens that the beginning of a video tells, kept for as long as the file stays the same."""
+    state = path.stat()
+    words = f"{path.name}\x1f{state.st_size}\x1f{state.st_mtime_ns}\x1f{beginning_us}\x1f{width}"
+    kept = cache / f"lens-{hashlib.blake2b(words.encode(), digest_size=16).hexdigest()}.json"
+    if kept.is_file():
+        return AssumedLens(**json.loads(kept.read_text()))
+    beginning = beginning or read_video(path, width, beginning_us / 1e6)
+    lens = find_field_of_view(beginning.frames, beginning.timestamps_us)
+    with write_whole(kept) as temporary:
+        temporary.write_text(json.dumps(asdict(lens)))
+    return lens
 
 
 @dataclass(frozen=True)
@@ -49,35 +165,13 @@ class AssumedLens:
     sentence: str
 
 
-def record_front_video(name: str, source: str, video: Video, lens: AssumedLens, options: OpenOptions) -> Recording:
-    """The recording of a front video with this lens, in the rig in which unknown cameras are taken to be."""
-    height, width = video.frames.shape[1:3]
-    rig = load_rig(RIG)
-    T_rig_camera = rig[CAMERA].T_rig_camera
-    if options.camera_height is not None:
-        T_rig_camera[2, 3] = options.camera_height
-    return Recording(
-        name=name,
-        source=source,
-        frames=video.frames,
-        timestamps_us=video.timestamps_us - video.timestamps_us[0],
-        camera=assume_camera(width, height, lens.field_of_view),
-        T_rig_camera=T_rig_camera,
-        vehicle=rig.vehicle,
-        assumptions=(lens.sentence, *_mounting_sentences(T_rig_camera, options)),
-    )
-
-
-def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64], given: float | None) -> AssumedLens:
-    """The field of view as given, else as estimated from the video, else as assumed for dashcams.
+def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64]) -> AssumedLens:
+    """The field of view as estimated from the video, else as assumed for dashcams.
 
     Args:
         frames: (n, H, W, 3) uint8.
-        timestamps_us: (n,) int64.
-        given: radians, None where nobody knows.
+        timestamps_us: (n,) int64 microseconds.
     """
-    if given is not None:
-        return describe_lens(given, GIVEN)
     estimate = estimate_field_of_view(frames, timestamps_us, assume_camera)
     if estimate.field_of_view is not None and estimate.interval is not None:
         low, high = np.degrees(estimate.interval)
@@ -117,14 +211,6 @@ def describe_lens(field_of_view: float, origin: str) -> AssumedLens:
     )
 
 
-def _mounting_sentences(T_rig_camera: NDArray[np.float64], options: OpenOptions) -> tuple[str, ...]:
-    forward, height = T_rig_camera[0, 3], T_rig_camera[2, 3]
-    height_given = "as given" if options.camera_height is not None else "the default"
-    return (
-        f"The camera is {height:.2f} m above ground ({height_given}), which fixes the metric scale.",
-        f"The camera is {forward:.1f} m ahead of the rear axle, in the middle of the vehicle and not rolled.",
-        "The vehicle has the size of the default passenger car.",
-    )
-
-
-SOURCE = VideoSource()
+DATASET = DatasetReader(
+    NAME, LICENCE, lambda path: is_video(path) or (path.is_dir() and any(map(is_video, path.iterdir()))), Videos
+)

@@ -7,18 +7,18 @@ import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, SampleChoice
 from olt_generator.errors import InputError
-from olt_toolkit import __version__
 from olt_toolkit.clips.clip import ClipInfo, ClipOrigin, make_clip_id
 from olt_toolkit.policy.sample import KEYFRAME_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, STEP_US, Coverage, Span, sample_times
 from olt_toolkit.recordings.drives import Drive
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.runtime.version import code_version
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,36 @@ def cut_drive(drive: Drive, cutting: Cutting, licence: str | None) -> list[ClipI
         cutting: how it is cut.
         licence: name of the data set's licence.
     """
-    description = _describe(drive)
-    return [_clip_of(drive, window, cutting, licence, description) for window in find_windows(drive, cutting)]
+    told = asdict(drive)
+    front_us = told.pop("front_us").astype("<i8").tobytes()
+    description = _hash_of(json.dumps(told, sort_keys=True).encode() + front_us)
+    kind = "GT" if set(POLICY_CAMERAS) <= set(drive.true_views) else "front_only"
+    # The key may be the same in two folders; the scene is not.
+    scene = drive.scene_id.removeprefix(f"{drive.source}/").replace("/", "-")
+    clips = []
+    for start, end in find_windows(drive, cutting):
+        times, reason = find_samples(drive, (start, end), cutting.samples)
+        name = f"{scene}_{start // 1000:06d}_{end // 1000:06d}"
+        clip = ClipInfo(
+            clip_id=make_clip_id(drive.source, name, kind, 0),
+            name=name,
+            scene_id=drive.scene_id,
+            source=drive.source,
+            origin=ClipOrigin(drive.key, start, end, drive.country, licence),
+            kind=kind,
+            category=drive.category,
+            factors=drive.factors,
+            split=drive.split,
+            duration_us=(end if drive.ego_span_us is None else drive.ego_span_us[1]) - start,
+            sample_t0_us=times,
+            no_sample_reason=reason,
+            created_with=code_version(),
+            checksum=_hash_of(f"{description} {(start, end)} {times} {licence}".encode()),
+            fingerprint=None,
+            views={},
+        )
+        clips.append(clip)
+    return clips
 
 
 def find_windows(drive: Drive, cutting: Cutting) -> Iterator[Span]:
@@ -73,16 +101,12 @@ def find_windows(drive: Drive, cutting: Cutting) -> Iterator[Span]:
         starts = np.arange(0, len(times) - cutting.frames + 1, cutting.stride)
         yield from zip(times[starts].tolist(), times[starts + cutting.frames - 1].tolist(), strict=True)
     elif len(times) > 1:
-        yield from _windows_of_duration(times, round(1e6 * cutting.seconds))
-
-
-def _windows_of_duration(times: NDArray[np.int64], duration_us: int) -> Iterator[Span]:
-    spacing = int(np.median(np.diff(times)))
-    count = int(times[-1] + spacing) // duration_us
-    edges = np.searchsorted(times, duration_us * np.arange(count + 1))
-    for first, following in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-        if following - first > 1:
-            yield int(times[first]), int(times[following - 1])
+        duration_us, spacing = round(1e6 * cutting.seconds), int(np.median(np.diff(times)))
+        count = int(times[-1] + spacing) // duration_us
+        edges = np.searchsorted(times, duration_us * np.arange(count + 1))
+        for first, following in pairwise(edges.tolist()):
+            if following - first > 1:
+                yield int(times[first]), int(times[following - 1])
 
 
 def find_samples(drive: Drive, window: Span, choice: SampleChoice) -> tuple[tuple[int, ...], str | None]:
@@ -96,63 +120,22 @@ def find_samples(drive: Drive, window: Span, choice: SampleChoice) -> tuple[tupl
     coverage = Coverage((ego[0] - start, ego[1] - start), dict.fromkeys(POLICY_CAMERAS, (0, end - start)))
     times, reason = sample_times(coverage)
     if times and drive.usable_us is not None:
-        times, reason = _only_usable(times, (drive.usable_us[0] - start, drive.usable_us[1] - start))
+        first, last = drive.usable_us
+        earliest, latest = first - start - int(HISTORY_OFFSETS_US[0]), last - start - int(FUTURE_OFFSETS_US[-1])
+        times = tuple(time for time in times if earliest <= time <= latest)
+        # The stretch is told in clip time.
+        told = f"{(first - start) / 1e6:.6g} to {(last - start) / 1e6:.6g} s"
+        reason = None if times else f"only {told} of it may be imitated; a sample needs 7.9 s of that"
     if times and choice is SampleChoice.KEYFRAME:
         times = (min(times, key=lambda time: abs(time - KEYFRAME_US)),)
     if times and choice is SampleChoice.EVENTS:
-        times, reason = _only_events(times, [time - start for time in drive.event_t0s_us])
+        # The times on the grid that are nearest to an event.
+        events = [time - start for time in drive.event_t0s_us]
+        nearest = [(min(times, key=lambda time, event=event: abs(time - event)), event) for event in events]
+        times = tuple(sorted({time for time, event in nearest if abs(time - event) <= STEP_US // 2}))
+        if not times:
+            reason = f"the data set marks {len(events)} moments of the drive, none where the clip gives a sample"
     return times, reason
-
-
-def _only_usable(times: tuple[int, ...], usable: Span) -> tuple[tuple[int, ...], str | None]:
-    first, last = usable[0] - int(HISTORY_OFFSETS_US[0]), usable[1] - int(FUTURE_OFFSETS_US[-1])
-    kept = tuple(time for time in times if first <= time <= last)
-    reason = (
-        f"only {usable[0] / 1e6:.6g} to {usable[1] / 1e6:.6g} s of it may be imitated; a sample needs 7.9 s of that"
-    )
-    return kept, None if kept else reason
-
-
-def _only_events(times: tuple[int, ...], events: list[int]) -> tuple[tuple[int, ...], str | None]:
-    """The times on the grid that are nearest to an event."""
-    nearest = [(min(times, key=lambda time, event=event: abs(time - event)), event) for event in events]
-    kept = tuple(sorted({time for time, event in nearest if abs(time - event) <= STEP_US // 2}))
-    reason = f"the data set marks {len(events)} moments of the drive, none where the clip gives a sample"
-    return kept, None if kept else reason
-
-
-def _clip_of(drive: Drive, window: Span, cutting: Cutting, licence: str | None, description: str) -> ClipInfo:
-    start, end = window
-    times, reason = find_samples(drive, window, cutting.samples)
-    kind = "GT" if set(POLICY_CAMERAS) <= set(drive.true_views) else "front_only"
-    # The key may be the same in two folders; the scene is not.
-    scene = drive.scene_id.removeprefix(f"{drive.source}/").replace("/", "-")
-    name = f"{scene}_{start // 1000:06d}_{end // 1000:06d}"
-    return ClipInfo(
-        clip_id=make_clip_id(drive.source, name, kind, 0),
-        name=name,
-        scene_id=drive.scene_id,
-        source=drive.source,
-        origin=ClipOrigin(drive.key, start, end, drive.country, licence),
-        kind=kind,
-        category=drive.category,
-        factors=drive.factors,
-        split=drive.split,
-        duration_us=(end if drive.ego_span_us is None else drive.ego_span_us[1]) - start,
-        sample_t0_us=times,
-        no_sample_reason=reason,
-        created_with=__version__,
-        checksum=_hash_of(f"{description} {window} {times} {licence}".encode()),
-        fingerprint=None,
-        views={},
-    )
-
-
-def _describe(drive: Drive) -> str:
-    """Hash of everything that a data set tells of a drive."""
-    told = asdict(drive)
-    front_us = told.pop("front_us").astype("<i8").tobytes()
-    return _hash_of(json.dumps(told, sort_keys=True).encode() + front_us)
 
 
 def _hash_of(data: bytes) -> str:

@@ -36,8 +36,16 @@ def find_near_duplicates(first: pl.Series, second: pl.Series) -> Pairs:
     owners, hashes = _flatten(first)
     other_owners, other_hashes = _flatten(second)
     images = find_close_hashes(hashes, other_hashes)
-    clips = np.stack([owners[images[:, 0]], other_owners[images[:, 1]]], axis=1)
-    return _pairs_alike(clips, images)
+    # The pairs of clips of which enough images, on both sides, have a like one.
+    columns = (owners[images[:, 0]], other_owners[images[:, 1]], images[:, 0], images[:, 1])
+    table = pl.DataFrame(dict(zip(("clip", "other", "image", "other_image"), columns, strict=True)))
+    alike = (
+        table.group_by("clip", "other")
+        .agg(pl.col("image").n_unique(), pl.col("other_image").n_unique())
+        .filter(pl.min_horizontal("image", "other_image") >= ALIKE_IMAGES)
+        .sort("clip", "other")
+    )
+    return alike.select("clip", "other").to_numpy()
 
 
 def find_close_hashes(first: Hashes, second: Hashes) -> Pairs:
@@ -82,17 +90,3 @@ def _pairs_sharing(band: NDArray[np.int64], other_band: NDArray[np.int64]) -> It
         firsts = np.repeat((ends - counts)[other_band[others]], repeats) + within
         yield np.stack([order[firsts], np.repeat(others, repeats)], axis=1)
         start = end
-
-
-def _pairs_alike(clips: Pairs, images: Pairs) -> Pairs:
-    """The pairs of clips of which enough images, on both sides, have a like one."""
-    table = pl.DataFrame(
-        {"clip": clips[:, 0], "other": clips[:, 1], "image": images[:, 0], "other_image": images[:, 1]}
-    )
-    alike = (
-        table.group_by("clip", "other")
-        .agg(pl.col("image").n_unique(), pl.col("other_image").n_unique())
-        .filter(pl.min_horizontal("image", "other_image") >= ALIKE_IMAGES)
-        .sort("clip", "other")
-    )
-    return alike.select("clip", "other").to_numpy()

@@ -7,52 +7,28 @@ function of the data set and the cutting alone: the number of workers changes no
 
 import math
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass, field
-from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import polars as pl
-import pyarrow as pa
 import pyarrow.parquet as pq
 
-from olt_datasets.tables.clip_table import TABLE_SUFFIX, scan_clip_tables
+from olt_datasets.tables.clip_frame import TABLE_SUFFIX, scan_clip_tables
 from olt_datasets.tables.cutting import Cutting, cut_drive
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.clip import ClipInfo
 from olt_toolkit.clips.table import SCHEMA, write_clip_table
-from olt_toolkit.recordings.drives import Dataset, open_dataset
-from olt_toolkit.runtime.workers import Engine, map_parallel, use_one_thread
+from olt_toolkit.recordings.drives import DatasetPlace
+from olt_toolkit.runtime.threads import use_one_thread
+from olt_toolkit.runtime.workers import Engine, map_parallel
 
 # Enough parts to keep many workers busy, and few enough files to read together.
 _PARTS = 512
 _ROWS_AT_ONCE = 500_000
 _ROW_GROUP = 250_000
-
-
-@dataclass(frozen=True)
-class DatasetPlace:
-    """Where a data set is, and how it is opened; can be sent to other processes.
-
-    Attributes:
-        root: its folder.
-        cache: where its reader keeps what takes long to find again.
-        source: name of its reader; None for the first that recognises the folder.
-    """
-
-    root: Path
-    cache: Path
-    source: str | None = None
-
-    def open(self) -> Dataset:
-        """Open the data set, once in each process.
-
-        Raises:
-            InputError: see `open_dataset`.
-        """
-        return _open_once(self)
 
 
 @dataclass(frozen=True)
@@ -78,24 +54,6 @@ class IndexSummary:
     kept: int
     without_clips: list[str] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Drives that one worker indexes, and the file that their rows go to."""
-
-    place: DatasetPlace
-    keys: tuple[str, ...]
-    cutting: Cutting
-    keep_going: bool
-    file: Path
-
-
-@dataclass(frozen=True)
-class _PartOutcome:
-    clips: int
-    without_clips: list[str]
-    failed: dict[str, str]
 
 
 def index_dataset(
@@ -131,62 +89,64 @@ def index_dataset(
         scan_clip_tables([known])  # refuses a table that cannot be used before any drive is described
     keys = place.open().keys()
     if not keys:
-        raise InputError(f"{place.root}: the data set has no drive; check that its files are unpacked")
+        raise InputError(f"{place.path}: the data set has no drive; check that its files are unpacked")
     make_folder(table.parent)
+    size = math.ceil(len(keys) / _PARTS)
     with tempfile.TemporaryDirectory(prefix=f".{table.stem}.", dir=table.parent) as folder:
-        parts = _parts(place, keys, cutting, keep_going, Path(folder))
-        outcomes = map_parallel(_index_part, parts, workers, on_progress, engine)
-        clips = sum(outcome.clips for outcome in outcomes)
-        kept = _merge([part.file for part in parts], clips, table, known)
+        parts = [
+            (place, keys[start : start + size], cutting, keep_going, Path(folder) / f"{start:09d}{TABLE_SUFFIX}")
+            for start in range(0, len(keys), size)
+        ]
+        counts, without_clips, failed = zip(
+            *map_parallel(_index_part, parts, workers, on_progress, engine), strict=True
+        )
+        kept = _merge([file for *_, file in parts], sum(counts), table, known)
+    times = pl.col("sample_t0_us").list.len()
+    samples = pl.scan_parquet(table).select((times > 0).sum(), times.sum().alias("samples"))
+    clips_with_samples, sample_count = samples.collect(engine="streaming").row(0)
     return IndexSummary(
         source=place.open().source,
         drives=len(keys),
-        clips=clips,
-        **_count_samples(table),
+        clips=sum(counts),
+        clips_with_samples=clips_with_samples,
+        samples=sample_count,
         kept=kept,
-        without_clips=[key for outcome in outcomes for key in outcome.without_clips],
-        failed={key: message for outcome in outcomes for key, message in outcome.failed.items()},
+        without_clips=[key for each in without_clips for key in each],
+        failed={key: message for each in failed for key, message in each.items()},
     )
 
 
-@lru_cache(maxsize=1)
-def _open_once(place: DatasetPlace) -> Dataset:
-    return open_dataset(place.root, make_folder(place.cache), place.source)
-
-
-def _parts(place: DatasetPlace, keys: list[str], cutting: Cutting, keep_going: bool, folder: Path) -> list[_Part]:
-    size = math.ceil(len(keys) / _PARTS)
-    return [
-        _Part(place, tuple(keys[start : start + size]), cutting, keep_going, folder / f"{start:09d}{TABLE_SUFFIX}")
-        for start in range(0, len(keys), size)
-    ]
-
-
-def _index_part(part: _Part) -> _PartOutcome:
+def _index_part(part: tuple[DatasetPlace, list[str], Cutting, bool, Path]) -> tuple[int, list[str], dict[str, str]]:
+    """Write the rows of some drives to a file; the number of rows, keys that fill no window, and why others failed."""
+    place, keys, cutting, keep_going, file = part
     use_one_thread()
-    dataset = part.place.open()
+    dataset = place.open()
     rows: list[ClipInfo] = []
     without_clips, failed = [], {}
-    for key in part.keys:
+    for key in keys:
         try:
-            clips = cut_drive(dataset.drive(key), part.cutting, dataset.licence.name)
+            clips = cut_drive(dataset.drive(key), cutting, dataset.licence.name)
         except InputError as error:
-            if not part.keep_going:
+            if not keep_going:
                 raise
             failed[key] = str(error)
             continue
         rows += clips
         if not clips:
             without_clips.append(key)
-    write_clip_table(part.file, rows)
-    return _PartOutcome(len(rows), without_clips, failed)
+    write_clip_table(file, rows)
+    return len(rows), without_clips, failed
 
 
 def _merge(parts: list[Path], clips: int, table: Path, known: Path | None) -> int:
     """Write the rows of all parts by clip id; returns how many were taken from the table that is known already."""
     kept, fresh = 0, pl.scan_parquet(parts)
+    # Ids are evenly spread: these bounds divide them into ranges of about as many.
+    count = math.ceil(clips / _ROWS_AT_ONCE)
+    bounds = ["", *(f"{round(2**32 * part / count):08x}" for part in range(1, count)), "g"]
     with write_whole(table) as temporary, pq.ParquetWriter(temporary, SCHEMA, compression="zstd") as writer:
-        for in_range in _id_ranges(math.ceil(clips / _ROWS_AT_ONCE)):
+        for low, high in pairwise(bounds):
+            in_range = pl.col("clip_id").is_between(pl.lit(low), pl.lit(high), closed="left")
             rows = fresh.filter(in_range).collect()
             if known is not None:
                 before = pl.scan_parquet(known).filter(in_range)
@@ -194,31 +154,11 @@ def _merge(parts: list[Path], clips: int, table: Path, known: Path | None) -> in
                 kept += len(same)
                 rows = pl.concat([rows.join(same, on="clip_id", how="anti"), same])
             rows = rows.sort("clip_id")
-            _refuse_repeated(rows)
-            writer.write_table(_to_stored(rows), row_group_size=_ROW_GROUP)
+            repeated = rows.filter(pl.col("clip_id") == pl.col("clip_id").shift(1))
+            if len(repeated):
+                raise InputError(
+                    f"two windows are called {repeated['name'][0]!r}; keys must differ in more than slashes and dashes"
+                )
+            stored = rows.select(SCHEMA.names).to_arrow(compat_level=pl.CompatLevel.oldest()).cast(SCHEMA)
+            writer.write_table(stored, row_group_size=_ROW_GROUP)
     return kept
-
-
-def _id_ranges(count: int) -> Iterator[pl.Expr]:
-    """Conditions that divide all clip ids into `count` ranges of about as many; ids are evenly spread."""
-    bounds = [f"{round(2**32 * part / count):08x}" for part in range(1, count)]
-    for low, high in zip(["", *bounds], [*bounds, "g"], strict=True):
-        yield pl.col("clip_id").is_between(pl.lit(low), pl.lit(high), closed="left")
-
-
-def _refuse_repeated(rows: pl.DataFrame) -> None:
-    repeated = rows.filter(pl.col("clip_id") == pl.col("clip_id").shift(1))
-    if len(repeated):
-        raise InputError(
-            f"two windows are called {repeated['name'][0]!r}; keys must differ in more than slashes and dashes"
-        )
-
-
-def _to_stored(rows: pl.DataFrame) -> pa.Table:
-    return rows.select(SCHEMA.names).to_arrow(compat_level=pl.CompatLevel.oldest()).cast(SCHEMA)
-
-
-def _count_samples(table: Path) -> dict[str, int]:
-    samples = pl.col("sample_t0_us").list.len()
-    counts = pl.scan_parquet(table).select(clips_with_samples=(samples > 0).sum(), samples=samples.sum())
-    return counts.collect(engine="streaming").row(0, named=True)

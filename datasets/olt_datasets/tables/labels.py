@@ -11,7 +11,7 @@ from pathlib import Path
 import polars as pl
 import pyarrow as pa
 
-from olt_datasets.tables.clip_table import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
+from olt_datasets.tables.clip_frame import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
 from olt_generator.errors import InputError
 
 IDS = ("scene_id", "clip_id")
@@ -54,7 +54,12 @@ def read_labels(path: Path) -> Labels:
             f"{path}: columns {', '.join(table.columns)}; give either {' or '.join(IDS)}, and any of "
             f"{', '.join(FIELDS)}"
         )
-    _check_ids(table[known[0]], path)
+    ids = table[known[0]]
+    if ids.null_count():
+        raise InputError(f"{path}: row {int(ids.is_null().arg_true()[0]) + 1}: {ids.name} is empty")
+    twice = ids.filter(ids.is_duplicated())
+    if len(twice):
+        raise InputError(f"{path}: {ids.name} {twice[0]!r} is there more than once; give each one row")
     if "factors" in fields:
         table = table.with_columns(pl.col("factors").str.split(";").list.eval(pl.element().str.strip_chars()))
         _check_words(table["factors"].explode(), _WORD, "a word in lower case, such as weak_markings", path)
@@ -80,31 +85,7 @@ def label_table(table: Path, labels: Labels, out: Path) -> int:
         if path.suffix != TABLE_SUFFIX:
             raise InputError(f"{path}: labels go into a {TABLE_SUFFIX} table of indexed clips, before clips are built")
     scan_clip_tables([table])
-    _refuse_unknown(table, labels)
-    labelled = 0
-
-    def change(rows: pa.Table, _: int) -> pa.Table:
-        nonlocal labelled
-        found = _find_labels(rows, labels)
-        labelled += int(found["labelled"].sum())
-        for name in labels.rows.columns[1:]:
-            old = pl.Series(pl.from_arrow(rows.column(name)))
-            rows = replace_column(rows, name, found[name].zip_with(found[name].is_not_null(), old))
-        return rows
-
-    rewrite_rows(table, out, change)
-    return labelled
-
-
-def _find_labels(rows: pa.Table, labels: Labels) -> pl.DataFrame:
-    """The labels of each row of a clip table, and true in the column `labelled` where there are any."""
-    ids = pl.DataFrame({labels.id_column: pl.from_arrow(rows.column(labels.id_column))})
-    marked = labels.rows.with_columns(labelled=True)
-    return ids.join(marked, on=labels.id_column, how="left", maintain_order="left")
-
-
-def _refuse_unknown(table: Path, labels: Labels) -> None:
-    name = labels.id_column
+    name, labelled = labels.id_column, 0
     known = pl.scan_parquet(table).select(pl.col(name).unique())
     absent = labels.rows.lazy().join(known, on=name, how="anti").select(name).collect()[name].sort()
     if len(absent):
@@ -112,15 +93,20 @@ def _refuse_unknown(table: Path, labels: Labels) -> None:
             f"{table}: holds no clip of {name} {', '.join(absent.head(_SHOWN))}"
             f"{f' and {len(absent) - _SHOWN} more' if len(absent) > _SHOWN else ''}; remove these rows of the labels"
         )
+    marked = labels.rows.with_columns(labelled=True)
 
+    def change(rows: pa.Table, _: int) -> pa.Table:
+        nonlocal labelled
+        ids = pl.DataFrame({name: pl.from_arrow(rows.column(name))})
+        found = ids.join(marked, on=name, how="left", maintain_order="left")
+        labelled += int(found["labelled"].sum())
+        for field in labels.rows.columns[1:]:
+            old = pl.Series(pl.from_arrow(rows.column(field)))
+            rows = replace_column(rows, field, found[field].zip_with(found[field].is_not_null(), old))
+        return rows
 
-def _check_ids(ids: pl.Series, path: Path) -> None:
-    if ids.null_count():
-        row = int(ids.is_null().arg_true()[0])
-        raise InputError(f"{path}: row {row + 1}: {ids.name} is empty")
-    twice = ids.filter(ids.is_duplicated())
-    if len(twice):
-        raise InputError(f"{path}: {ids.name} {twice[0]!r} is there more than once; give each one row")
+    rewrite_rows(table, out, change)
+    return labelled
 
 
 def _check_words(words: pl.Series, pattern: re.Pattern[str], form: str, path: Path) -> None:

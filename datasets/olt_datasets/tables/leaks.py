@@ -53,10 +53,19 @@ def find_leaks(
         external_sources: sources that it may not use.
     """
     clips, others = chosen.lazy(), table.lazy().filter(pl.col("split") != split)
+    wrong = clips.filter(pl.col("split").ne_missing(split)).select("scene_id", "clip_id", "split")
+    held_out = clips.filter(pl.col("scene_id").is_in(list(held_out_scenes))).select("scene_id", "clip_id")
+    external = clips.filter(pl.col("source").is_in(list(external_sources))).select("scene_id", "source").unique()
     return [
-        *_find_wrong_splits(clips, split),
-        *_find_held_out(clips, held_out_scenes),
-        *_find_external(clips, external_sources),
+        *(
+            Leak("split", scene, f"clip {clip_id} is of split {found or 'none'}, the mixture of split {split}")
+            for scene, clip_id, found in _rows(wrong)
+        ),
+        *(Leak("held out", scene, f"clip {clip_id} shows a held-out scene") for scene, clip_id in _rows(held_out)),
+        *(
+            Leak("external", scene, f"source {source} is external: it is never trained on")
+            for scene, source in _rows(external)
+        ),
         *_find_shared_moments(clips, others),
         *_find_near_duplicates(clips, others),
     ]
@@ -81,29 +90,6 @@ def summarize_leaks(leaks: list[Leak]) -> str:
     """One line that names the first few leaks and counts the rest."""
     shown = "; ".join(map(str, leaks[:SHOWN]))
     return shown if len(leaks) <= SHOWN else f"{shown}; and {len(leaks) - SHOWN} more"
-
-
-def _find_wrong_splits(clips: pl.LazyFrame, split: str) -> list[Leak]:
-    wrong = clips.filter(pl.col("split").ne_missing(split)).select("scene_id", "clip_id", "split")
-    return [
-        Leak("split", scene_id, f"clip {clip_id} is of split {found or 'none'}, the mixture of split {split}")
-        for scene_id, clip_id, found in _rows(wrong)
-    ]
-
-
-def _find_held_out(clips: pl.LazyFrame, held_out_scenes: Collection[str]) -> list[Leak]:
-    held_out = clips.filter(pl.col("scene_id").is_in(list(held_out_scenes))).select("scene_id", "clip_id")
-    return [
-        Leak("held out", scene_id, f"clip {clip_id} shows a held-out scene") for scene_id, clip_id in _rows(held_out)
-    ]
-
-
-def _find_external(clips: pl.LazyFrame, sources: Collection[str]) -> list[Leak]:
-    external = clips.filter(pl.col("source").is_in(list(sources))).select("scene_id", "source").unique()
-    return [
-        Leak("external", scene_id, f"source {source} is external: it is never trained on")
-        for scene_id, source in _rows(external)
-    ]
 
 
 def _find_shared_moments(clips: pl.LazyFrame, others: pl.LazyFrame) -> list[Leak]:

@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from olt_datasets.tables.choices import SplitRule
-from olt_datasets.tables.clip_table import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
+from olt_datasets.tables.clip_frame import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
 from olt_generator.errors import InputError
 from olt_generator.seeds import derive_seed
 

@@ -29,7 +29,7 @@ def train(
     from olt_sft_recipes.stage_config import builtin_stage_config, read_stage_config
     from olt_sft_recipes.training import train_on_mixture
     from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
-    from olt_toolkit.runtime.workers import use_one_thread
+    from olt_toolkit.runtime.threads import use_one_thread
 
     use_one_thread()
     chosen = _choose_mixture(mixture, recipe, stores, seed)
@@ -82,13 +82,13 @@ def evaluate(
 
 def _choose_mixture(mixture: Path | None, recipe: str | None, stores: list[Path], seed: int) -> "Mixture":
     from olt_datasets.mixtures.mixture import compose_mixture
-    from olt_datasets.mixtures.plan import read_plan
+    from olt_datasets.mixtures.mixture_file import read_mixture
     from olt_datasets.mixtures.recipe import find_recipe
-    from olt_datasets.tables.clip_table import read_clip_tables
+    from olt_datasets.tables.clip_frame import read_clip_tables
     from olt_generator.errors import InputError
 
     if mixture is not None and recipe is None:
-        return read_plan(mixture)
+        return read_mixture(mixture)
     if recipe is not None and mixture is None and stores:
         return compose_mixture(find_recipe(recipe), read_clip_tables(stores), seed)
     raise InputError("olt sft train: give either --mixture FILE, or --recipe NAME with --stores DIR")

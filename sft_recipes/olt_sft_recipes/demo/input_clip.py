@@ -16,7 +16,7 @@ from olt_toolkit.clips.pictures import contact_sheet, write_picture
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.summary import summarize_build
 from olt_toolkit.clips.views import BuildOptions
-from olt_toolkit.recordings.recording import OpenOptions, Recording, open_recording
+from olt_toolkit.recordings import OpenOptions, Recording, open_recording
 from olt_toolkit.report.drawings import draw_trajectory
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
 
@@ -90,7 +90,7 @@ def _draw(pictures: Path, recording: Recording, built: BuiltClip) -> None:
     write_picture(pictures / CONTACT_SHEET, contact_sheet(images, built.observed, times_us))
     if recording.views:
         write_picture(pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
-    if built.measured is not None and built.motion is not None:
-        drawing = draw_trajectory(built.measured.trajectory, built.motion.trajectory, recording.reference)
+    if built.motion is not None:
+        drawing = draw_trajectory(built.motion.measured, built.motion.smoothed.trajectory, recording.reference)
         with write_whole(pictures / TRAJECTORY) as path:
             path.write_text(drawing)

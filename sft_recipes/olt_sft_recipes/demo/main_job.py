@@ -14,7 +14,8 @@ from olt_sft_recipes.demo.settings import DemoSettings
 from olt_sft_recipes.demo.summary import summarize_job, write_summary
 from olt_sft_recipes.demo.training import train_policies
 from olt_toolkit.runtime.console import make_progress
-from olt_toolkit.runtime.workers import default_workers, use_one_thread
+from olt_toolkit.runtime.threads import use_one_thread
+from olt_toolkit.runtime.workers import default_workers
 
 STAGES = [
     Stage("scenes", "driving scenes", write_scenes),

@@ -4,7 +4,7 @@ from typing import Any
 
 from olt_datasets.mixtures.mixture import Mixture, compose_mixture
 from olt_datasets.mixtures.recipe import builtin_recipe
-from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_sft_recipes.demo.job import Job
 
 # What each policy is trained on: the same number of samples, from nominal drives alone or with long-tail Syn.

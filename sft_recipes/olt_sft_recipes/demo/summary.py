@@ -5,6 +5,7 @@ from dataclasses import asdict
 from typing import Any
 
 from olt_generator.files import write_whole
+from olt_generator.omissions import Omission, word_omission
 from olt_sft_recipes.demo.job import Job
 from olt_sft_recipes.demo.mixtures import RECIPES
 from olt_toolkit import __version__
@@ -42,7 +43,7 @@ def write_summary(job: Job, summary: dict[str, Any]) -> None:
 def list_left_out(results: dict[str, dict[str, Any]]) -> list[str]:
     """Everything that the stages with these results did not compute, and why."""
     clip = results["clips"]["input"]
-    views = [f"{name}: {reason}" for name, reason in clip["left_out"].items()]
+    views = [word_omission(Omission(**omission)) for omission in clip["left_out"]]
     no_sample_reason = clip["clip"]["no_sample_reason"]
     if no_sample_reason:
         views.append(f"policy samples of the input clip: {no_sample_reason}")

@@ -89,7 +89,7 @@ def build_clip_to_order(order: ClipOrder) -> dict[str, Any]:
     shares = [float(observed.mean()) for observed in built.observed.values()]
     return {
         "clip_id": built.clip.clip_id,
-        "ate_m": None if built.pose_errors is None else built.pose_errors.metric.ate_m,
+        "ate_m": built.motion.errors.metric.ate_m if built.motion and built.motion.errors else None,
         "frames_left_out": len(recording.frames) - len(built.clip.streams[FRONT_WIDE].timestamps_us),
         "observed_share": float(np.mean(shares)) if shares else None,
     }

@@ -8,7 +8,6 @@ import pytest
 from olt_datasets.export.contents import contents_of_stores
 from olt_datasets.export.lerobot import export_lerobot
 from olt_datasets.export.lerobot_clip import frame_times
-from olt_datasets.export.options import WorkOptions
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import make_clip_id
 from olt_toolkit.clips.store import ClipStore
@@ -50,7 +49,7 @@ class FormatReader:
 @pytest.fixture(scope="module")
 def exported(stores, tmp_path_factory):
     out = tmp_path_factory.mktemp("lerobot") / "set"
-    return export_lerobot(contents_of_stores(stores, "train"), out, WorkOptions(), image_size=SIZE), out
+    return export_lerobot(contents_of_stores(stores, "train"), out, image_size=SIZE), out
 
 
 @pytest.fixture(scope="module")
@@ -140,9 +139,9 @@ def test_an_interrupted_export_goes_on(stores, tmp_path, monkeypatch):
 
     monkeypatch.setattr(lerobot_clip, "write_video", write)
     with pytest.raises(KeyboardInterrupt):
-        export_lerobot(contents, out, WorkOptions(), image_size=SIZE)
+        export_lerobot(contents, out, image_size=SIZE)
     assert not out.exists()
-    summary = export_lerobot(contents, out, WorkOptions(), image_size=SIZE)
+    summary = export_lerobot(contents, out, image_size=SIZE)
     assert len(calls) == 6 + 4, "the first clip was not encoded again"
     assert summary["clips"] == 2 and len(FormatReader(out).episodes) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
@@ -156,7 +155,7 @@ def test_a_full_disk_names_the_file(stores, tmp_path, monkeypatch):
 
     monkeypatch.setattr(lerobot_clip, "write_video", fill)
     with pytest.raises(InputError, match=r"camera_cross_left_120fov/.*\.mp4: cannot be written \(No space left"):
-        export_lerobot(contents_of_stores(stores, "train"), tmp_path / "set", WorkOptions(), image_size=SIZE)
+        export_lerobot(contents_of_stores(stores, "train"), tmp_path / "set", image_size=SIZE)
 
 
 @pytest.mark.slow

@@ -9,14 +9,12 @@ from typer.testing import CliRunner
 
 from olt_datasets.commands.data import app
 from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
-from olt_datasets.export.options import WorkOptions
 from olt_datasets.export.pai import export_pai
 from olt_datasets.mixtures.dataset import MixtureDataset
 from olt_datasets.mixtures.mixture import compose_mixture
-from olt_datasets.mixtures.plan import write_plan
+from olt_datasets.mixtures.mixture_file import write_mixture
 from olt_datasets.mixtures.recipe import Recipe
-from olt_datasets.mixtures.torch_dataset import TorchMixtureDataset
-from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import make_clip_id
 from olt_toolkit.clips.store import ClipStore
@@ -32,7 +30,7 @@ HELD_OUT, SHORT = make_clip_id("held out"), make_clip_id("short")
 def whole(stores, tmp_path_factory):
     """Both stores, whole: summary and folder."""
     out = tmp_path_factory.mktemp("whole") / "pai"
-    return export_pai(contents_of_stores(stores, "train"), out, WorkOptions()), out
+    return export_pai(contents_of_stores(stores, "train"), out), out
 
 
 @pytest.fixture(scope="module")
@@ -51,13 +49,16 @@ def mixture(stores):
 @pytest.fixture(scope="module")
 def mixed(mixture, tmp_path_factory):
     out = tmp_path_factory.mktemp("mixed") / "pai"
-    return export_pai(contents_of_mixture(mixture), out, WorkOptions()), out
+    return export_pai(contents_of_mixture(mixture), out), out
 
 
 def test_every_clip_of_the_split_that_gives_samples_is_listed_and_no_other(whole, recipe_reader):
     summary, out = whole
     assert sorted(recipe_reader(out).clip_ids) == sorted([A, B, C, D, E])
-    assert summary["left_out"] == {"of split val": 1, "GT, no policy sample": 1}
+    assert summary["left_out"] == [
+        {"what": "clips", "why": "of split val", "count": 1, "total": 7, "seconds": None},
+        {"what": "GT clips", "why": "no policy sample", "count": 1, "total": 7, "seconds": None},
+    ]
     members = b"".join(path.read_bytes() for path in out.rglob("*.zip"))
     assert HELD_OUT.encode() not in members and SHORT.encode() not in members
 
@@ -88,7 +89,7 @@ def test_another_file_system_gets_copies(stores, tmp_path, monkeypatch):
         raise OSError(18, "Invalid cross-device link")
 
     monkeypatch.setattr(os, "link", refuse)
-    summary = export_pai(contents_of_stores([stores[1]], "train"), tmp_path / "pai", WorkOptions())
+    summary = export_pai(contents_of_stores([stores[1]], "train"), tmp_path / "pai")
     assert summary["chunks"]["copied"]["count"] == 1
     name = "camera/camera_front_wide_120fov/camera_front_wide_120fov.chunk_0000.zip"
     assert (tmp_path / "pai" / name).read_bytes() == (stores[1] / name).read_bytes()
@@ -120,7 +121,7 @@ def test_the_devkit_reads_every_clip_without_a_warning(
 def test_the_torch_dataset_yields_the_dict_of_the_public_loader(mixture, mixed):
     torch = pytest.importorskip("torch")
     key = mixture.epoch(0, 4)[0][0]
-    item = TorchMixtureDataset(MixtureDataset(mixture, IMAGE_SIZE))[key]
+    item = MixtureDataset(mixture, IMAGE_SIZE)[key]
     # docs/formats/physicalai_av.md, after the recipes' dataset has removed the first axis of the ego tensors
     expected = {
         "image_frames": ((4, 4, 3, *IMAGE_SIZE), torch.uint8),
@@ -188,29 +189,29 @@ def test_an_interrupted_export_leaves_no_folder_and_goes_on(stores, tmp_path, mo
     contents, out = contents_of_stores(stores, "train"), tmp_path / "pai"
     write_chunk = pai.write_chunk
 
-    def stop_at_the_third(root, plan, keep_going):
-        if plan.number == 2:
+    def stop_at_the_third(root, chunk, keep_going):
+        if chunk.number == 2:
             raise KeyboardInterrupt
-        return write_chunk(root, plan, keep_going)
+        return write_chunk(root, chunk, keep_going)
 
     monkeypatch.setattr(pai, "write_chunk", stop_at_the_third)
     with pytest.raises(KeyboardInterrupt):
-        export_pai(contents, out, WorkOptions())
+        export_pai(contents, out)
     assert not out.exists()
     (kept,) = tmp_path.iterdir()
     before = (kept / "labels/egomotion/egomotion.chunk_0001.zip").stat().st_ino
     monkeypatch.setattr(pai, "write_chunk", write_chunk)
-    summary = export_pai(contents, out, WorkOptions())
+    summary = export_pai(contents, out)
     assert summary["clips"] == 5
     assert (out / "labels/egomotion/egomotion.chunk_0001.zip").stat().st_ino == before
     assert [path.name for path in tmp_path.iterdir()] == ["pai"]
     assert not list(out.glob(".*"))
-    assert export_pai(contents, out, WorkOptions()) == summary
+    assert export_pai(contents, out) == summary
 
 
 def test_another_export_in_the_same_place_is_refused(whole, stores):
     with pytest.raises(InputError, match="exists already"):
-        export_pai(contents_of_stores([stores[0]], "train"), whole[1], WorkOptions())
+        export_pai(contents_of_stores([stores[0]], "train"), whole[1])
 
 
 def test_a_full_disk_names_the_file(stores, tmp_path, monkeypatch):
@@ -223,7 +224,7 @@ def test_a_full_disk_names_the_file(stores, tmp_path, monkeypatch):
     with pytest.raises(
         InputError, match=r"camera_cross_left_120fov\.chunk_0001\.zip: cannot be written \(No space left"
     ):
-        export_pai(contents_of_stores([stores[0]], "train"), tmp_path / "pai", WorkOptions())
+        export_pai(contents_of_stores([stores[0]], "train"), tmp_path / "pai")
     assert not list(tmp_path.rglob("*.chunk_0001.zip"))
 
 
@@ -241,13 +242,13 @@ def damaged_store(stores, tmp_path):
 
 def test_a_damaged_clip_stops_the_export_and_is_named(damaged_store, tmp_path):
     with pytest.raises(InputError, match=f"{B}.*is damaged"):
-        export_pai(contents_of_stores([damaged_store], "train"), tmp_path / "pai", WorkOptions())
+        export_pai(contents_of_stores([damaged_store], "train"), tmp_path / "pai")
     assert not (tmp_path / "pai").exists()
 
 
 def test_damaged_clips_are_left_out_and_listed_where_asked(damaged_store, tmp_path, recipe_reader):
     out = tmp_path / "pai"
-    summary = export_pai(contents_of_stores([damaged_store], "train"), out, WorkOptions(keep_going=True))
+    summary = export_pai(contents_of_stores([damaged_store], "train"), out, keep_going=True)
     assert list(summary["failures"]) == [B] and "is damaged" in summary["failures"][B]
     assert set(recipe_reader(out).clip_ids) == {A, C}
     assert summary["components"]["damaged"]["clips"] == 2
@@ -256,7 +257,7 @@ def test_damaged_clips_are_left_out_and_listed_where_asked(damaged_store, tmp_pa
 @pytest.mark.slow
 def test_the_same_export_gives_the_same_bytes_with_any_number_of_workers(mixture, mixed, tmp_path):
     out = tmp_path / "pai"
-    export_pai(contents_of_mixture(mixture), out, WorkOptions(workers=2))
+    export_pai(contents_of_mixture(mixture), out, workers=2)
     files = {path.relative_to(out) for path in out.rglob("*") if path.is_file()}
     assert files == {path.relative_to(mixed[1]) for path in mixed[1].rglob("*") if path.is_file()}
     for file in files - {type(out)("export.json")}:
@@ -264,9 +265,9 @@ def test_the_same_export_gives_the_same_bytes_with_any_number_of_workers(mixture
 
 
 def test_command_prints_ranges_for_the_recipes(mixture, stores, tmp_path):
-    plan, out = tmp_path / "mixture.json", tmp_path / "pai"
-    write_plan(mixture, plan)
-    result = CliRunner().invoke(app, ["export", str(plan), "--out", str(out), "--workers", "1"])
+    mixture_file, out = tmp_path / "mixture.json", tmp_path / "pai"
+    write_mixture(mixture, mixture_file)
+    result = CliRunner().invoke(app, ["export", str(mixture_file), "--out", str(out), "--workers", "1"])
     assert result.exit_code == 0, result.output
     assert 'data.train_dataset.chunk_ids="0-2" data.train_dataset.use_default_keyframe=false' in result.output
     result = CliRunner().invoke(app, ["export", *map(str, stores), "--out", str(tmp_path / "two"), "--json"])

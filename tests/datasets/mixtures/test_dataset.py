@@ -7,11 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch.utils.data import DataLoader
 
-from olt_datasets.mixtures.dataset import MixtureDataset
+from olt_datasets.mixtures.dataset import MixtureBatchSampler, MixtureDataset
 from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.recipe import builtin_recipe
-from olt_datasets.mixtures.torch_dataset import MixtureBatchSampler, TorchMixtureDataset
-from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.policy.sample import PolicySample, SampleKey
 
@@ -75,19 +74,19 @@ def test_a_data_loader_asks_for_a_batch_at_once_so_that_clips_are_decoded_once(m
             asked.append(list(keys))
             return super().load_samples(keys, image_size)
 
-    dataset = TorchMixtureDataset(MixtureDataset(mixture, IMAGE_SIZE, CountingStore))
+    dataset = MixtureDataset(mixture, IMAGE_SIZE, CountingStore)
     next(iter(DataLoader(dataset, batch_sampler=MixtureBatchSampler(mixture, batch_size=16))))
     assert asked == [mixture.epoch(0, 16)[0]]
 
 
 def test_missing_store_is_an_error_in_words(mixture, tmp_path):
     with pytest.raises(InputError, match="not a clip store"):
-        MixtureDataset(mixture, IMAGE_SIZE).load(SampleKey(str(tmp_path), "no clip", 0))
+        MixtureDataset(mixture, IMAGE_SIZE).load_batch([SampleKey(str(tmp_path), "no clip", 0)])
 
 
 @pytest.mark.parametrize("workers", [0, 2])
 def test_data_loader_yields_the_alpamayo_dict(mixture, workers):
-    dataset = TorchMixtureDataset(MixtureDataset(mixture, IMAGE_SIZE, StubStore))
+    dataset = MixtureDataset(mixture, IMAGE_SIZE, StubStore)
     batches = MixtureBatchSampler(mixture, batch_size=16)
     loaded = list(DataLoader(dataset, batch_sampler=batches, num_workers=workers))
     keys = mixture.epoch(0, 16)
@@ -164,7 +163,7 @@ def test_fewer_samples_than_ranks_are_refused(toy_table):
 def test_a_real_clip_store_feeds_a_data_loader(real_store):
     recipe = builtin_recipe("toy_nominal").model_copy(update={"samples": 9})
     mixture = compose_mixture(recipe, read_clip_tables([real_store]), seed=0)
-    dataset = TorchMixtureDataset(MixtureDataset(mixture, (18, 32)))
+    dataset = MixtureDataset(mixture, (18, 32))
     batches = list(DataLoader(dataset, batch_sampler=MixtureBatchSampler(mixture, batch_size=4)))
     t0_us = [time for batch in batches for time in batch["t0_us"].tolist()]
     assert sorted(t0_us) == list(range(1_700_000, 2_500_001, 100_000))

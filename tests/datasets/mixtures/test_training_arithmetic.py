@@ -1,3 +1,5 @@
+from dataclasses import asdict
+
 import pytest
 
 from olt_datasets.mixtures.training_arithmetic import PAPER_STAGES, TrainingStage, parse_stage, training_arithmetic
@@ -18,7 +20,7 @@ def test_no_other_number_of_samples_gives_the_paper_s_arithmetic(samples):
 
 
 def test_nothing_to_train_on_takes_no_steps():
-    assert training_arithmetic(0, PAPER_STAGES[0]).to_dict() == {
+    assert asdict(training_arithmetic(0, PAPER_STAGES[0])) == {
         "samples": 0,
         "global_batch": 32,
         "steps_per_epoch": 0,

@@ -4,10 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
-from olt_datasets.sources.kitti_odometry import SOURCE
 from olt_generator.errors import InputError
+from olt_toolkit.recordings import OpenOptions, open_recording
 from olt_toolkit.recordings.drives import open_dataset
-from olt_toolkit.recordings.recording import OpenOptions, open_recording
 
 FRAMES, WIDTH, HEIGHT = 6, 120, 40
 DRIFT = 0.05
@@ -40,14 +39,14 @@ def test_a_sequence_is_read_whole(tmp_path, names):
 
 
 def test_the_vehicle_travels_along_rig_x(tmp_path):
-    recording = SOURCE.open(write_sequence(tmp_path / "06"), OpenOptions())
+    recording = open_recording(write_sequence(tmp_path / "06"), OpenOptions())
     end = recording.reference.positions[-1]
     assert end == pytest.approx([np.hypot(5.0, 5 * DRIFT), 0.0, 0.0], abs=1e-9)
     assert recording.T_rig_camera[1, 2] == pytest.approx(np.sin(np.arctan(DRIFT)), abs=1e-9)
 
 
 def test_without_times_the_rate_is_said_to_be_assumed(tmp_path):
-    recording = SOURCE.open(write_sequence(tmp_path / "06", times=False), OpenOptions())
+    recording = open_recording(write_sequence(tmp_path / "06", times=False), OpenOptions())
     assert recording.timestamps_us[1] == pytest.approx(1e6 / 9.65, abs=1.0)
     assert any("9.65" in assumption for assumption in recording.assumptions)
 
@@ -55,7 +54,7 @@ def test_without_times_the_rate_is_said_to_be_assumed(tmp_path):
 def test_without_poses_there_is_no_reference(tmp_path):
     folder = write_sequence(tmp_path / "06")
     (folder / "poses.txt").unlink()
-    recording = SOURCE.open(folder, OpenOptions(duration=0.25))
+    recording = open_recording(folder, OpenOptions(duration=0.25))
     assert recording.reference is None
     assert len(recording.frames) == 3
 
@@ -76,21 +75,21 @@ def test_a_wrong_file_is_named(tmp_path, name, text, message):
     folder = write_sequence(tmp_path / "06")
     (folder / name).write_text(text)
     with pytest.raises(InputError, match=message):
-        SOURCE.open(folder, OpenOptions())
+        open_recording(folder, OpenOptions())
 
 
 def test_a_file_that_is_no_text_is_named(tmp_path):
     folder = write_sequence(tmp_path / "06")
     (folder / "calib.txt").write_bytes(b"70 0 60 0 \xff\xfe")
     with pytest.raises(InputError, match=r"calib\.txt, line 1"):
-        SOURCE.open(folder, OpenOptions())
+        open_recording(folder, OpenOptions())
 
 
 def test_a_damaged_image_is_named(tmp_path):
     folder = write_sequence(tmp_path / "06")
     (folder / "image_0" / "000003.png").write_bytes(b"no image")
     with pytest.raises(InputError, match=r"000003\.png: cannot be decoded"):
-        SOURCE.open(folder, OpenOptions())
+        open_recording(folder, OpenOptions())
 
 
 def test_the_tree_of_the_benchmark_is_a_data_set(tmp_path):
@@ -107,6 +106,8 @@ def test_the_tree_of_the_benchmark_is_a_data_set(tmp_path):
     assert any("2011_09_30_drive_0020" in note for note in known.notes)
     assert unknown.ego_span_us is None
     assert dataset.open("sequences/11", (0, 200_000), OpenOptions()).reference is None
+    with pytest.raises(InputError, match=r"holds 2 drives \(sequences/06, sequences/11\); give the path of one"):
+        open_recording(tmp_path / "dataset")
 
 
 def test_a_window_of_a_sequence_has_the_motion_of_all_of_it(tmp_path):

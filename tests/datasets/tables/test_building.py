@@ -5,19 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from olt_datasets.tables.building import RowJob, find_buildable
+from olt_datasets.tables.building import build_row, find_buildable
 from olt_datasets.tables.choices import BuiltKind
 from olt_datasets.tables.cutting import Cutting, cut_drive
-from olt_datasets.tables.indexing import DatasetPlace, index_dataset
+from olt_datasets.tables.indexing import index_dataset
 from olt_datasets.tables.splits import SplitRule, Splitting, split_table
 from olt_generator.errors import InputError
-from olt_toolkit.clips.build_job import build_clips
-from olt_toolkit.clips.estimators import SourceChoice
+from olt_toolkit.clips.build_job import BuildJob, build_clips
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.table import read_clip_table
 from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.policy.sample import SampleKey
-from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.recordings.drives import DatasetPlace
 from olt_toolkit.rigs.rig import CROSS_LEFT, FRONT_WIDE, POLICY_CAMERAS
 
 from ..toy_drives import LICENCE, ToyDataset, make_drive
@@ -32,8 +31,8 @@ def rows_of(*drives):
 
 
 def jobs_for(rows, place, store, kind=BuiltKind.GT, **changes):
-    job = RowJob(rows[0], place, store, kind, OpenOptions(), SIZE, SourceChoice())
-    return [replace(job, row=row, **changes) for row in rows]
+    job = BuildJob(place, "", store, options=SIZE)
+    return [build_row(row, kind, replace(job, **changes)) for row in rows]
 
 
 def test_a_built_clip_is_what_its_row_says(open_toy, tmp_path):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from olt_datasets.tables.choices import SampleChoice
 from olt_datasets.tables.cutting import Cutting, cut_drive, find_samples, find_windows
 from olt_generator.errors import InputError
-from olt_toolkit.recordings.drives import UNLABELLED
+from olt_toolkit.recordings.labels import UNLABELLED
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 from ..toy_drives import make_drive

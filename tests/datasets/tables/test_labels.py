@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from olt_datasets.commands.data import app
-from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_datasets.tables.labels import label_table, read_labels
 from olt_generator.errors import InputError
 from olt_toolkit.clips.table import write_clip_table

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_datasets.tables.clip_table import read_clip_tables
+from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_datasets.tables.leaks import find_table_leaks
 from olt_datasets.tables.splits import SplitRule, Splitting, assign_splits, split_table
 from olt_generator.errors import InputError

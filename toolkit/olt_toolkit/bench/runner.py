@@ -13,7 +13,7 @@ from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
 from olt_toolkit.bench.benchmark import Benchmark
 from olt_toolkit.runtime.environment import describe_machine
-from olt_toolkit.runtime.workers import use_one_thread
+from olt_toolkit.runtime.threads import use_one_thread
 
 GROUP = "olt.benchmarks"
 

@@ -18,6 +18,7 @@ from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, make_pose, planar_pose, yaw_of
 from olt_generator.trajectory import Trajectory
+from olt_toolkit.recordings.labels import Split
 from olt_toolkit.rigs.rig import VehicleDimensions
 
 ClipKind = Literal["GT", "Syn", "front_only"]
@@ -25,11 +26,6 @@ ClipKind = Literal["GT", "Syn", "front_only"]
 
 ViewKind = Literal["observed", "cropped", "mosaic", "rendered", "warped"]
 """How the images of a view came to be; a mosaic is put together from several cameras, and black where none saw."""
-
-Split = Literal["train", "val", "test"]
-
-UNLABELLED = "unlabelled"
-"""Category of what nobody sorted: never taken for nominal."""
 
 # Below this speed (m/s) a curvature is a ratio of two noises; a standing vehicle is given curvature 0.
 STANDSTILL_SPEED = 0.3
@@ -211,7 +207,7 @@ class ClipInfo:
         duration_us: clip time of the last ego pose.
         sample_t0_us: times t0, on a grid of 0.1 s, at which the clip gives a policy sample.
         no_sample_reason: why there is no such time; None where there is one.
-        created_with: version of the toolkit that wrote the clip.
+        created_with: the code that wrote the clip (`runtime.version.code_version`).
         checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
             the description and the window of its drive where it is only indexed.
         fingerprint: perceptual hashes of a few front images (`clips.image_hash`); None where none was decoded.

@@ -1,4 +1,4 @@
-"""Which sources of motion and distance a clip is built with: names and paths, that can be sent to other processes."""
+"""Which estimators of motion and distance a clip is built with: names and paths, that can be sent to processes."""
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -10,19 +10,18 @@ from olt_generator.errors import InputError
 
 if TYPE_CHECKING:
     from olt_generator.distance.depth_source import DepthSource
-    from olt_generator.motion.pose_sources import PoseSource
     from olt_toolkit.clips.views import BuildOptions
 
 
-class PoseChoice(StrEnum):
-    """Where the motion of the vehicle comes from."""
+class PoseEstimator(StrEnum):
+    """Where the motion of the vehicle comes from; the reference is taken as the recording has it."""
 
     ODOMETRY = "odometry"
     REFERENCE = "reference"
     MAPANYTHING = "mapanything"
 
 
-class DepthChoice(StrEnum):
+class DepthEstimator(StrEnum):
     """Where the distances come from."""
 
     GEOMETRIC = "geometric"
@@ -31,62 +30,57 @@ class DepthChoice(StrEnum):
 
 
 @dataclass(frozen=True)
-class SourceChoice:
-    """Sources by name.
+class Estimators:
+    """Estimators by name.
 
     Attributes:
-        poses: what measures the motion; the reference is taken as the recording has it.
-        mapanything_weights: folder of MapAnything, for that source only.
+        poses: what measures the motion.
+        mapanything_weights: folder of MapAnything, for that estimator only.
         depth: what measures the distances.
-        depth_weights: folder of the depth network, for the learned sources only.
+        depth_weights: folder of the depth network, for the learned estimators only.
         device: where torch runs the networks.
 
     Raises:
-        InputError: weights are given without their source, or the other way round.
+        InputError: weights are given without their estimator, or the other way round.
     """
 
-    poses: PoseChoice = PoseChoice.ODOMETRY
+    poses: PoseEstimator = PoseEstimator.ODOMETRY
     mapanything_weights: Path | None = None
-    depth: DepthChoice = DepthChoice.GEOMETRIC
+    depth: DepthEstimator = DepthEstimator.GEOMETRIC
     depth_weights: Path | None = None
     device: str = "cpu"
 
     def __post_init__(self) -> None:
-        if (self.poses is PoseChoice.MAPANYTHING) != (self.mapanything_weights is not None):
+        if (self.poses is PoseEstimator.MAPANYTHING) != (self.mapanything_weights is not None):
             raise InputError("--poses mapanything and --mapanything-weights belong together; give both or neither")
-        if (self.depth is DepthChoice.GEOMETRIC) != (self.depth_weights is None):
+        if (self.depth is DepthEstimator.GEOMETRIC) != (self.depth_weights is None):
             raise InputError("--depth-weights belongs to --depth depthanything or depthcrafter; give both or neither")
 
     def apply(self, options: "BuildOptions") -> "BuildOptions":
-        """The options with these sources.
+        """The options with these estimators.
 
         Raises:
             InputError: weights are missing or those of another network.
         """
-        reference = options.use_reference_motion or self.poses is PoseChoice.REFERENCE
-        return replace(options, use_reference_motion=reference, poses=_open_poses(self), depth=_open_depth(self))
-
-
-def _open_poses(choice: SourceChoice) -> "PoseSource":
-    if choice.mapanything_weights is None:
+        from olt_generator.motion.map_anything import MapAnything
         from olt_generator.motion.pose_sources import VisualOdometry
 
-        return VisualOdometry()
-    from olt_generator.motion.map_anything import MapAnything
-
-    return MapAnything(choice.mapanything_weights, choice.device)
+        weights = self.mapanything_weights
+        poses = VisualOdometry() if weights is None else MapAnything(weights, self.device)
+        reference = options.use_reference_motion or self.poses is PoseEstimator.REFERENCE
+        return replace(options, use_reference_motion=reference, poses=poses, depth=_open_depth(self))
 
 
 @lru_cache(maxsize=1)  # a process builds many clips with one network
-def _open_depth(choice: SourceChoice) -> "DepthSource":
-    if choice.depth_weights is None:
+def _open_depth(estimators: Estimators) -> "DepthSource":
+    if estimators.depth_weights is None:
         from olt_generator.distance.depth_source import GeometricDepth
 
         return GeometricDepth()
-    if choice.depth is DepthChoice.DEPTHANYTHING:
+    if estimators.depth is DepthEstimator.DEPTHANYTHING:
         from olt_generator.distance.depth_anything import DepthAnything
 
-        return DepthAnything(choice.depth_weights, choice.device)
+        return DepthAnything(estimators.depth_weights, estimators.device)
     from olt_generator.distance.depth_crafter import DepthCrafter
 
-    return DepthCrafter(choice.depth_weights, choice.device)
+    return DepthCrafter(estimators.depth_weights, estimators.device)

@@ -10,7 +10,6 @@ import pandas as pd
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.video import write_video
-from olt_toolkit import __version__
 from olt_toolkit.clips.clip import Clip, ClipInfo, check_clip_id
 from olt_toolkit.clips.image_hash import fingerprint_images
 from olt_toolkit.clips.pai_layout import (
@@ -40,6 +39,7 @@ from olt_toolkit.clips.pai_tables import (
 from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
 from olt_toolkit.policy.window import Coverage, frames_per_step, sample_times
 from olt_toolkit.rigs.rig import FRONT_WIDE
+from olt_toolkit.runtime.version import code_version
 
 # Members of a zip carry one fixed date, so that the same clips give the same bytes.
 _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
@@ -117,7 +117,7 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
         duration_us=clip.ego_motion.span_us[1],
         sample_t0_us=times,
         no_sample_reason=reason,
-        created_with=__version__,
+        created_with=code_version(),
         checksum=checksum,
         fingerprint=fingerprint_images(clip.streams[FRONT_WIDE].frames) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,

@@ -54,6 +54,7 @@ from olt_toolkit.policy.window import (
     newest_frames,
 )
 from olt_toolkit.rigs.rig import CAMERA_INDEX, POLICY_CAMERAS, MountedCamera, VehicleDimensions
+from olt_toolkit.runtime.version import code_version
 
 CLIPS_PER_CHUNK = 100
 
@@ -83,8 +84,12 @@ class ClipStore:
             return write_clip_files(folder, clip)
 
     def is_prepared(self, clip_id: str) -> bool:
-        """Whether the clip waits to be committed."""
-        return self._prepared(clip_id).is_dir()
+        """Whether the clip waits to be committed; one that other code prepared does not count."""
+        path = self._prepared(clip_id) / CLIP_TABLE
+        return (
+            path.is_file()
+            and read_table(path, ["created_with"], str(path))["created_with"][0].as_py() == code_version()
+        )
 
     def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
         """Add prepared clips to the store; those that it holds already stay as they are.
@@ -104,7 +109,9 @@ class ClipStore:
             new = tuple(clip_id for clip_id in wanted if clip_id not in known)
             for clip_id in new:
                 if not self.is_prepared(clip_id):
-                    raise InputError(f"{self.root}: clip {clip_id} is not in the store; prepare it first")
+                    raise InputError(
+                        f"{self.root}: clip {clip_id} is not in the store; prepare it with this code first"
+                    )
             for start in range(0, len(new), CLIPS_PER_CHUNK):
                 folders = [self._prepared(clip_id) for clip_id in new[start : start + CLIPS_PER_CHUNK]]
                 chunk = max(chunks, default=-1) + 1

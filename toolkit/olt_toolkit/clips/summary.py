@@ -5,11 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from olt_generator.motion.pose_metrics import PoseErrors, measure_smoothness
-from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.builder import BuiltClip
 from olt_toolkit.clips.clip import ClipInfo, EgoMotion
 from olt_toolkit.clips.store import ClipStore
+
+# What the numbers of a recovered motion are called among those of a clip.
+_MOTION_KEYS = {
+    "scale_sigma": "scale_sigma",
+    "errors": "pose_errors",
+    "errors_before_smoothing": "pose_errors_before_smoothing",
+    "smoothness": "smoothness",
+    "smoothness_before_smoothing": "smoothness_before_smoothing",
+    "label_noise": "label_noise",
+}
 
 
 def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
@@ -19,18 +27,14 @@ def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
         built: the clip and what it was made from.
         info: its row in the clip table.
     """
+    motion = dict.fromkeys(_MOTION_KEYS) if built.motion is None else built.motion.to_dict()
     return {
         "clip": summarize_info(info),
         "trajectory": summarize_motion(built.clip.ego_motion),
-        "scale_sigma": built.measured.scale_sigma if built.measured else None,
-        "pose_errors": _errors(built.pose_errors),
-        "pose_errors_before_smoothing": _errors(built.raw_pose_errors),
-        "smoothness": _smoothness(built.motion.trajectory if built.motion else None),
-        "smoothness_before_smoothing": _smoothness(built.measured.trajectory if built.measured else None),
-        "label_noise": None if built.label_noise is None else asdict(built.label_noise),
+        **{_MOTION_KEYS[key]: value for key, value in motion.items()},
         "distance_median_relative_error": built.distance_error,
         "view_errors": {name: asdict(error) for name, error in built.view_errors.items()},
-        "left_out": dict(built.left_out),
+        "left_out": [omission.to_dict() for omission in built.left_out],
         "assumptions": list(built.assumptions),
         "seconds": dict(built.seconds),
     }
@@ -59,30 +63,20 @@ def summarize_stored(store: ClipStore, clip_id: str) -> dict[str, Any]:
     Raises:
         InputError: the store has no such clip, or its files are damaged.
     """
-    info = store.info(clip_id)
+    info, cameras = store.info(clip_id), {}
+    for name in info.views:
+        mounted, times_us = store.read_camera(clip_id, name), store.read_timestamps(clip_id, name)
+        cameras[name] = {
+            "size": [mounted.camera.width, mounted.camera.height],
+            "position_rig": mounted.T_rig_camera[:3, 3].tolist(),
+            "frames": len(times_us),
+            "first_us": int(times_us[0]),
+            "last_us": int(times_us[-1]),
+        }
     return {
         "store": str(store.root),
         "clip": summarize_info(info),
         "trajectory": summarize_motion(store.read_ego_motion(clip_id)),
         "vehicle": asdict(store.read_vehicle(clip_id)),
-        "cameras": {name: _summarize_camera(store, clip_id, name) for name in info.views},
+        "cameras": cameras,
     }
-
-
-def _summarize_camera(store: ClipStore, clip_id: str, name: str) -> dict[str, Any]:
-    mounted, times_us = store.read_camera(clip_id, name), store.read_timestamps(clip_id, name)
-    return {
-        "size": [mounted.camera.width, mounted.camera.height],
-        "position_rig": mounted.T_rig_camera[:3, 3].tolist(),
-        "frames": len(times_us),
-        "first_us": int(times_us[0]),
-        "last_us": int(times_us[-1]),
-    }
-
-
-def _errors(errors: PoseErrors | None) -> dict[str, Any] | None:
-    return None if errors is None else errors.to_dict()
-
-
-def _smoothness(trajectory: Trajectory | None) -> dict[str, Any] | None:
-    return None if trajectory is None else asdict(measure_smoothness(trajectory))

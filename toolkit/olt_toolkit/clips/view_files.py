@@ -10,9 +10,10 @@ import numpy as np
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
 from olt_generator.motion.pose_sources import KnownPoses
+from olt_generator.omissions import Omission
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import write_video
-from olt_generator.views.view_plan import ViewPlan, plan_views
+from olt_generator.views.view_plan import plan_views
 from olt_toolkit.clips.builder import BuiltClip
 from olt_toolkit.clips.pictures import write_clip_pictures
 from olt_toolkit.clips.store import ClipStore
@@ -66,7 +67,7 @@ def reopen_clip(store: ClipStore, clip_id: str) -> Recording:
 
 def leave_out_motion(recording: Recording, options: BuildOptions) -> BuildOptions:
     """The options without measuring the motion, where the wanted views are all cut out of the front view."""
-    if _needs_motion(plan_views(options.cameras)):
+    if plan_views(options.cameras).synthesizes:
         return options
     standing = Trajectory(recording.timestamps_us[[0, -1]], np.stack([np.eye(4), np.eye(4)]))
     return replace(options, use_reference_motion=False, poses=KnownPoses(standing))
@@ -90,29 +91,21 @@ def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
     times_us = next(iter(streams.values())).timestamps_us
     images = {name: stream.frames for name, stream in streams.items()}
     pictures = write_clip_pictures(folder, PICTURES_NAME, images, built.observed, times_us)
-    plan = _describe_plan(built, folder) | {"pictures": pictures}
+    left_out = built.left_out
+    if not built.plan.synthesizes:
+        left_out += (Omission("motion of the vehicle", "no wanted view needs it"),)
+    plan = {
+        "recording": built.clip.name,
+        "views": {
+            name: asdict(view) | {"method": built.plan.methods[name], "file": str(folder / f"{name}.mp4")}
+            for name, view in built.clip.provenance.items()
+        },
+        "order": list(built.plan.methods),
+        "left_out": [omission.to_dict() for omission in left_out],
+        "assumptions": list(built.assumptions),
+        "seconds": dict(built.seconds),
+        "pictures": pictures,
+    }
     with write_whole(folder / PLAN_FILE) as temporary:
         temporary.write_text(json.dumps(plan, indent=2, allow_nan=False) + "\n")
     return plan
-
-
-def _describe_plan(built: BuiltClip, folder: Path) -> dict[str, Any]:
-    views = {
-        name: asdict(view) | {"method": built.plan.methods[name], "file": str(folder / f"{name}.mp4")}
-        for name, view in built.clip.provenance.items()
-    }
-    left_out = dict(built.left_out)
-    if not _needs_motion(built.plan):
-        left_out["motion of the vehicle"] = "no wanted view needs it"
-    return {
-        "recording": built.clip.name,
-        "views": views,
-        "order": list(built.plan.needed),
-        "left_out": left_out,
-        "assumptions": list(built.assumptions),
-        "seconds": dict(built.seconds),
-    }
-
-
-def _needs_motion(plan: ViewPlan) -> bool:
-    return "synthesized" in plan.methods.values()

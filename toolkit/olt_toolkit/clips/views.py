@@ -1,12 +1,11 @@
 """How each view of a clip is made: taken as it is, cropped, or synthesized from the front view."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-import olt_generator
 from olt_generator.cameras import Camera, fit_camera
 from olt_generator.distance.depth_source import DepthSource, GeometricDepth
 from olt_generator.errors import InputError
@@ -17,11 +16,12 @@ from olt_generator.views.front_view import FrontView
 from olt_generator.views.lookback import LOOKBACK_LATENTS
 from olt_generator.views.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
 from olt_generator.views.tele import crop_tele, tele_camera
-from olt_toolkit import __version__
-from olt_toolkit.clips.clip import UNLABELLED, ClipOrigin, Split, ViewKind, ViewProvenance
+from olt_toolkit.clips.clip import ClipOrigin, ViewKind, ViewProvenance
 from olt_toolkit.clips.images import fit_images
+from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.rig import FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, Rig, pav_rig
+from olt_toolkit.runtime.version import code_version
 
 Images = NDArray[np.uint8]
 
@@ -34,9 +34,9 @@ class BuildOptions:
         width, height: size of all views in pixels, even because video is coded in blocks of two.
         rig: the rig whose views are wanted; synthesized views are seen from its cameras.
         cameras: which of its views.
-        frames: which frames are made: "all"; of these the "shown", which at 30 Hz is one in three: those that samples
-            with t0 on the 0.1 s grid show, of this clip or one that goes on; or those alone that are "sampled" from
-            this clip, which leaves out its first 1.4 s and last 6.4 s.
+        frames: which frames are made: "all"; those that samples with t0 on the 0.1 s "grid" take, of this clip or one
+            that goes on, which at 30 Hz is one in three; or those alone that are "sampled" from this clip, which leaves
+            out its first 1.4 s and last 6.4 s.
         use_reference_views: take the recording's true images and trajectory instead of synthesizing: kind GT.
         use_reference_motion: take the recording's true trajectory although views are synthesized.
         poses: where the motion comes from otherwise.
@@ -53,7 +53,7 @@ class BuildOptions:
     height: int = 320
     rig: Rig = field(default_factory=pav_rig)
     cameras: tuple[str, ...] = POLICY_CAMERAS
-    frames: Literal["all", "shown", "sampled"] = "shown"
+    frames: Literal["all", "grid", "sampled"] = "grid"
     use_reference_views: bool = False
     use_reference_motion: bool = False
     poses: PoseSource = field(default_factory=VisualOdometry)
@@ -82,7 +82,7 @@ class View:
         camera: their lens.
         T_rig_camera: (4, 4) mounting.
         provenance: where the pixels came from.
-        origin: (n, height, width) a `PixelOrigin` per pixel; None where all are true.
+        observed: (n, height, width) pixels taken from what the front camera saw; None where all are true.
         drawn_on: for each image the other front frames that it was made from; None where all are true.
     """
 
@@ -90,13 +90,8 @@ class View:
     camera: Camera
     T_rig_camera: Array
     provenance: ViewProvenance
-    origin: NDArray[np.uint8] | None = None
+    observed: NDArray[np.bool_] | None = None
     drawn_on: tuple[tuple[int, ...], ...] | None = None
-
-    @property
-    def observed(self) -> NDArray[np.bool_] | None:
-        """Pixels (n, height, width) taken from what the front camera saw; None where all are true."""
-        return None if self.origin is None else self.origin != PixelOrigin.INVENTED
 
 
 @dataclass(frozen=True)
@@ -123,44 +118,29 @@ class ViewMaker:
         Raises:
             InputError: its true images are wanted and not there, or the front lens cannot give it.
         """
-        if self.options.use_reference_views and name in self.recording.views:
+        recording, size = self.recording, (self.options.width, self.options.height)
+        if self.options.use_reference_views and name in recording.views:
             return self._true_view(name)
         if name == FRONT_WIDE:
-            return self._front()
+            images, camera = fit_images(recording.frames, *size), fit_camera(recording.camera, *size)
+            return View(images, camera, self.T_rig_front, self._as_given(self.options.image_kind))
         if name == FRONT_TELE:
-            return self._tele()
+            camera = tele_camera(recording.camera, *size)
+            images = crop_tele(recording.frames, recording.camera, camera)
+            return View(images, camera, self.T_rig_front, self._as_given("cropped"))
         if self.front is None:
-            raise InputError(f"{self.recording.name}: no true images of {name}; let it be synthesized instead")
+            raise InputError(f"{recording.name}: no true images of {name}; let it be synthesized instead")
         return self._synthesized(name, self.front, on_progress)
 
-    def _front(self) -> View:
-        camera = fit_camera(self.recording.camera, self.options.width, self.options.height)
-        images = fit_images(self.recording.frames, self.options.width, self.options.height)
-        return View(images, camera, self.T_rig_front, self._as_given(self.options.image_kind))
-
-    def _tele(self) -> View:
-        front = self.recording.camera
-        camera = tele_camera(front, self.options.width, self.options.height)
-        images = crop_tele(self.recording.frames, front, camera)
-        return View(images, camera, self.T_rig_front, self._as_given("cropped"))
-
     def _true_view(self, name: str) -> View:
-        images = self.recording.views[name]
-        size = self.options.width, self.options.height
+        images, size = self.recording.views[name], (self.options.width, self.options.height)
         mounted = self.recording.mounted.get(name) or self.options.rig.fitted(images.shape[2], images.shape[1])[name]
-        return View(
-            fit_images(images, *size),
-            fit_camera(mounted.camera, *size),
-            mounted.T_rig_camera,
-            self._true_provenance(name),
-        )
-
-    def _true_provenance(self, name: str) -> ViewProvenance:
-        if name not in self.recording.observed:
-            return self._as_given(self.options.image_kind)
-        mask = np.repeat(np.where(self.recording.observed[name], 255, 0).astype(np.uint8)[None, ..., None], 3, axis=-1)
-        share = float(fit_images(mask, self.options.width, self.options.height).mean()) / 255.0
-        return ViewProvenance("mosaic", self.recording.source, __version__, None, share, 1.0 - share)
+        provenance = self._as_given(self.options.image_kind)
+        if name in self.recording.observed:
+            seen = np.where(self.recording.observed[name], 255, 0).astype(np.uint8)
+            share = float(fit_images(np.repeat(seen[None, ..., None], 3, axis=-1), *size).mean()) / 255.0
+            provenance = replace(provenance, kind="mosaic", observed_share=share, invented_share=1.0 - share)
+        return View(fit_images(images, *size), fit_camera(mounted.camera, *size), mounted.T_rig_camera, provenance)
 
     def _synthesized(self, name: str, front: FrontView, on_progress: Progress) -> View:
         target = self.options.rig.fitted(self.options.width, self.options.height)[name]
@@ -170,17 +150,17 @@ class ViewMaker:
         same_frame, other_frame = (
             float((view.origin == origin).mean()) for origin in (PixelOrigin.SAME_FRAME, PixelOrigin.OTHER_FRAME)
         )
-        observed = same_frame + other_frame
         provenance = ViewProvenance(
             kind="warped",
             engine="olt_generator.views.synthesis",
-            version=olt_generator.__version__,
+            version=code_version(),
             seed=self.options.seed,
-            observed_share=observed,
-            invented_share=1.0 - observed,
+            observed_share=same_frame + other_frame,
+            invented_share=1.0 - (same_frame + other_frame),
             other_times_share=other_frame,
         )
-        return View(view.images, target.camera, target.T_rig_camera, provenance, view.origin, view.drawn_on)
+        observed = view.origin != PixelOrigin.INVENTED
+        return View(view.images, target.camera, target.T_rig_camera, provenance, observed, view.drawn_on)
 
     def _as_given(self, kind: ViewKind) -> ViewProvenance:
-        return ViewProvenance(kind, self.recording.source, __version__, None, 1.0, 0.0)
+        return ViewProvenance(kind, self.recording.source, code_version(), None, 1.0, 0.0)

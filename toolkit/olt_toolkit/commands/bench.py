@@ -39,12 +39,11 @@ def _run_one(name: str, out: Path, repeats: int) -> dict[str, Any]:
     from olt_generator.files import write_whole
     from olt_toolkit.bench.plot import plot_benchmark
     from olt_toolkit.bench.runner import load_benchmark, run_benchmark
-    from olt_toolkit.runtime.console import make_progress
+    from olt_toolkit.runtime.console import make_progress, show_progress
 
     grid = load_benchmark(name).grid  # an unknown name fails before the bar is drawn
-    with make_progress() as progress:
-        task = progress.add_task(f"bench {name}", total=100)
-        report = run_benchmark(name, repeats, lambda share: progress.update(task, completed=round(100 * share)))
+    with show_progress(f"bench {name}") as (on_progress, _):
+        report = run_benchmark(name, repeats, on_progress)
     with write_whole(out / f"{name}.json") as path:
         path.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
     with write_whole(out / f"{name}.png") as path:

@@ -5,22 +5,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from olt_toolkit.clips.estimators import DepthChoice, PoseChoice, SourceChoice
 from olt_toolkit.commands.clip_options import (
     AllFramesOption,
-    CameraHeightOption,
-    DepthOption,
-    DepthWeightsOption,
+    BuildingOptions,
+    CacheOption,
     DeviceOption,
     DurationOption,
-    FovOption,
-    HeightOption,
     JsonOption,
-    MapAnythingOption,
-    PosesOption,
     StoreArgument,
-    WidthOption,
-    make_open_options,
+    unpack_options,
 )
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.commands.trajectory import trajectory
@@ -28,34 +21,27 @@ from olt_toolkit.runtime.workers import Engine
 
 if TYPE_CHECKING:
     from olt_toolkit.clips.build_job import BuildJob
-    from olt_toolkit.clips.builder import BuiltClip
     from olt_toolkit.clips.store import ClipStore
-    from olt_toolkit.clips.views import BuildOptions
-    from olt_toolkit.recordings.recording import Recording
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Build, inspect and score clips.")
-app.command(help="Recover the motion of a recording, and hold it against the reference.")(trajectory)
+app.command(help="Recover the motion of a recording, and hold it against the reference.")(unpack_options(trajectory))
 
 
-@app.command(help="Build the clip of a recording, or of each recording in a folder, and add it to a store.")
+@app.command(help="Build the clip of a recording, or of each drive in a folder, and add it to a store.")
+@unpack_options
 def build(
-    recording: Annotated[Path, typer.Argument(metavar="INPUT", help="A video, a drive folder, or a folder of them.")],
+    recording: Annotated[
+        Path, typer.Argument(metavar="INPUT", help="A video, a drive folder, a folder of them, or a data set.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder of the clip store; it is made if it is missing.")],
+    building: BuildingOptions,
     name: Annotated[str | None, typer.Option(help="Name of the clip; that of the recording by default.")] = None,
     category: Annotated[str | None, typer.Option(help="Long-tail category, or nominal; unlabelled by default.")] = None,
     factor: Annotated[list[str] | None, typer.Option(help="A scene factor; repeat for more than one.")] = None,
-    fov: FovOption = None,
-    camera_height: CameraHeightOption = None,
-    width: WidthOption = 576,
-    height: HeightOption = 320,
     duration: DurationOption = 20.0,
     all_frames: AllFramesOption = False,
-    poses: PosesOption = PoseChoice.ODOMETRY,
-    mapanything_weights: MapAnythingOption = None,
-    depth: DepthOption = DepthChoice.GEOMETRIC,
-    depth_weights: DepthWeightsOption = None,
-    device: DeviceOption = "cpu",
     seed: Annotated[int, typer.Option(help="Seed of the clip.")] = 0,
+    cache: CacheOption = None,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a recording that fails.")] = False,
@@ -64,72 +50,76 @@ def build(
     """Recording to trajectory, distance and views; then clips in the store and pictures beside them."""
     from olt_generator.errors import InputError
     from olt_generator.files import make_folder
-    from olt_toolkit.clips.build_job import BuildJob, find_recordings
-    from olt_toolkit.clips.clip import UNLABELLED
+    from olt_toolkit.clips.build_job import BuildJob
     from olt_toolkit.clips.views import BuildOptions
-    from olt_toolkit.recordings.recording import is_recording
+    from olt_toolkit.recordings.drives import WHOLE, find_drives
+    from olt_toolkit.recordings.labels import UNLABELLED
 
     if name is not None and Path(name).name != name:
         raise InputError(f"--name {name!r}: pictures are named after the clip; give a name without slashes")
-    sources = SourceChoice(poses, mapanything_weights, depth, depth_weights, device)
+    estimators = building.estimators()
     options = BuildOptions(
-        width=width,
-        height=height,
-        frames="all" if all_frames else "shown",
+        width=building.width,
+        height=building.height,
+        frames="all" if all_frames else "grid",
         name=name,
         category=category or UNLABELLED,
         factors=tuple(factor or ()),
         seed=seed,
     )
-    opening = make_open_options(duration, fov, camera_height)
-    job = BuildJob(recording, make_folder(out), opening, options, sources, keep_going)
-    if is_recording(recording) or not recording.is_dir():
-        _build_one(job, as_json)
+    store, opening = make_folder(out), building.opening(duration)
+    jobs = [
+        BuildJob(place, key, store, None, opening, options, estimators, keep_going=keep_going)
+        for place, key in find_drives(recording, cache)
+    ]
+    if jobs[0].place.path == recording and jobs[0].key == WHOLE:
+        _build_one(jobs[0], as_json)
     elif name is not None:
         raise InputError(f"--name {name!r}: clips of a folder take the names of their recordings; leave --name out")
     else:
-        _build_all(job, find_recordings(recording), workers, engine, as_json)
+        build_all(jobs, workers, engine, as_json, "recordings")
 
 
 @app.command(help="Make single views of a recording, or further views of a stored clip, as video files.")
+@unpack_options
 def views(
     source: Annotated[Path, typer.Argument(metavar="INPUT", help="A recording, or a clip store.")],
     cameras: Annotated[str, typer.Option(help="Views, with commas: cross_left, front_tele, rear_tele, ...")],
     out: Annotated[Path, typer.Option(help="Folder for the videos, the pictures and plan.json.")],
+    building: BuildingOptions,
     clip: Annotated[str | None, typer.Argument(help="Name or id of a clip, where INPUT is a store.")] = None,
-    fov: FovOption = None,
-    camera_height: CameraHeightOption = None,
-    width: WidthOption = 576,
-    height: HeightOption = 320,
     duration: DurationOption = 20.0,
     all_frames: AllFramesOption = False,
-    poses: PosesOption = PoseChoice.ODOMETRY,
-    mapanything_weights: MapAnythingOption = None,
-    depth: DepthOption = DepthChoice.GEOMETRIC,
-    depth_weights: DepthWeightsOption = None,
-    device: DeviceOption = "cpu",
+    cache: CacheOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Only the wanted views and those they are made from; the rest is named as left out."""
-    from olt_toolkit.clips.view_files import leave_out_motion, parse_cameras, write_view_files
+    from olt_toolkit.clips.builder import build_clip
+    from olt_toolkit.clips.store import ClipStore
+    from olt_toolkit.clips.view_files import leave_out_motion, parse_cameras, reopen_clip, write_view_files
     from olt_toolkit.clips.views import BuildOptions
     from olt_toolkit.commands.clip_output import print_plan
-    from olt_toolkit.recordings.recording import open_recording
-    from olt_toolkit.runtime.console import print_json
+    from olt_toolkit.recordings.drives import open_recording
+    from olt_toolkit.runtime.console import print_json, show_progress
 
-    wanted = parse_cameras(cameras)
-    sources = SourceChoice(poses, mapanything_weights, depth, depth_weights, device)
+    wanted, estimators = parse_cameras(cameras), building.estimators()
     options = BuildOptions(
-        width=width,
-        height=height,
+        width=building.width,
+        height=building.height,
         cameras=wanted,
-        frames="all" if all_frames else "shown",
+        frames="all" if all_frames else "grid",
         use_reference_motion=clip is not None,
     )
-    opening = make_open_options(duration, fov, camera_height)
-    recording = open_recording(source, opening) if clip is None else _stored_recording(source, clip)
-    options = leave_out_motion(recording, sources.apply(options))
-    plan = write_view_files(out, _build_with_progress(recording, options))
+    if clip is None:
+        recording = open_recording(source, building.opening(duration), cache)
+    else:
+        store = ClipStore(source)
+        recording = reopen_clip(store, store.find(clip))
+    options = leave_out_motion(recording, estimators.apply(options))
+    with show_progress("views") as (on_progress, on_step):
+        built = build_clip(recording, options, on_progress, on_step)
+        on_progress(1.0)  # steps that were left out count as done
+    plan = write_view_files(out, built)
     if as_json:
         print_json(plan)
     else:
@@ -183,7 +173,7 @@ def score(
     from olt_toolkit.clips.score import open_lpips, open_matcher, score_against, score_consistency
     from olt_toolkit.clips.store import ClipStore
     from olt_toolkit.commands.clip_output import print_scores
-    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.runtime.console import print_json, show_progress
 
     if reference is None and (reference_store is not None or lpips_weights is not None):
         raise InputError("--reference is missing: the true views are needed to compare with")
@@ -191,11 +181,8 @@ def score(
     clip_id = opened.find(clip)
     reference_id = None if reference is None else truth.find(reference)
     matcher, lpips = open_matcher(loftr_weights, device), open_lpips(lpips_weights, device)
-    with make_progress() as progress:
-        task = progress.add_task("GeoKPM", total=100)
-        consistency = score_consistency(
-            opened, clip_id, matcher, moments, lambda share: progress.update(task, completed=round(100 * share))
-        )
+    with show_progress("GeoKPM") as (on_progress, _):
+        consistency = score_consistency(opened, clip_id, matcher, moments, on_progress)
     errors = None if reference_id is None else score_against(opened, clip_id, truth, reference_id, lpips)
     summary = {"store": str(store), "clip_id": clip_id, "geokpm": consistency, "reference": errors}
     print_json(summary) if as_json else print_scores(summary)
@@ -205,83 +192,54 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
     import time
 
     from olt_generator.errors import InputError
-    from olt_toolkit.clips.build_job import prepare_clip
-    from olt_toolkit.clips.builder import clip_id_of
     from olt_toolkit.clips.store import ClipStore
     from olt_toolkit.commands.clip_output import print_build
-    from olt_toolkit.recordings.recording import open_recording
-    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.runtime.console import print_json, show_progress
 
-    recording, store = open_recording(job.path, job.opening), ClipStore(job.store)
-    if clip_id_of(recording, job.options) in store:
-        name = job.options.name or recording.name
-        raise InputError(f"{store.root}: already holds the clip {name!r}; give another --name, --seed or --out")
-    with make_progress() as progress:
-        task = progress.add_task("clip", total=100)
-        summary = prepare_clip(
-            job,
-            recording,
-            lambda share: progress.update(task, completed=round(100 * share)),
-            lambda step: progress.update(task, description=f"clip: {step}"),
-        )
-        progress.update(task, completed=100, description="clip: store")
+    recording, store = job.open(), ClipStore(job.store)
+    if job.clip_id in store:
+        raise InputError(f"{store.root}: already holds the clip {job.name!r}; give another --name, --seed or --out")
+    with show_progress("clip") as (on_progress, on_step):
+        summary = job.prepare(recording, on_progress, on_step)
+        on_progress(1.0)
+        on_step("store")
         start = time.perf_counter()
         store.commit([summary["clip"]["clip_id"]])
     summary["store_seconds"]["commit"] = time.perf_counter() - start
     print_json(summary) if as_json else print_build(summary)
 
 
-def _build_all(job: "BuildJob", recordings: list[Path], workers: int | None, engine: Engine, as_json: bool) -> None:
-    from dataclasses import asdict, replace
+def build_all(jobs: "list[BuildJob]", workers: int | None, engine: Engine, as_json: bool, what: str) -> None:
+    """Build the clips of all jobs with a progress bar and print what became of them.
+
+    Args:
+        jobs: what to build, all for one store.
+        workers: number of processes; None for one for each processor.
+        engine: where the processes run.
+        as_json: whether one JSON object is printed.
+        what: what the jobs are made of, plural; the key of the results in the JSON object.
+
+    Raises:
+        InputError: something could not be used.
+    """
+    from dataclasses import asdict
 
     from olt_generator.errors import InputError
     from olt_toolkit.clips.build_job import build_clips
-    from olt_toolkit.commands.clip_output import print_outcomes
-    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.commands.clip_output import print_results
+    from olt_toolkit.runtime.console import print_json, show_progress
     from olt_toolkit.runtime.workers import default_workers
 
-    jobs = [replace(job, path=path) for path in recordings]
-    with make_progress() as progress:
-        task = progress.add_task("clips", total=len(jobs))
-        outcomes = build_clips(
-            jobs,
-            workers or default_workers(),
-            lambda share: progress.update(task, completed=round(share * len(jobs))),
-            engine,
-        )
+    store = jobs[0].store
+    with show_progress("clips", len(jobs)) as (on_progress, _):
+        results = build_clips(jobs, workers or default_workers(), on_progress, engine)
     if as_json:
-        print_json(
-            {"store": str(job.store), "recordings": [asdict(each) | {"path": str(each.path)} for each in outcomes]}
-        )
+        print_json({"store": str(store), what: [asdict(each) | {"path": str(each.path)} for each in results]})
     else:
-        print_outcomes(outcomes, job.store)
-    failed = sum(outcome.state == "failed" for outcome in outcomes)
+        print_results(results, store)
+    failed = sum(result.state == "failed" for result in results)
     if failed:
-        raise InputError(f"{failed} of {len(outcomes)} recordings could not be used; the others are in {job.store}")
-
-
-def _build_with_progress(recording: "Recording", options: "BuildOptions") -> "BuiltClip":
-    from olt_toolkit.clips.builder import build_clip
-    from olt_toolkit.runtime.console import make_progress
-
-    with make_progress() as progress:
-        task = progress.add_task("views", total=100)
-        built = build_clip(
-            recording,
-            options,
-            on_progress=lambda share: progress.update(task, completed=round(100 * share)),
-            on_step=lambda step: progress.update(task, description=f"views: {step}"),
-        )
-        progress.update(task, completed=100)  # stages that were left out count as done
-    return built
-
-
-def _stored_recording(root: Path, clip: str) -> "Recording":
-    from olt_toolkit.clips.store import ClipStore
-    from olt_toolkit.clips.view_files import reopen_clip
-
-    store = ClipStore(root)
-    return reopen_clip(store, store.find(clip))
+        raise InputError(f"{failed} of {len(results)} {what} could not be used; the others are in {store}")
 
 
 def _draw_stored(store: "ClipStore", clip_id: str, folder: Path) -> dict[str, str]:

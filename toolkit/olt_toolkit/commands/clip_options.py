@@ -1,35 +1,90 @@
-"""Options that several commands of `olt clip` share."""
+"""Options that the commands which open and build clips share.
 
+A bundle is a dataclass with a field for each option. A command with a parameter of that type under `unpack_options` has
+the options on its command line, and gets them as one value.
+"""
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from olt_toolkit.clips.estimators import DepthChoice, PoseChoice
+from olt_toolkit.clips.estimators import DepthEstimator, Estimators, PoseEstimator
 
 if TYPE_CHECKING:
     from olt_toolkit.recordings.recording import OpenOptions
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 FovOption = Annotated[float | None, typer.Option(help="Horizontal field of view in degrees, if not calibrated.")]
-CameraHeightOption = Annotated[float | None, typer.Option(help="Height of the camera in metres, if unknown.")]
-WidthOption = Annotated[int, typer.Option(min=32, help="Width of the views in pixels, even.")]
-HeightOption = Annotated[int, typer.Option(min=32, help="Height of the views in pixels, even.")]
 DurationOption = Annotated[float, typer.Option(min=0.1, help="Use at most this many seconds.")]
 AllFramesOption = Annotated[bool, typer.Option("--all-frames", help="Make frames that no sample shows too.")]
-PosesOption = Annotated[PoseChoice, typer.Option(help="Where the motion of the vehicle comes from.")]
-MapAnythingOption = Annotated[Path | None, typer.Option(help="Folder with the files of MapAnything.")]
-DepthOption = Annotated[DepthChoice, typer.Option(help="Where the distances come from.")]
-DepthWeightsOption = Annotated[Path | None, typer.Option(help="Folder with the files of the depth network.")]
 DeviceOption = Annotated[str, typer.Option(help="Where torch runs learned models.")]
+CacheOption = Annotated[Path | None, typer.Option(help="Folder where readers keep what takes long to find again.")]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the clip store.")]
 
 
-def make_open_options(duration: float, fov: float | None, camera_height: float | None) -> "OpenOptions":
-    """How a recording is opened; the field of view is in degrees."""
-    from math import radians
+@dataclass(frozen=True)
+class CameraOptions:
+    """What is assumed of a camera of which nothing is known."""
 
-    from olt_toolkit.recordings.recording import OpenOptions
+    fov: FovOption = None
+    camera_height: Annotated[float | None, typer.Option(help="Height of the camera in metres, if unknown.")] = None
 
-    field_of_view = None if fov is None else radians(fov)
-    return OpenOptions(duration=duration, horizontal_fov=field_of_view, camera_height=camera_height)
+    def opening(self, duration: float = float("inf")) -> "OpenOptions":
+        """How a drive is opened, up to so many seconds where no window is asked for."""
+        from math import radians
+
+        from olt_toolkit.recordings.recording import OpenOptions
+
+        field_of_view = None if self.fov is None else radians(self.fov)
+        return OpenOptions(duration=duration, horizontal_fov=field_of_view, camera_height=self.camera_height)
+
+
+@dataclass(frozen=True)
+class BuildingOptions(CameraOptions):
+    """How clips are built: the size of their views, and what measures motion and distances."""
+
+    width: Annotated[int, typer.Option(min=32, help="Width of the views in pixels, even.")] = 576
+    height: Annotated[int, typer.Option(min=32, help="Height of the views in pixels, even.")] = 320
+    poses: Annotated[PoseEstimator, typer.Option(help="Where the motion of the vehicle comes from.")] = (
+        PoseEstimator.ODOMETRY
+    )
+    mapanything_weights: Annotated[Path | None, typer.Option(help="Folder with the files of MapAnything.")] = None
+    depth: Annotated[DepthEstimator, typer.Option(help="Where the distances come from.")] = DepthEstimator.GEOMETRIC
+    depth_weights: Annotated[Path | None, typer.Option(help="Folder with the files of the depth network.")] = None
+    device: DeviceOption = "cpu"
+
+    def estimators(self) -> Estimators:
+        """What measures motion and distances.
+
+        Raises:
+            InputError: weights are given without their estimator, or the other way round.
+        """
+        return Estimators(self.poses, self.mapanything_weights, self.depth, self.depth_weights, self.device)
+
+
+def unpack_options(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the fields of its bundles as parameters of their own, as Typer reads them."""
+    signature = inspect.signature(command)
+    bundles: dict[str, Any] = {
+        p.name: p.annotation for p in signature.parameters.values() if is_dataclass(p.annotation)
+    }
+    flat: list[inspect.Parameter] = []
+    for parameter in signature.parameters.values():
+        flat += [
+            inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
+            for each in (fields(parameter.annotation) if parameter.name in bundles else ())
+        ] or [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY)]
+
+    def run(**given: Any) -> None:
+        for name, bundle in bundles.items():
+            given[name] = bundle(**{each.name: given.pop(each.name) for each in fields(bundle)})
+        command(**given)
+
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in flat}
+    run.__signature__ = signature.replace(parameters=flat)  # pyright: ignore[reportFunctionMemberAccess]
+    return run

@@ -1,10 +1,11 @@
 """What `olt clip` prints for people."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from olt_toolkit.clips.build_job import Outcome
+from olt_generator.omissions import Omission, word_omission
+from olt_toolkit.clips.build_job import BuildResult
 from olt_toolkit.runtime.console import print_line, print_table
 
 # Label, and where the number is found in the pose errors.
@@ -30,41 +31,52 @@ def print_build(summary: dict[str, Any]) -> None:
         f"{trajectory['lowest_speed']:.1f} to {trajectory['highest_speed']:.1f} m/s"
     )
     print_line(f"poses: {summary['sources']['poses']}, depth: {summary['sources']['depth']}")
-    print_table(
-        "Errors against the reference, and jerk", ["quantity", "before smoothing", "after"], _error_rows(summary)
-    )
+    rows: list[tuple[object, ...]] = [
+        (label, find_number(summary, "pose_errors_before_smoothing", *keys), find_number(summary, "pose_errors", *keys))
+        for label, keys in _POSE_ROWS
+    ]
+    jerk = (find_number(summary, part, "jerk_rms_m_s3") for part in ("smoothness_before_smoothing", "smoothness"))
+    rows += [
+        ("jerk, RMS (m/s3)", *jerk),
+        ("scale, 1 sigma relative", summary["scale_sigma"], ""),
+        ("distance, median relative error", "", summary["distance_median_relative_error"]),
+    ]
+    print_table("Errors against the reference, and jerk", ["quantity", "before smoothing", "after"], rows)
     _print_label_noise(summary["label_noise"])
-    print_table("Views", ["view", "kind", *_SHARES, "PSNR dB", "PSNR dB, observed"], _view_rows(summary))
-    print_table("Run time", ["stage", "seconds"], list((summary["seconds"] | summary["store_seconds"]).items()))
+    rows = []
+    for name, view in clip["views"].items():
+        errors = summary["view_errors"].get(name, {}) if view["kind"] == "warped" else {"psnr": "", "psnr_observed": ""}
+        rows.append((name, view["kind"], *_share_cells(view), errors.get("psnr"), errors.get("psnr_observed")))
+    print_table("Views", ["view", "kind", *_SHARES, "PSNR dB", "PSNR dB, observed"], rows)
+    print_table("Run time", ["step", "seconds"], list((summary["seconds"] | summary["store_seconds"]).items()))
     _print_notes(summary)
     print_line(_sample_line(clip))
-    print_line(f"pictures: {summary['pictures']['contact_sheet']}, {summary['pictures']['animation']}")
+    _print_pictures(summary)
 
 
-def print_outcomes(outcomes: Sequence[Outcome], store: Path) -> None:
-    """Print what became of each recording of a folder, failures last."""
-    rows = [
-        (outcome.path.name, outcome.state, outcome.clip_id, *_outcome_cells(outcome.summary))
-        for outcome in outcomes
-        if outcome.state != "failed"
-    ]
+def print_results(results: Sequence[BuildResult], store: Path) -> None:
+    """Print what became of each job, failures last; of clips that are built now length, label noise, time, samples."""
+    rows = []
+    for result in results:
+        summary = result.summary
+        cells: tuple[object, ...] = ("", "", "", "")
+        if summary is not None:
+            noise = find_number(summary, "label_noise", "expected", "acceleration")
+            seconds = sum((summary["seconds"] | summary["store_seconds"]).values())
+            cells = summary["trajectory"]["length"], noise, seconds, len(summary["clip"]["sample_t0_us"])
+        if result.state != "failed":
+            rows.append((result.path.name, result.state, result.clip_id, *cells))
     columns = ["recording", "state", "clip", "length m", "label noise m/s2", "seconds", "samples"]
     print_table(f"Clips in {store}", columns, rows)
-    for outcome in outcomes:
-        if outcome.state == "failed":
-            print_line(f"failed: {outcome.path.name}: {outcome.message}")
+    for result in results:
+        if result.state == "failed":
+            print_line(f"failed: {result.path.name}: {result.message}")
 
 
 def print_plan(plan: dict[str, Any], folder: Path) -> None:
     """Print which views were made, how, and which were left out."""
     rows = [
-        (
-            name,
-            view["method"],
-            *_share_cells(view),
-            Path(view["file"]).name,
-        )
-        for name, view in plan["views"].items()
+        (name, view["method"], *_share_cells(view), Path(view["file"]).name) for name, view in plan["views"].items()
     ]
     print_table(f"Views of {plan['recording']}", ["view", "method", *_SHARES, "file"], rows)
     print_line(f"made in this order: {', '.join(plan['order'])}")
@@ -108,8 +120,7 @@ def print_clip(summary: dict[str, Any]) -> None:
         for name, view in clip["views"].items()
     ]
     print_table("Where the pixels came from", ["camera", "kind", "made by", "seed", *_SHARES], rows)
-    if "pictures" in summary:
-        print_line(f"pictures: {summary['pictures']['contact_sheet']}, {summary['pictures']['animation']}")
+    _print_pictures(summary)
 
 
 def print_scores(summary: dict[str, Any]) -> None:
@@ -141,30 +152,12 @@ def print_scores(summary: dict[str, Any]) -> None:
     print_line(f"LPIPS: {reference['lpips'] or 'not measured; give --lpips-weights'}")
 
 
-def _error_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
-    before, after = summary["pose_errors_before_smoothing"], summary["pose_errors"]
-    rows: list[tuple[object, ...]] = [(label, _find(before, keys), _find(after, keys)) for label, keys in _POSE_ROWS]
-    before, after = summary["smoothness_before_smoothing"], summary["smoothness"]
-    rows.append(("jerk, RMS (m/s3)", _find(before, ("jerk_rms_m_s3",)), _find(after, ("jerk_rms_m_s3",))))
-    rows.append(("scale, 1 sigma relative", summary["scale_sigma"], ""))
-    rows.append(("distance, median relative error", "", summary["distance_median_relative_error"]))
-    return rows
-
-
-def _find(numbers: dict[str, Any] | None, keys: tuple[str, ...]) -> object:
-    """A number in nested dictionaries, None where a level of them is None."""
+def find_number(numbers: Mapping[str, Any], *keys: str) -> Any:
+    """A number in nested mappings; None where a level of them is None."""
     found: Any = numbers
     for key in keys:
         found = None if found is None else found[key]
     return found
-
-
-def _view_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
-    rows = []
-    for name, view in summary["clip"]["views"].items():
-        errors = summary["view_errors"].get(name, {}) if view["kind"] == "warped" else {"psnr": "", "psnr_observed": ""}
-        rows.append((name, view["kind"], *_share_cells(view), errors.get("psnr"), errors.get("psnr_observed")))
-    return rows
 
 
 def _share_cells(view: dict[str, Any]) -> tuple[str, ...]:
@@ -173,23 +166,8 @@ def _share_cells(view: dict[str, Any]) -> tuple[str, ...]:
     return tuple(f"{100 * share:.1f} %" for share in shares)
 
 
-def _outcome_cells(summary: dict[str, Any] | None) -> tuple[object, ...]:
-    """Length, expected label noise, run time and samples of a clip that was built now."""
-    if summary is None:
-        return "", "", "", ""
-    seconds = sum((summary["seconds"] | summary["store_seconds"]).values())
-    noise = _find(summary["label_noise"], ("expected", "acceleration"))
-    return summary["trajectory"]["length"], noise, seconds, len(summary["clip"]["sample_t0_us"])
-
-
 def _consistency_cells(found: dict[str, Any]) -> tuple[object, ...]:
-    return (
-        found["percent"],
-        found["moments"],
-        found["moments_without_match"],
-        found["matches"],
-        found["valid"],
-    )
+    return tuple(found[key] for key in ("percent", "moments", "moments_without_match", "matches", "valid"))
 
 
 def _print_label_noise(budget: dict[str, Any] | None) -> None:
@@ -197,7 +175,10 @@ def _print_label_noise(budget: dict[str, Any] | None) -> None:
         print_line("label noise: not measured; it needs a motion that is not the reference, over at least 7.9 s")
         return
     rows = [
-        (f"{label} ({unit})", *(_find(budget, (part, label)) for part in ("raw", "actual", "expected", "taken_out")))
+        (
+            f"{label} ({unit})",
+            *(find_number(budget, part, label) for part in ("raw", "actual", "expected", "taken_out")),
+        )
         for label, unit in (("acceleration", "m/s2"), ("curvature", "1/m"))
     ]
     columns = ["label", "before smoothing", "after", "after, by the smoother's account", "taken out by smoothing"]
@@ -205,10 +186,15 @@ def _print_label_noise(budget: dict[str, Any] | None) -> None:
 
 
 def _print_notes(summary: dict[str, Any]) -> None:
-    for part, reason in summary["left_out"].items():
-        print_line(f"left out: {part}: {reason}")
+    for omission in summary["left_out"]:
+        print_line(f"left out: {word_omission(Omission(**omission))}")
     for assumption in summary["assumptions"]:
         print_line(f"assumed: {assumption}")
+
+
+def _print_pictures(summary: dict[str, Any]) -> None:
+    if "pictures" in summary:
+        print_line(f"pictures: {summary['pictures']['contact_sheet']}, {summary['pictures']['animation']}")
 
 
 def _sample_line(clip: dict[str, Any]) -> str:

@@ -5,17 +5,27 @@ from typing import Annotated, Any
 
 import typer
 
-from olt_toolkit.commands.clip_options import (
-    CameraHeightOption,
-    DurationOption,
-    FovOption,
-    JsonOption,
-    make_open_options,
-)
+from olt_toolkit.commands.clip_options import CacheOption, CameraOptions, DurationOption, JsonOption
+
+# Head of each column, and where its number is found among those of a clip.
+_COLUMNS = {
+    "first frame": ("first_frame",),
+    "frames": ("frames",),
+    "length m": ("path_length_m",),
+    "scale 1 sigma": ("scale_sigma",),
+    "ATE m": ("errors", "metric", "ate_m"),
+    "step %": ("errors", "metric", "step_translation_percent"),
+    "rotation by step deg": ("errors", "metric", "step_rotation_deg"),
+    "Sim(3) ATE m": ("errors", "sim3", "ate_m"),
+    "jerk² factor": ("jerk_factor",),
+    "acc. var. factor": ("acceleration_variance_factor",),
+    "label acc. m/s2": ("label_noise", "actual", "acceleration"),
+}
 
 
 def trajectory(
     recording: Annotated[Path, typer.Argument(metavar="INPUT", help="A video or a drive folder.")],
+    camera: CameraOptions,
     clip_frames: Annotated[int | None, typer.Option(min=2, help="Cut into clips of so many frames.")] = None,
     stride: Annotated[
         int | None, typer.Option(min=1, help="Frames from one clip to the next; by default a clip long.")
@@ -26,28 +36,21 @@ def trajectory(
     jitter_deg: Annotated[float, typer.Option(min=0.0, help="Noise of its rotation, degrees an axis.")] = 0.0,
     seed: Annotated[int, typer.Option(help="Seed of that noise.")] = 0,
     picture: Annotated[Path | None, typer.Option(help="Draw path and acceleration into this PNG file.")] = None,
-    fov: FovOption = None,
-    camera_height: CameraHeightOption = None,
     duration: DurationOption = 20.0,
+    cache: CacheOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Recover and smooth the motion, clip by clip, and hold it against the reference where one is known."""
     from math import radians
 
     from olt_toolkit.clips.trajectory_errors import Jitter, measure_clips, plot_clips, summarize_clips
-    from olt_toolkit.recordings.recording import open_recording
-    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.recordings.drives import open_recording
+    from olt_toolkit.runtime.console import print_json, show_progress
 
-    opened = open_recording(recording, make_open_options(duration, fov, camera_height))
-    with make_progress() as progress:
-        task = progress.add_task("trajectory", total=1.0)
-        motions = measure_clips(
-            opened,
-            clip_frames,
-            stride,
-            None if jitter_m is None else Jitter(jitter_m, radians(jitter_deg), seed),
-            on_progress=lambda share: progress.update(task, completed=share),
-        )
+    opened = open_recording(recording, camera.opening(duration), cache)
+    jitter = None if jitter_m is None else Jitter(jitter_m, radians(jitter_deg), seed)
+    with show_progress("trajectory") as (on_progress, _):
+        motions = measure_clips(opened, clip_frames, stride, jitter, on_progress=on_progress)
     result = {
         "recording": opened.name,
         "reference": opened.reference is not None,
@@ -65,22 +68,11 @@ def trajectory(
 
 
 def _print_result(result: dict[str, Any]) -> None:
+    from olt_toolkit.commands.clip_output import find_number
     from olt_toolkit.runtime.console import print_line, print_table
 
-    columns = [
-        "first frame",
-        "frames",
-        "length m",
-        "scale 1 sigma",
-        "ATE m",
-        "step %",
-        "rotation by step deg",
-        "Sim(3) ATE m",
-        "jerk² factor",
-        "acc. var. factor",
-        "label acc. m/s2",
-    ]
-    print_table(f"Motion of {result['recording']}", columns, [_row(clip) for clip in result["clips"]])
+    rows = [[find_number(clip, *keys) for keys in _COLUMNS.values()] for clip in result["clips"]]
+    print_table(f"Motion of {result['recording']}", list(_COLUMNS), rows)
     summary = result["summary"]
     if summary["mean_ate_m"] is not None:
         print_line(
@@ -91,22 +83,3 @@ def _print_result(result: dict[str, Any]) -> None:
         print_line(f"assumed: {assumption}")
     if "picture" in result:
         print_line(f"picture: {result['picture']}")
-
-
-def _row(clip: dict[str, Any]) -> tuple[object, ...]:
-    errors, noise = clip["errors"], clip["label_noise"]
-    metric, sim3 = (errors["metric"], errors["sim3"]) if errors else (None, None)
-    actual = noise["actual"] if noise else None
-    return (
-        clip["first_frame"],
-        clip["frames"],
-        clip["path_length_m"],
-        clip["scale_sigma"],
-        metric and metric["ate_m"],
-        metric and metric["step_translation_percent"],
-        metric and metric["step_rotation_deg"],
-        sim3 and sim3["ate_m"],
-        clip["jerk_factor"],
-        clip["acceleration_variance_factor"],
-        actual and actual["acceleration"],
-    )

@@ -53,12 +53,12 @@ def sample_times(coverage: Coverage) -> tuple[tuple[int, ...], str | None]:
 
 
 def newest_frames(timestamps_us: NDArray[np.int64], times_us: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers (m,) of the newest of the frames at times (n,) at or before each time; -1 before the first."""
+    """Indices (m,) of the newest of the frames at times (n,) at or before each time; -1 before the first."""
     return np.searchsorted(timestamps_us, times_us, side="right") - 1
 
 
-def shown_frames(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers (m,) of the frames that samples with t0 on the 0.1 s grid show, out of frames at these times (n,).
+def grid_frame_indices(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Indices (m,) of the frames that samples with t0 on the 0.1 s grid take, out of frames at these times (n,).
 
     Those are the newest frames at each time of the grid. The first and the last frame are kept, so that the coverage
     stays the same; every other frame can be left out without changing any such sample.
@@ -68,19 +68,20 @@ def shown_frames(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.unique(np.concatenate([[0], newest_frames(timestamps_us, grid), [len(timestamps_us) - 1]]))
 
 
-def sampled_frames(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The `shown_frames` (m,) that a recording's own samples show: the first are too early, the last lack a future.
+def sampled_frame_indices(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Those (m,) of the `grid_frame_indices` that a recording's own samples take, out of frames at these times (n,).
 
-    All `shown_frames` where the recording is too short for a sample.
+    The first frames are too early for a sample, the last lack a future. All `grid_frame_indices` where the recording is
+    too short for a sample.
     """
-    shown, span = shown_frames(timestamps_us), (int(timestamps_us[0]), int(timestamps_us[-1]))
+    on_grid, span = grid_frame_indices(timestamps_us), (int(timestamps_us[0]), int(timestamps_us[-1]))
     times, _ = sample_times(Coverage(span, dict.fromkeys(POLICY_CAMERAS, span)))
     if not times:
-        return shown
-    first = np.searchsorted(timestamps_us, times[0] + IMAGE_OFFSETS_US[0], side="right") - 1
+        return on_grid
+    first = newest_frames(timestamps_us, times[0] + IMAGE_OFFSETS_US[:1])
     # Cameras must cover the last t0, so a frame at or after it is kept.
     last = np.searchsorted(timestamps_us, times[-1])
-    return np.union1d(shown[(shown >= first) & (shown <= last)], [last])
+    return np.union1d(on_grid[(on_grid >= first) & (on_grid <= last)], [last])
 
 
 def frames_per_step(frame_rate: float) -> int:

@@ -1,11 +1,17 @@
 """Drives: what a data set holds, told from its tables without decoding an image; and how one is opened.
 
-A data set is a folder in one public layout. Its reader lists the keys of its drives, describes one (cheap: tables and
-file headers only) and opens a time window of one as a `Recording`. Drive time is integer microseconds; 0 is the first
-image of the front camera. Readers are found through the entry-point group `olt.datasets`.
+A data set is a folder in one public layout, or a single recording, which is a data set with one drive. Its reader lists
+the keys of its drives, describes one (cheap: tables and file headers only) and opens a time window of one as a
+`Recording`. Drive time is integer microseconds; 0 is the first image of the front camera. Readers are found through the
+entry-point group `olt.datasets`, so packages further up bring their own formats.
 """
 
-from dataclasses import dataclass
+import math
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Protocol
@@ -14,9 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
-from olt_toolkit.clips.clip import UNLABELLED, Split
+from olt_generator.files import make_folder
+from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import OpenOptions, Recording
+
+WHOLE = "."
+"""Key of the drive of a path that is itself a recording: a video file, a KITTI drive folder."""
+
+# Keys that an error names.
+_SHOWN = 5
 
 
 @dataclass(frozen=True)
@@ -103,27 +117,50 @@ class Dataset(Protocol):
         ...
 
 
-class DatasetReader(Protocol):
-    """Opens data sets of one layout."""
+@dataclass(frozen=True)
+class DatasetReader:
+    """Opens data sets of one layout; what the entry points of `olt.datasets` name.
+
+    Attributes:
+        name: what the data set is called as the source of clips.
+        licence: its licence.
+        recognises: whether a folder or file looks like this layout, judged cheaply by names.
+        open: opens the data set at a path, which is only read, with a folder for what takes long to find again. It
+            raises an `InputError` where the tables that list the drives are missing or damaged.
+    """
 
     name: str
     licence: Licence
+    recognises: Callable[[Path], bool]
+    open: Callable[[Path, Path], Dataset]
 
-    def recognises(self, root: Path) -> bool:
-        """Whether the folder looks like this layout, judged cheaply by names."""
-        ...
 
-    def open(self, root: Path, cache: Path) -> Dataset:
-        """Open the data set in a folder.
+@dataclass(frozen=True)
+class DatasetPlace:
+    """Where a data set is, and how it is opened; can be sent to other processes.
 
-        Args:
-            root: the folder; it is only read.
-            cache: a folder where the reader may keep what takes long to find again.
+    Attributes:
+        path: its folder, or its only recording.
+        cache: where its reader keeps what takes long to find again; None for a folder that goes with the process.
+        source: name of its reader; None for the first that recognises the path.
+    """
+
+    path: Path
+    cache: Path | None = None
+    source: str | None = None
+
+    def open(self) -> Dataset:
+        """Open the data set, once in each process.
 
         Raises:
-            InputError: the tables that list the drives are missing or damaged.
+            InputError: see `open_dataset`.
         """
-        ...
+        return _open_once(self)
+
+    def drive_name(self, key: str) -> str:
+        """What a drive is called in results: its file, without suffix, or its folder, or the last part of its key."""
+        path = (self.path / key).resolve()
+        return path.stem if path.is_file() else path.name
 
 
 def readers() -> dict[str, DatasetReader]:
@@ -132,20 +169,103 @@ def readers() -> dict[str, DatasetReader]:
     return {reader.name: reader for reader in loaded}
 
 
-def open_dataset(root: Path, cache: Path, source: str | None = None) -> Dataset:
-    """Open a data set with the reader of this name, or with the first that recognises the folder.
+def find_reader(path: Path) -> DatasetReader | None:
+    """The first reader that recognises a path; None where there is none."""
+    return next((reader for reader in readers().values() if reader.recognises(path)), None)
+
+
+def open_dataset(path: Path, cache: Path | None = None, source: str | None = None) -> Dataset:
+    """Open a data set with the reader of this name, or with the first that recognises the path.
+
+    Args:
+        path: its folder, or a single recording, which is a data set with one drive, whose key is ".".
+        cache: where its reader keeps what takes long to find again; None for a folder that goes with the process.
+        source: name of the reader.
 
     Raises:
-        InputError: the folder is missing, or no reader recognises it.
+        InputError: the path is missing, or no reader recognises it.
     """
-    if not root.is_dir():
-        raise InputError(f"{root}: no such folder")
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
     known = readers()
-    if source is not None:
-        if source not in known:
-            raise InputError(f"no data set reader is called {source!r}; there are {', '.join(known)}")
-        return known[source].open(root, cache)
-    for reader in known.values():
-        if reader.recognises(root):
-            return reader.open(root, cache)
-    raise InputError(f"{root}: not a data set that any reader knows ({', '.join(known)})")
+    if source is not None and source not in known:
+        raise InputError(f"no data set reader is called {source!r}; there are {', '.join(known)}")
+    reader = find_reader(path) if source is None else known[source]
+    if reader is None:
+        raise InputError(
+            f"{path}: no recording and no data set that any reader knows ({', '.join(known)}); give a video, a drive "
+            "folder or the folder of a data set"
+        )
+    return reader.open(path, Path(_make_own_cache().name) if cache is None else make_folder(cache))
+
+
+def open_recording(path: Path, options: OpenOptions | None = None, cache: Path | None = None) -> Recording:
+    """Open the only drive of what lies at a path, from its start.
+
+    Args:
+        path: a video, a drive folder, or the folder of a data set with one drive.
+        options: how to open it, and how much of it.
+        cache: see `open_dataset`.
+
+    Raises:
+        InputError: see `open_dataset`; there is more than one drive.
+    """
+    dataset = open_dataset(path, cache)
+    keys = dataset.keys()
+    if len(keys) != 1:
+        some = ", ".join(keys[:_SHOWN]) + (", ..." if len(keys) > _SHOWN else "")
+        raise InputError(f"{path}: holds {len(keys)} drives ({some}); give the path of one")
+    return open_start(dataset, keys[0], options or OpenOptions())
+
+
+def open_start(dataset: Dataset, key: str, options: OpenOptions) -> Recording:
+    """Open a drive from its start, up to the duration of the options; motion is known while images last.
+
+    Raises:
+        InputError: see `Dataset.open`.
+    """
+    end_us = math.ceil(min(options.duration * 1e6, 2.0**62)) - 1
+    recording = dataset.open(key, (0, end_us), options)
+    if recording.reference is None:
+        return recording
+    times_us = recording.timestamps_us
+    shown = Trajectory(times_us, recording.reference.interpolate(times_us))
+    return replace(recording, reference=shown.in_first_frame())
+
+
+def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlace, str]]:
+    """All drives at a path by key, and the data set that each is in.
+
+    A recording is its own only drive, `WHOLE`. Of a folder they are the recordings that lie directly in it, by name, or
+    else the drives of the data set that it is.
+
+    Args:
+        path: a recording, a folder of some, or the folder of a data set.
+        cache: see `open_dataset`.
+
+    Raises:
+        InputError: there is none, or two have one name.
+    """
+    place = DatasetPlace(path, cache)
+    inside = sorted(path.iterdir()) if path.is_dir() else []
+    keys = place.open().keys() if not inside or find_reader(path) else []
+    if keys == [WHOLE]:
+        return [(place, WHOLE)]
+    places = [DatasetPlace(each, cache) for each in inside if not each.name.startswith(".") and find_reader(each)]
+    found = [(each, WHOLE) for each in places if each.open().keys() == [WHOLE]] or [(place, key) for key in keys]
+    if not found:
+        raise InputError(
+            f"{path}: holds no recording that any reader knows; give a video, a drive, a folder of them or a data set"
+        )
+    for name, count in Counter(each.drive_name(key) for each, key in found).items():
+        if count > 1:
+            raise InputError(f"{path}: {count} recordings are called {name!r}; rename them, clips are told by name")
+    return found
+
+
+_make_own_cache = cache(lambda: tempfile.TemporaryDirectory(prefix="olt-"))
+
+
+@lru_cache(maxsize=1)
+def _open_once(place: DatasetPlace) -> Dataset:
+    return open_dataset(place.path, place.cache, place.source)

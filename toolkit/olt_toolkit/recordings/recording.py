@@ -1,18 +1,11 @@
-"""What a clip is built from: one front-camera recording, and the readers that open one.
-
-Readers are found through the entry-point group `olt.sources`, so packages further up bring their own formats.
-"""
+"""What a clip is built from: one front-camera recording."""
 
 from dataclasses import dataclass, field
-from importlib.metadata import entry_points
-from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
-from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import POLICY_CAMERAS, MountedCamera, VehicleDimensions
@@ -61,7 +54,7 @@ class OpenOptions:
 
     Attributes:
         width: working width of the frames in pixels; height follows the aspect ratio.
-        duration: at most this many seconds from the start.
+        duration: at most this many seconds from the start, where no window is asked for.
         horizontal_fov: field of view in radians to assume where no calibration exists; None for the reader's default.
         camera_height: height in metres above ground to assume where no mounting is known; None for the default.
         views: cameras whose true images are wanted beside the front ones, where the recording has them.
@@ -72,46 +65,3 @@ class OpenOptions:
     horizontal_fov: float | None = None
     camera_height: float | None = None
     views: tuple[str, ...] = POLICY_CAMERAS
-
-
-class Source(Protocol):
-    """A reader of one recording format."""
-
-    name: str
-
-    def recognises(self, path: Path) -> bool:
-        """Whether the path looks like this format, judged cheaply."""
-        ...
-
-    def open(self, path: Path, options: OpenOptions) -> Recording:
-        """Decode the recording.
-
-        Raises:
-            InputError: the recording is damaged, too short or of another format.
-        """
-        ...
-
-
-def open_recording(path: Path, options: OpenOptions | None = None) -> Recording:
-    """Open a recording with the first reader that recognises it.
-
-    Raises:
-        InputError: the path does not exist or no reader recognises it.
-    """
-    if not path.exists():
-        raise InputError(f"{path}: no such file or folder")
-    sources = _sources()
-    for source in sources:
-        if source.recognises(path):
-            return source.open(path, options or OpenOptions())
-    names = ", ".join(source.name for source in sources)
-    raise InputError(f"{path}: not a recording that any reader knows ({names}); give a video file or a drive folder")
-
-
-def is_recording(path: Path) -> bool:
-    """Whether any reader recognises the path."""
-    return any(source.recognises(path) for source in _sources())
-
-
-def _sources() -> list[Source]:
-    return [entry.load() for entry in sorted(entry_points(group="olt.sources"))]

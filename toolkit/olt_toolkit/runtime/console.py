@@ -2,7 +2,8 @@
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -41,6 +42,17 @@ def format_cell(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.4g}"
     return str(value)
+
+
+@contextmanager
+def show_progress(label: str, total: int = 100) -> Iterator[tuple[Callable[[float], None], Callable[[str], None]]]:
+    """Show a progress bar; yields what to tell the share that is done, of so many parts, and the step that is next."""
+    with make_progress() as bar:
+        task = bar.add_task(label, total=total)
+        yield (
+            lambda share: bar.update(task, completed=round(total * share)),
+            lambda step: bar.update(task, description=f"{label}: {step}"),
+        )
 
 
 def make_progress() -> "ProgressBar":

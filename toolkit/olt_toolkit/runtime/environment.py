@@ -2,30 +2,24 @@
 
 import os
 import platform
+import re
 import sys
-from importlib.metadata import PackageNotFoundError, version
+from importlib.metadata import requires
 from typing import Any
 
 from olt_toolkit.runtime.threads import THREAD_VARIABLES
+from olt_toolkit.runtime.version import DISTRIBUTION, package_version
 from olt_toolkit.runtime.workers import default_workers
 
 CORE_PACKAGES = ("torch", "kornia", "casadi", "opencv-contrib-python-headless", "usd-core", "numpy", "scipy", "av")
 
-# What each optional part would enable, by the packages that it needs.
-OPTIONAL_PARTS: dict[str, tuple[tuple[str, ...], str]] = {
-    "generator": (("diffusers", "transformers", "peft", "accelerate"), "the diffusion view engine"),
-    "sft": (("transformers", "accelerate", "peft", "hydra-core"), "launching the two-stage SFT of Alpamayo"),
-    "interop": (("physical-ai-av", "grpcio"), "reading clips with the public devkit and driving AlpaSim"),
-    "distributed": (("ray",), "building clips on more than one machine"),
+# What each extra of the distribution enables; which packages it takes stands in the distribution's metadata.
+OPTIONAL_PARTS = {
+    "generator": "the diffusion view engine",
+    "sft": "launching the two-stage SFT of Alpamayo",
+    "interop": "reading clips with the public devkit",
+    "distributed": "building clips on more than one machine",
 }
-
-
-def package_version(package: str) -> str | None:
-    """Installed version of a distribution, None when it is absent."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
 
 
 def describe_machine() -> dict[str, Any]:
@@ -36,7 +30,7 @@ def describe_machine() -> dict[str, Any]:
         "memory_gib": _memory_gib(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "python": platform.python_version(),
-        "openlongtail": package_version("openlongtail"),
+        "openlongtail": package_version(),
         "packages": {package: package_version(package) for package in CORE_PACKAGES},
         "threads": {variable: os.environ.get(variable) for variable in THREAD_VARIABLES},
     }
@@ -44,8 +38,10 @@ def describe_machine() -> dict[str, Any]:
 
 def describe_optional_parts() -> list[dict[str, Any]]:
     """For every optional part: what it enables, whether it is complete, and what is missing."""
+    requirements = requires(DISTRIBUTION) or []
     parts = []
-    for name, (packages, enables) in OPTIONAL_PARTS.items():
+    for name, enables in OPTIONAL_PARTS.items():
+        packages = [re.findall(r"[\w.-]+", line)[0] for line in requirements if re.search(rf"extra == .{name}\b", line)]
         missing = [package for package in packages if package_version(package) is None]
         parts.append({"name": name, "enables": enables, "present": not missing, "missing": missing})
     return parts

@@ -13,7 +13,7 @@ from typing import Any, TypeVar
 
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
-from olt_toolkit.runtime.threads import THREAD_VARIABLES
+from olt_toolkit.runtime.threads import THREAD_VARIABLES, use_one_thread
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -108,7 +108,5 @@ def _result(ray: Any, reference: Any) -> Any:
 
 
 def _work(function: Callable[[Item], Result], item: Item) -> Result:
-    from olt_toolkit.runtime.workers import use_one_thread
-
     use_one_thread()
     return function(item)

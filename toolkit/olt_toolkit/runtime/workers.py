@@ -10,7 +10,7 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from olt_generator.progress import Progress, silent
-from olt_toolkit.runtime.threads import THREAD_VARIABLES
+from olt_toolkit.runtime.threads import use_one_thread
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -26,15 +26,6 @@ class Engine(StrEnum):
 def default_workers() -> int:
     """The number of processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def use_one_thread() -> None:
-    """Keep OpenCV and torch, where loaded later too, on one thread, so that sums come out the same everywhere."""
-    import cv2
-
-    cv2.setNumThreads(1)
-    for variable in THREAD_VARIABLES:
-        os.environ[variable] = "1"
 
 
 def map_parallel(

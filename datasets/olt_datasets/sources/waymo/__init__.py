@@ -1,0 +1,1 @@
+"""The Waymo Open data set for end-to-end driving."""

@@ -1,0 +1,8 @@
+"""What people say of a recording: the long-tail category that it shows, and the training split that it belongs to."""
+
+from typing import Literal
+
+Split = Literal["train", "val", "test"]
+
+UNLABELLED = "unlabelled"
+"""Category of what nobody sorted: never taken for nominal."""
