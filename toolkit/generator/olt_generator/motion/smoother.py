@@ -131,7 +131,8 @@ def smooth_trajectory(trajectory: Trajectory, settings: SmootherSettings | None 
     """Remove jitter from a trajectory, using all of it for every pose.
 
     Args:
-        trajectory: measured poses of a rig whose origin is on the rear axle and whose x axis points ahead.
+        trajectory: measured poses of a rig whose origin is on the rear axle and whose x axis points ahead; turns
+            between two poses must be below half a turn, since longer ones cannot be told from their complements.
         settings: noise levels; None to estimate them all.
     """
     return smooth_trajectories([trajectory], settings)[0]

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, make_pose
-from olt_generator.views.latents import TOKEN_PIXELS
 
+# The transformer reads 2 x 2 latent cells of 8 x 8 pixels as one token.
+TOKEN_PIXELS = 16
 # Moments are divided by this many metres.
 MOMENT_SCALE = 25.0
 # The released generator refuses features from here on.
