@@ -82,7 +82,8 @@ def _scene() -> tuple[NDArray[np.uint8], NDArray[np.float32], Camera, Camera, Ar
 
 @lru_cache(maxsize=1)
 def _reference() -> Warp:
-    return splat_reference(*_scene())
+    image, *geometry = _scene()
+    return splat_reference(image, land(*geometry), geometry[2])
 
 
 def measure_error(distance: NDArray[np.float32]) -> float:

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_generator.motion.pose_sources import VisualOdometry
+from olt_generator.motion.odometry import estimate_odometry
 from olt_generator.motion.smoother import smooth_trajectory
 from olt_generator.poses import invert, make_pose
 from olt_generator.progress import Progress, silent
@@ -97,7 +97,7 @@ def _measure(recording: Recording, first: int, frames: int, jitter: Jitter | Non
     if jitter is not None and reference is not None:
         measured = jitter.disturb(Trajectory(times, reference.interpolate(times)))
         return ClipMotion(first, frames, RecoveredMotion(measured, smooth_trajectory(measured), None, reference))
-    found = VisualOdometry().estimate(recording.frames[part], times, recording.camera, recording.T_rig_camera)
+    found = estimate_odometry(recording.frames[part], times, recording.camera, recording.T_rig_camera)
     smoothed = smooth_trajectory(found.trajectory, found.noise)
     return ClipMotion(first, frames, RecoveredMotion(found.trajectory, smoothed, found.scale_sigma, reference))
 

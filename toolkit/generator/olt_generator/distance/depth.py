@@ -30,6 +30,9 @@ KNOWLEDGE = (0.0, 0.02, 0.05, 0.12, 0.3, 0.6, 1.0)
 SURFACE_CONFIDENCE = (0.0, 0.12, 0.22, 0.42, 0.55, 0.78, 0.85)
 BACKGROUND_CONFIDENCE = (0.0, 0.4, 0.6, 0.85, 0.97, 0.99, 0.99)
 
+# Numbers (m,) of frames; None for all.
+FrameIndices = Sequence[int] | NDArray[np.integer] | None
+
 
 class DistanceOrigin(IntEnum):
     """Which rule gave the distance of a pixel."""
@@ -91,7 +94,7 @@ def estimate_distance(
     trajectory: Trajectory,
     T_rig_camera: Array,
     on_progress: Progress = silent,
-    frame_indices: Sequence[int] | NDArray[np.integer] | None = None,
+    frame_indices: FrameIndices = None,
     settings: SweepSettings | None = None,
 ) -> DistanceEstimate:
     """Estimate the distance of every pixel of a clip.
@@ -112,7 +115,12 @@ def estimate_distance(
         InputError: frames, camera and trajectory do not belong together, a frame that is not there is asked for, or
             the camera is not above the road.
     """
-    check_clip(frames, camera, trajectory)
+    if frames.shape[1:] != (camera.height, camera.width, 3):
+        raise InputError(
+            f"frames of shape {frames.shape[1:]} for a camera of {camera.width} x {camera.height}; resize the camera"
+        )
+    if len(frames) != len(trajectory):
+        raise InputError(f"{len(frames)} frames for {len(trajectory)} poses; give one pose per frame")
     wanted = check_frame_indices(frame_indices, len(frames))
     settings = settings or SweepSettings()
     T_world_camera = trajectory.T_world_rig @ T_rig_camera
@@ -168,7 +176,7 @@ def _insert(
     estimate.moving[place] = moving > 0
 
 
-def check_frame_indices(frame_indices: Sequence[int] | NDArray[np.integer] | None, count: int) -> NDArray[np.int64]:
+def check_frame_indices(frame_indices: FrameIndices, count: int) -> NDArray[np.int64]:
     """Numbers (m,) of the frames that are wanted out of `count`; all where `frame_indices` is None.
 
     Raises:
@@ -179,17 +187,3 @@ def check_frame_indices(frame_indices: Sequence[int] | NDArray[np.integer] | Non
     if outside.any():
         raise InputError(f"frame_indices: there is no frame {wanted[outside][0]} in a clip of {count}; count from 0")
     return wanted
-
-
-def check_clip(frames: NDArray[np.uint8], camera: Camera, trajectory: Trajectory) -> None:
-    """Check that frames (n, H, W, 3), camera and trajectory belong together.
-
-    Raises:
-        InputError: they do not.
-    """
-    if frames.shape[1:] != (camera.height, camera.width, 3):
-        raise InputError(
-            f"frames of shape {frames.shape[1:]} for a camera of {camera.width} x {camera.height}; resize the camera"
-        )
-    if len(frames) != len(trajectory):
-        raise InputError(f"{len(frames)} frames for {len(trajectory)} poses; give one pose per frame")

@@ -37,7 +37,7 @@ class MapAnything:
     weights: Path
     device: str = "cuda"
 
-    def estimate(
+    def __call__(
         self,
         frames: NDArray[np.uint8],
         timestamps_us: NDArray[np.int64],
@@ -45,11 +45,7 @@ class MapAnything:
         T_rig_camera: Array,
         on_progress: Progress = silent,
     ) -> PoseEstimate:
-        """See `PoseSource.estimate`.
-
-        Raises:
-            InputError: package or weights are missing, or the model gives no metric poses.
-        """
+        """See `PoseSource`; also an `InputError` where package or weights are missing."""
         import torch
 
         models, images = self._load_package()

@@ -18,8 +18,10 @@ from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.motion.bundle_adjustment import FeatureTracks, StepPriors, adjust_poses
 from olt_generator.motion.features import Gray, TrackedPair, track_from_keyframes
+from olt_generator.motion.pose_sources import PoseEstimate
 from olt_generator.motion.road_plane import measure_scale
 from olt_generator.motion.road_scale import RoadStrip, estimate_speed, road_frame
+from olt_generator.motion.smoother import ODOMETRY_SETTINGS
 from olt_generator.motion.static_mask import BELOW_HORIZON, find_static_mask
 from olt_generator.motion.two_view import TwoViewMotion, estimate_motion
 from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
@@ -66,21 +68,16 @@ class OdometrySettings:
 
 
 @dataclass(frozen=True)
-class Odometry:
-    """Metric ego motion from one camera.
+class Odometry(PoseEstimate):
+    """Metric ego motion from one camera; its scale is not known where the vehicle never moved.
+
+    The mounting's pitch and yaw agree with the direction of travel; its roll and position are as given.
 
     Attributes:
-        trajectory: T_world_rig at every frame; the first pose is the identity.
-        T_rig_camera: (4, 4) mounting whose pitch and yaw agree with the direction of travel; roll and position are
-            as given.
-        scale_sigma: relative standard deviation of the metric scale; None where the vehicle never moved.
         inliers: (n - 1,) points that support the motion of each step.
         standstill: (n - 1,) whether the vehicle stood in each step.
     """
 
-    trajectory: Trajectory
-    T_rig_camera: Array
-    scale_sigma: float | None
     inliers: NDArray[np.int64]
     standstill: NDArray[np.bool_]
 
@@ -131,6 +128,7 @@ def estimate_odometry(
         Trajectory(timestamps_us, mounting @ T_start_camera @ invert(mounting)),
         mounting,
         scale_sigma,
+        ODOMETRY_SETTINGS,
         np.array([np.count_nonzero(step.motion.inliers) for step in steps]),
         np.array([stood[step.key] for step in steps]),
     )

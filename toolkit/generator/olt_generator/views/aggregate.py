@@ -70,7 +70,7 @@ def gather(sources: Sequence[SourceFrame], camera: Camera, target: Camera, radiu
     closest = np.full(width * height, _NOTHING)
     for number, source in enumerate(sources):
         finite = np.where(np.isposinf(source.distance), np.float32(_INFINITY), source.distance)
-        for landing in land(finite, camera, target, source.T_target_camera, radius, NEAREST, 2.0 * _INFINITY):
+        for landing in land(finite, camera, target, source.T_target_camera, radius, (NEAREST, 2.0 * _INFINITY)):
             key = _level(landing.distance, SURFACE_TOLERANCE) << _DISTANCE_BIT
             key |= _level(finite.take(landing.source), _FINENESS_STEP) << _FINENESS_BIT
             key |= (number << _SOURCE_BIT) | landing.source
