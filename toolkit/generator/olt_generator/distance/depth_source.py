@@ -66,7 +66,8 @@ class RelativeDepth(ABC):
         anchors &= ~known.moving
         inverse_depth = 1.0 / (known.distance * cosine)[anchors].astype(np.float64)
         alignment = align_affine(values[anchors].astype(np.float64), inverse_depth)
-        distance = np.minimum(alignment.metric_depth(values, FAR_DISTANCE) / cosine, np.float32(FAR_DISTANCE))
+        depth = 1.0 / np.maximum(alignment.scale * values + alignment.shift, 1.0 / FAR_DISTANCE)
+        distance = np.minimum(depth / cosine, np.float32(FAR_DISTANCE))
         vehicle = known.origin == DistanceOrigin.VEHICLE
         on_progress(1.0)
         return DistanceEstimate(

@@ -84,15 +84,7 @@ class Surfaces:
 
 
 class SurfaceFinder:
-    """Finds the surfaces of the frames of one clip.
-
-    Args:
-        images: n pictures (h, w, 3) uint8.
-        camera: the camera at their size.
-        T_world_camera: (n, 4, 4) camera poses.
-        T_rig_camera: (4, 4) pose of the camera in the rig.
-        planes, neighbours: see `PlaneSweep`.
-    """
+    """Finds the surfaces of the frames of one clip, of pictures (h, w, 3) uint8; other arguments as of `PlaneSweep`."""
 
     def __init__(
         self,

@@ -106,15 +106,10 @@ class BodyMotion:
 
 
 def linearise(motion: BodyMotion, seconds: Array, car: CarMotion) -> tuple[Array, Array]:
-    """Transitions (n - 1, b, 13, 13) and offsets (n - 1, b, 13) of the deviations from a motion.
+    """Transitions (n - 1, b, 13, 13) and offsets (n - 1, b, 13) of the deviations from a motion over steps (n - 1, b).
 
     With X the given poses and x the twist of a step, a deviation d of the pose becomes
     log(X[k + 1]^-1 X[k] exp(x)) + Ad(exp(-x)) d + J(x) dx, where J is the right Jacobian of SE(3).
-
-    Args:
-        motion: where to linearise.
-        seconds: (n - 1, b) time steps.
-        car: the prior.
     """
     decay = np.exp(-seconds / car.slip_seconds)
     # Ways (n - 1, b, 3) that a unit velocity along each axis goes.

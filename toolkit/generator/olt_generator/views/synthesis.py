@@ -150,9 +150,8 @@ class _Synthesis:
         origin = np.where(known.visible, PixelOrigin.SAME_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
         if others:
             sources = [self._source(index, other) for other in others]
-            gathered = gather(sources, front.camera, self._other_frames_target)
-            visible = gathered.source < len(sources)
-            warped = _averaged_down(gathered.image, visible, gathered.far, OTHER_FRAMES_SUPERSAMPLING)
+            image, source, far = gather(sources, front.camera, self._other_frames_target)
+            warped = _averaged_down(image, source < len(sources), far, OTHER_FRAMES_SUPERSAMPLING)
             image, visible = self._road.look_up(sources)
             other = _laid_over(warped, _Layer(image, visible, np.zeros_like(visible)))
             origin[other.visible & ~known.visible] = PixelOrigin.OTHER_FRAME
