@@ -53,9 +53,7 @@ def read_video(path: Path, width: int = 832, duration: float = 20.0) -> Video:
         InputError: the file is missing, empty, no video, damaged or cut off, or its times run backwards.
     """
     with _opened(path) as (container, stream):
-        frames, timestamps_us = _decode(path, container, stream, width, duration)
-        declared_rate = float(stream.average_rate or 0.0)
-    return Video(frames, timestamps_us, _mean_rate(timestamps_us, declared_rate))
+        return _as_video(stream, *_decode(path, container, stream, width, duration))
 
 
 def read_frame_times(path: Path) -> NDArray[np.int64]:
@@ -89,8 +87,7 @@ def read_video_window(path: Path, first_us: int, last_us: int, width: int = 832)
         if len(inside) == 0:
             raise InputError(f"{path}: no frame is shown between {first_us} and {last_us} us; give times of the video")
         frames = _decode_some(path, container, stream, coded[: inside[-1] + 1], len(inside), width)
-        declared_rate = float(stream.average_rate or 0.0)
-    return Video(frames, timestamps_us[inside], _mean_rate(timestamps_us[inside], declared_rate))
+        return _as_video(stream, frames, timestamps_us[inside])
 
 
 def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fraction, grid: int = 1) -> None:
@@ -171,9 +168,10 @@ def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
         raise InputError(f"{path}: not a readable video ({error.strerror}); copy or convert it again") from error
 
 
-def _mean_rate(timestamps_us: NDArray[np.int64], declared: float) -> float:
-    measured = len(timestamps_us) > 1
-    return 1e6 * (len(timestamps_us) - 1) / float(timestamps_us[-1] - timestamps_us[0]) if measured else declared
+def _as_video(stream: VideoStream, frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64]) -> Video:
+    if len(frames) == 1:
+        return Video(frames, timestamps_us, float(stream.average_rate or 0.0))
+    return Video(frames, timestamps_us, 1e6 * (len(frames) - 1) / float(timestamps_us[-1] - timestamps_us[0]))
 
 
 def _coded_frames(path: Path, container: InputContainer, stream: VideoStream) -> list[_CodedFrame]:

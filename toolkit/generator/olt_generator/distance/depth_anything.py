@@ -4,6 +4,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from olt_generator.distance.depth_source import RelativeDepth
@@ -45,8 +46,6 @@ class DepthAnything(RelativeDepth):
         return [self._look_at(frames[index]) for index in wanted]
 
     def _look_at(self, frame: NDArray[np.uint8]) -> NDArray[np.float32]:
-        import torch
-
         # What the network sees is whole patches.
         patch = self._model.config.patch_size
         factor = self._shorter_side / min(frame.shape[:2])

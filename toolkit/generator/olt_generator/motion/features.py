@@ -101,8 +101,7 @@ def track_from_keyframes(
     Points live on from keyframe to keyframe while they can be followed, and new ones take the place of those lost.
 
     Args:
-        grays: the video.
-        keyframes: indices of frames, the first and the last of the video among them.
+        grays, keyframes: the video, and indices of its frames, the first and the last among them.
         hidden: (H, W) pixels that move with the camera (`static_mask`); points that get there are dropped.
         per_cell: points that are followed in every cell of the image.
         window: keyframes over which a point is followed at most, because errors of following add up.

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -46,8 +47,6 @@ class MapAnything:
         on_progress: Progress = silent,
     ) -> PoseEstimate:
         """See `PoseSource`; also an `InputError` where package or weights are missing."""
-        import torch
-
         models, images = self._load_package()
         model = models.MapAnything.from_pretrained(str(self.weights), local_files_only=True).to(self.device).eval()
         on_progress(0.1)

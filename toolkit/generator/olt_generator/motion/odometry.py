@@ -112,7 +112,9 @@ def estimate_odometry(
     for pair in track_from_keyframes(grays, keyframes, hidden, settings.corners_per_cell, settings.window):
         steps.append(_estimate_step(pair, camera, T_rig_camera[2, :3]))
         on_progress(0.8 * pair.current / (len(grays) - 1))
-    clip = _Clip(grays, timestamps_us, keyframes, steps, camera, T_rig_camera, hidden)
+    key_steps = [step for step in steps if step.current in set(keyframes)]
+    times = (timestamps_us - timestamps_us[0]) * 1e-6
+    clip = _Clip(grays, times, keyframes, key_steps, camera, T_rig_camera, hidden)
     T_start_key, mounting, scale_sigma = _recover_keyframes(clip, settings)
     on_progress(1.0)
     # Positions between the keyframes' run smoothly, rotations are measured.
@@ -121,9 +123,8 @@ def estimate_odometry(
     for step in steps:
         measured = rotation_of[step.key] @ step.motion.R_b_a.T
         T_start_camera[step.current, :3, :3] = rotation_of.get(step.current, measured)
-    path = PchipInterpolator(clip.times[keyframes], T_start_key[:, :3, 3])
-    T_start_camera[:, :3, 3] = path(clip.times)
-    stood = {step.key: not step.moves for step in clip.key_steps}
+    T_start_camera[:, :3, 3] = PchipInterpolator(times[keyframes], T_start_key[:, :3, 3])(times)
+    stood = {step.key: not step.moves for step in key_steps}
     return Odometry(
         Trajectory(timestamps_us, mounting @ T_start_camera @ invert(mounting)),
         mounting,
@@ -230,26 +231,15 @@ def _radians_per_pixel(camera: Camera) -> float:
 
 @dataclass(frozen=True)
 class _Clip:
-    """What is known of a clip once every step has been looked at on its own."""
+    """What is known of a clip, times in seconds, once every step between keyframes has been found on its own."""
 
     grays: Sequence[Gray]
-    timestamps_us: NDArray[np.int64]
+    times: Array
     keyframes: list[int]
-    steps: Sequence[_Step]
+    key_steps: list[_Step]
     camera: Camera
     T_rig_camera: Array
     hidden: NDArray[np.bool_]
-
-    @property
-    def key_steps(self) -> list[_Step]:
-        """The steps from keyframe to keyframe."""
-        ends = set(self.keyframes)
-        return [step for step in self.steps if step.current in ends]
-
-    @property
-    def times(self) -> Array:
-        """Seconds of the frames since the first one."""
-        return (self.timestamps_us - self.timestamps_us[0]) * 1e-6
 
 
 def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, Array, float | None]:
@@ -272,13 +262,12 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, 
 def _measure_speed(clip: _Clip, moves: NDArray[np.bool_]) -> Array:
     """Rough speed (k,) over the steps between keyframes, m/s."""
     steps = clip.key_steps
-    forward = [step.motion.direction_a[2] >= 0.0 for step in steps]
-    directions = np.array(
-        [step.motion.direction_a * (1.0 if ahead else -1.0) for step, ahead in zip(steps, forward, strict=True)]
-    )[moves]
-    travel = np.median(directions, axis=0)
+    directions = np.array([step.motion.direction_a for step in steps])
+    forward = directions[:, 2] >= 0.0
+    travel = np.median(np.where(forward[:, None], directions, -directions)[moves], axis=0)
     travel /= np.linalg.norm(travel)
-    strip, up = _lay_strip(clip, travel, clip.T_rig_camera, SPEED_STRIP_HEIGHTS), clip.T_rig_camera[2, :3]
+    up = clip.T_rig_camera[2, :3]
+    strip = _lay_strip(clip, travel, clip.T_rig_camera, SPEED_STRIP_HEIGHTS)
     scores = np.full((len(steps), strip.shifts), -1.0)
     for index in np.flatnonzero(moves).tolist():
         step = steps[index]
