@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
-from olt_generator.distance.background import FAR_DISTANCE, background_distance, road_distance
+from olt_generator.distance.background import FAR_DISTANCE, road_distance
 from olt_generator.distance.ego_vehicle import find_ego_vehicle
 from olt_generator.distance.metric_alignment import AffineAlignment
+from olt_generator.distance.plane_sweep import PlaneSweep
 from olt_generator.distance.surfaces import SurfaceFinder, Surfaces
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -104,8 +105,7 @@ def estimate_distance(
 
     Args:
         frames: (n, H, W, 3) uint8.
-        camera: camera of the frames at their size.
-        trajectory: n rig poses, one per frame.
+        camera, trajectory: camera of the frames at their size, and n rig poses, one per frame.
         T_rig_camera: (4, 4) pose of the camera in the rig; its height above the road scales the plane.
         on_progress: told the share of frames that are done.
         frame_indices: numbers (m,) of the frames whose distance is wanted; the others only help with them. None: all.
@@ -129,14 +129,15 @@ def estimate_distance(
     factor = min(1.0, settings.width / camera.width)
     small = camera.resized(round(factor * camera.width), round(factor * camera.height))
     images = [cv2.resize(frame, (small.width, small.height), interpolation=cv2.INTER_AREA) for frame in frames]
-    finder = SurfaceFinder(images, small, T_world_camera, T_rig_camera, settings.planes, settings.neighbours)
-    small_background = background_distance(small, T_rig_camera)
+    grey = [np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8) for image in images]
+    sweep = PlaneSweep(grey, small, T_world_camera, T_rig_camera, settings.planes, settings.neighbours)
+    finder = SurfaceFinder(images, grey, sweep)
     shape = (len(wanted), camera.height, camera.width)
     estimate = DistanceEstimate(
         np.empty(shape, np.float32), np.empty(shape, np.uint8), np.empty(shape, np.float32), np.empty(shape, np.bool_)
     )
     for place, index in enumerate(wanted):
-        _insert(estimate, place, finder.find(int(index)), small_background, road)
+        _insert(estimate, place, finder.find(int(index)), sweep.background, road)
         on_progress((place + 1) / len(wanted))
     estimate.distance[:, vehicle], estimate.origin[:, vehicle] = np.nan, DistanceOrigin.VEHICLE
     estimate.confidence[:, vehicle], estimate.moving[:, vehicle] = 0.0, False

@@ -108,20 +108,19 @@ class PlaneSweep:
         neighbours: int,
     ) -> None:
         self._pictures = [normalize_contrast(picture) for picture in grey]
-        self._camera = camera
-        self._T_world_camera, self._T_rig_camera = T_world_camera, T_rig_camera
-        self._neighbours = neighbours
-        self._background = background_distance(camera, T_rig_camera)
+        self.camera, self.T_rig_camera = camera, T_rig_camera
+        self._T_world_camera, self._neighbours = T_world_camera, neighbours
+        self.background = background_distance(camera, T_rig_camera)
         self._distances = np.geomspace(FARTHEST, NEAREST, planes)
         self._baseline_of = _suitable_baseline(self._distances)
-        self._background_baseline = _suitable_baseline(self._background)
+        self._background_baseline = _suitable_baseline(self.background)
 
     def background_mismatch(self, index: int) -> NDArray[np.float32] | None:
         """Mean difference (h, w) in normalised grey levels if all is background; None where the camera hardly moved."""
         partners = self._partners(index)
         if not partners[0]:
             return None
-        return _grey_levels(self._background_cost(index, partners, 0, self._camera.height))
+        return _grey_levels(self._background_cost(index, partners, 0, self.camera.height))
 
     def match(self, index: int, top: int, bottom: int) -> Match | None:
         """The best hypothesis for the pixels in rows `top` to `bottom`; None where the camera hardly moved."""
@@ -131,7 +130,7 @@ class PlaneSweep:
         costs = self._costs(index, partners, top, bottom)
         far = pixel_rays(self._grid(top, bottom, SPHERE_CELL)) * WITHOUT_PARALLAX
         still = next(self._compare(index, partners[MIDDLE_BASELINE], far[None], SPHERE_CELL, top, [bottom - top]))
-        road = self._background[top:bottom] < FAR_DISTANCE
+        road = self.background[top:bottom] < FAR_DISTANCE
         bonus = (np.where(road, ROAD_BONUS, FAR_BONUS) * COST_SCALE).astype(np.uint16)
         costs[0] -= np.minimum(costs[0], bonus)
         best, label = _least(costs)
@@ -143,7 +142,7 @@ class PlaneSweep:
         offset = np.divide(before - after, 2.0 * bend, out=np.zeros_like(bend), where=bend > 0.0)
         offset = np.where(inner[0] == label, np.clip(offset, -0.5, 0.5), 0.0).astype(np.float32)
         distance = self._distances[np.maximum(label, 1) - 1] * np.exp(-step * offset)
-        background = self._background[top:bottom]
+        background = self.background[top:bottom]
         return Match(
             distance=np.where(label == 0, background, np.minimum(distance, background)).astype(np.float32),
             mismatch=_grey_levels(best),
@@ -156,11 +155,11 @@ class PlaneSweep:
 
     def _costs(self, index: int, partners: list[list[int]], top: int, bottom: int) -> NDArray[np.uint16]:
         """Summed differences (1 + planes, rows, w): of the background, then of the distances from far to near."""
-        costs = np.empty((1 + len(self._distances), bottom - top, self._camera.width), np.uint16)
+        costs = np.empty((1 + len(self._distances), bottom - top, self.camera.width), np.uint16)
         costs[0] = self._background_cost(index, partners, top, bottom)
         sphere = pixel_rays(self._grid(top, bottom, SPHERE_CELL))
         # Nothing that stands still is seen through the road: a distance is tried only where the road is not nearer.
-        possible = self._background[top:bottom] >= self._distances[:, None, None]
+        possible = self.background[top:bottom] >= self._distances[:, None, None]
         rows = possible.shape[1] - np.any(possible[:, ::-1], axis=2).argmax(axis=1)
         for baseline, judges in enumerate(partners):
             planes = np.flatnonzero(self._baseline_of == baseline)
@@ -174,16 +173,16 @@ class PlaneSweep:
     def _background_cost(self, index: int, partners: list[list[int]], top: int, bottom: int) -> NDArray[np.uint16]:
         """Summed differences (rows, w) of the background, each pixel at the baseline that suits its distance."""
         grid = self._grid(top, bottom, BACKGROUND_CELL)
-        distance = np.minimum(road_distance(grid, self._T_rig_camera), WITHOUT_PARALLAX)
+        distance = np.minimum(road_distance(grid, self.T_rig_camera), WITHOUT_PARALLAX)
         points = (pixel_rays(grid) * distance[..., None])[None]
         costs = [next(self._compare(index, each, points, BACKGROUND_CELL, top, [bottom - top])) for each in partners]
         return np.choose(self._background_baseline[top:bottom], costs).astype(np.uint16)
 
     def _grid(self, top: int, bottom: int, cell: int) -> Camera:
         """The camera whose pixels are the centres of cells of these rows, with one more cell on every side."""
-        width, height = self._camera.width, bottom - top
+        width, height = self.camera.width, bottom - top
         columns, rows = -(-width // cell), -(-height // cell)
-        cells = self._camera.cropped(0, top, width, height).cropped(0, 0, columns * cell, rows * cell)
+        cells = self.camera.cropped(0, top, width, height).cropped(0, 0, columns * cell, rows * cell)
         return cells.resized(columns, rows).cropped(-1, -1, columns + 2, rows + 2)
 
     def _compare(
@@ -196,7 +195,7 @@ class PlaneSweep:
         grids = []
         for judge in judges:
             T_judge_frame = invert(self._T_world_camera[judge]) @ self._T_world_camera[index]
-            pixels, _ = self._camera.project(transform(T_judge_frame, points.reshape(-1, 3)))
+            pixels, _ = self.camera.project(transform(T_judge_frame, points.reshape(-1, 3)))
             grids.append(pixels.astype(np.float32).reshape(*points.shape[:-1], 2))
         for surface, count in enumerate(rows):
             picture = self._pictures[index][top : top + count]

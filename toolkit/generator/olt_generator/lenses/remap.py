@@ -38,8 +38,7 @@ class Remapper:
     """Turns images of one camera into images of another, again and again; the geometry is worked out once.
 
     Attributes:
-        source: camera that takes the images.
-        target: camera whose images are wanted.
+        source, target: cameras that take the images, and whose images are wanted.
         seen: (height, width) target pixels of which the source sees every sample; the others come out black.
     """
 

@@ -40,11 +40,6 @@ class TrackedPair:
     key_pixels: Pixels
     current_pixels: Pixels
 
-    @property
-    def flow(self) -> NDArray[np.float64]:
-        """Length (n,) of each point's motion in pixels."""
-        return np.linalg.norm(self.current_pixels.astype(np.float64) - self.key_pixels, axis=1)
-
 
 def detect_corners(
     gray: Gray, per_cell: int, hidden: NDArray[np.bool_] | None = None, present: Pixels = NO_PIXELS

@@ -53,15 +53,12 @@ class MapAnything:
         rays = torch.from_numpy(pixel_rays(camera).astype(np.float32))
         views = images.preprocess_inputs([{"img": torch.from_numpy(frame), "ray_directions": rays} for frame in frames])
         with torch.inference_mode():
-            predictions = model.infer(
-                [
-                    {name: value.to(self.device) if hasattr(value, "to") else value for name, value in view.items()}
-                    for view in views
-                ],
-                use_amp=self.device != "cpu",
-                apply_mask=False,
-                mask_edges=False,
-            )
+            on_device = [
+                {name: value.to(self.device) if hasattr(value, "to") else value for name, value in view.items()}
+                for view in views
+            ]
+            amp = self.device != "cpu"
+            predictions = model.infer(on_device, use_amp=amp, apply_mask=False, mask_edges=False)
         on_progress(1.0)
         trajectory = rig_trajectory(timestamps_us, _camera_poses(predictions), T_rig_camera)
         return PoseEstimate(trajectory, T_rig_camera, None, SmootherSettings())

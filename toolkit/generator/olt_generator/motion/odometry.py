@@ -182,11 +182,12 @@ def _estimate_step(pair: TrackedPair, camera: Camera, up: Array) -> _Step:
     key, current, points = rays_key[used], rays_current[used], pair.points[used]
     if len(points) < MIN_POINTS:
         raise _too_few(pair, len(points))
-    turn = _turn_at_rest(pair.flow[used], key, current, up, camera)
+    flow = np.linalg.norm(pair.current_pixels.astype(np.float64) - pair.key_pixels, axis=1)
+    turn = _turn_at_rest(flow[used], key, current, up, camera)
     if turn is not None:
         rest = TwoViewMotion(turn, np.zeros(3), used)
         return _Step(pair.key, pair.current, False, rest, points, key, current)
-    motion = estimate_motion(key, current, _ray_sigma(camera))
+    motion = estimate_motion(key, current, TRACK_SIGMA_PIXELS * _radians_per_pixel(camera))
     if motion is None or np.count_nonzero(motion.inliers) < MIN_POINTS:
         raise _too_few(pair, 0 if motion is None else np.count_nonzero(motion.inliers))
     agrees = motion.inliers
@@ -216,11 +217,6 @@ def _turn_at_rest(flow: Array, rays_key: Array, rays_current: Array, up: Array, 
     R = Rotation.align_vectors(rays_current[agrees], rays_key[agrees])[0].as_matrix()
     missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)[near]
     return R if np.median(missed) < TURNING_PIXELS * _radians_per_pixel(camera) else None
-
-
-def _ray_sigma(camera: Camera) -> float:
-    """Angular noise of a tracked ray, radians."""
-    return TRACK_SIGMA_PIXELS * _radians_per_pixel(camera)
 
 
 def _radians_per_pixel(camera: Camera) -> float:
@@ -298,7 +294,8 @@ def _adjust(clip: _Clip, driven: Array, rounds: int) -> Array:
         np.where(moves, PRIOR_SPEED_SHARE * driven, 0.0) + STANDING_METRES,
         np.where(moves, PRIOR_DIRECTION * driven, 0.0) + STANDING_METRES,
     )
-    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), _ray_sigma(clip.camera), priors, rounds)
+    ray_sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(clip.camera)
+    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), ray_sigma, priors, rounds)
     return np.where(moves[:, None, None], invert(T_start_key[:-1]) @ T_start_key[1:], expected)
 
 

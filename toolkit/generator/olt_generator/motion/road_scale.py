@@ -91,11 +91,6 @@ class RoadStrip:
         """How many displacements are tried; longer ones leave too little overlap to match."""
         return round((self.along[-1] - self.along[0] - MIN_OVERLAP_HEIGHTS * self.height) / SPACING_ALONG)
 
-    @property
-    def middle(self) -> float:
-        """Distance in metres to the middle of the strip."""
-        return float(self.along.mean())
-
     def match(self, first: Gray, second: Gray, axes: RoadFrame, R_second_first: Array) -> Array:
         """Correlation (shifts,) of the strip for displacements 0, 0.05, ... metres; -1 where too little is seen."""
         before, after = self.rectify(first, axes), self.rectify(second, axes.rotated(R_second_first))

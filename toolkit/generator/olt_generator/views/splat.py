@@ -73,8 +73,7 @@ def splat(
     Args:
         image: (H, W, 3) uint8.
         distance: (H, W) metres along each pixel's ray; NaN, inf and what is not within the limits is dropped.
-        source: camera of `image`.
-        target: camera of the wanted view.
+        source, target: cameras of `image` and of the wanted view.
         T_target_source: (4, 4) pose of the source camera in the target camera.
         radius: half width of the footprint in target pixels.
         limits: metres; surfaces as near to either camera as the first, or as far from the source as the second, are

@@ -93,10 +93,8 @@ def synthesize_view(
     Args:
         front: the front camera's frames. Nothing of the frame itself is taken to be farther than `FAR_DISTANCE`; what
             is that far in other frames is only turned, not moved. Where `front.moving` is None, nothing moves.
-        target: camera of the wanted view.
-        T_rig_target: (4, 4) its mounting.
+        target, T_rig_target: camera of the wanted view, and its mounting (4, 4).
         indices: the m frames to make; all by default. Others are still drawn on.
-        settings: how.
         on_progress: told the share of images that are done.
     """
     synthesis = _Synthesis(front, target, T_rig_target, settings or SynthesisSettings())
