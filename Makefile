@@ -5,7 +5,7 @@ READY := $(VENV)/.ready
 PYTHON ?= python3
 DEMO_OUT ?= runs/demo
 
-.PHONY: demo test test-all check bench clean help
+.PHONY: demo test test-all check docs wheels floors mutants sizes bench requirements clean help
 
 help:  ## list the targets
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*##/:/' | column -t -s:
@@ -23,11 +23,33 @@ test: $(READY)  ## run the fast tests
 test-all: $(READY)  ## run every test
 	$(BIN)/python -m pytest -n auto
 
+mutants: $(READY)  ## put small faults into numerical modules; tests must notice them (half an hour)
+	$(BIN)/python tools/mutants.py
+
 check: $(READY)  ## lint, types, layering
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/pyright
 	$(BIN)/lint-imports
+
+docs: $(READY)  ## build the documentation site into build/site
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
+wheels: $(READY)  ## build what is shipped, install it outside the checkout and run it there
+	sh tools/check_wheels.sh $(VENV)
+
+floors: $(READY)  ## run the fast tests on the lowest versions that the dependencies allow
+	$(BIN)/uv venv --quiet --clear --python $(PYTHON) build/floors
+	VIRTUAL_ENV=build/floors $(BIN)/uv pip install --quiet --resolution lowest-direct --editable toolkit/generator --editable '.[dev]'
+	build/floors/bin/python -m pytest -n auto -m "not slow" -p no:cacheprovider
+
+sizes: $(READY)  ## measure the source: lines, functions, helpers called once, cycles
+	$(BIN)/python tools/measure_code.py
+
+requirements: $(READY)  ## pin the environment again; what is pinned stays where it can
+	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --extra dev --no-annotate --custom-compile-command 'make requirements' \
+		--no-emit-package openlongtail --no-emit-package olt-generator \
+		pyproject.toml toolkit/generator/pyproject.toml --output-file requirements.txt
 
 bench: $(READY)  ## measure error against run time of every registered component
 	$(BIN)/olt bench all --out runs/bench

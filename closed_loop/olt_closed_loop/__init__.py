@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from olt_closed_loop.control.tracking import ControlSettings as ControlSettings
+    from olt_closed_loop.evaluation.evaluation import count_left_out as count_left_out
     from olt_closed_loop.evaluation.evaluation import load_scene as load_scene
+    from olt_closed_loop.evaluation.evaluation import pass_gate as pass_gate
     from olt_closed_loop.evaluation.evaluation import run_closed_loop as run_closed_loop
     from olt_closed_loop.evaluation.evaluation import save_results as save_results
     from olt_closed_loop.evaluation.gate import check_gate as check_gate
@@ -32,7 +34,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "control.tracking": ("ControlSettings",),
-    "evaluation.evaluation": ("load_scene", "run_closed_loop", "save_results"),
+    "evaluation.evaluation": ("count_left_out", "load_scene", "pass_gate", "run_closed_loop", "save_results"),
     "evaluation.gate": ("check_gate",),
     "evaluation.score_table": ("summarize_scores",),
     "rollouts.rollout": ("Rollout", "load_rollouts", "save_rollouts"),

@@ -34,8 +34,18 @@ def test_the_package_itself_loads_nothing():
 
 
 NAMES = (
-    *("ControlSettings", "Rollout", "RolloutScore", "Scene", "SimulationSettings", "check_gate", "generate_scene"),
-    *("load_rollouts", "load_scene", "make_policy", "read_rollout_file", "read_scene", "replay", "run_closed_loop"),
+    *("ControlSettings", "Rollout", "RolloutScore", "Scene", "SimulationSettings", "check_gate", "count_left_out"),
+    *(
+        "generate_scene",
+        "pass_gate",
+        "load_rollouts",
+        "load_scene",
+        "make_policy",
+        "read_rollout_file",
+        "read_scene",
+        "replay",
+        "run_closed_loop",
+    ),
     *("save_results", "save_rollouts", "score_record", "score_rollout", "simulate", "summarize_scores", "write_scene"),
 )
 

@@ -25,7 +25,8 @@ from olt_toolkit.clips.clip import (
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.table import CLIP_TABLE, write_clip_table
 from olt_toolkit.recordings.drives import DatasetPlace
-from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS
+from olt_toolkit.rigs.rig_files import pav_rig
 
 from .toy_drives import ToyDataset, ToyReader
 

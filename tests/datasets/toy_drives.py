@@ -10,7 +10,8 @@ from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.recordings.drives import Drive, Licence
 from olt_toolkit.recordings.recording import Recording
-from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.rigs.rig_files import pav_rig
 
 WIDTH, HEIGHT = 64, 36
 LICENCE = Licence("CC0", "No registration.", "Everything is allowed.")

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from olt_generator.poses import (
+    aim_camera,
     camera_pose_in_rig,
     invert,
     make_pose,
@@ -96,3 +97,26 @@ def test_mounting_is_a_rotation(roll, pitch, yaw):
     rotation = camera_pose_in_rig(np.zeros(3), roll, pitch, yaw)[:3, :3]
     assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-12)
     assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("roll", "pitch", "yaw"), [(0.2, 0.1, -0.3), (-0.1, -0.25, 0.15), (0.0, 0.3, 0.0)])
+def test_aiming_finds_the_pitch_and_yaw_of_a_rolled_camera(roll, pitch, yaw):
+    mounting = camera_pose_in_rig([1.5, 0.2, 1.4], roll, pitch, yaw)
+    np.testing.assert_allclose(aim_camera([1.5, 0.2, 1.4], roll, mounting[0, :3]), mounting, atol=1e-12)
+
+
+def test_a_camera_turns_by_roll_then_pitch_then_yaw():
+    """Nose down by pitch, left by yaw, and right side down by roll, each about the rig's own axes."""
+    forward, right = camera_pose_in_rig(np.zeros(3), 0.1, 0.2, 0.3)[:3, [2, 0]].T
+    np.testing.assert_allclose(forward, [np.cos(0.2) * np.cos(0.3), np.cos(0.2) * np.sin(0.3), -np.sin(0.2)])
+    assert right[2] == pytest.approx(-np.sin(0.1) * np.cos(0.2))
+
+
+@pytest.mark.parametrize("shape", [(), (4,), (3, 5), (2, 3, 4)])
+def test_poses_of_any_shape_are_inverted(shape):
+    poses = random_poses(7, *shape)
+    assert invert(poses) == pytest.approx(np.linalg.inv(poses), abs=1e-9)
+
+
+def test_a_planar_pose_stands_on_the_ground_unless_it_is_told_otherwise():
+    assert planar_pose(1.0, 2.0, 0.3)[:3, 3].tolist() == [1.0, 2.0, 0.0]

@@ -26,7 +26,7 @@ def visible_points(points_camera, camera):
 
 def test_distances_agree_with_lidar(six_cameras):
     front = six_cameras.camera("front")
-    estimate = estimate_distance(front.frames, front.camera, front.trajectory, front.T_rig_camera, shown=[0])
+    estimate = estimate_distance(front.frames, front.camera, front.trajectory, front.T_rig_camera, frame_indices=[0])
     points_camera = transform(invert(front.T_world_camera[0]), six_cameras.lidar())
     row, column, truth = visible_points(points_camera, front.camera)
     found, confidence = estimate.distance[0, row, column], estimate.confidence[0, row, column]
@@ -54,7 +54,7 @@ def test_kitti_distances_agree_between_frames(shared_real):
     recording = open_recording(shared_real / "kitti_raw_2011_09_26_drive_0013", OpenOptions(duration=4.0))
     shown = [12, 15]
     estimate = estimate_distance(
-        recording.frames, recording.camera, recording.reference, recording.T_rig_camera, shown=shown
+        recording.frames, recording.camera, recording.reference, recording.T_rig_camera, frame_indices=shown
     )
     first, second = (recording.reference.T_world_rig[index] @ recording.T_rig_camera for index in shown)
     points = pixel_rays(recording.camera) * estimate.distance[0][..., None]

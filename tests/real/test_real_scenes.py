@@ -52,7 +52,7 @@ def test_the_gate_holds(scene):
     assert result.checks[0].passed
 
 
-def test_a_stage_keeps_the_scene(scene, tmp_path):
+def test_a_scene_file_keeps_the_scene(scene, tmp_path):
     again = read_scene(write_scene(scene, tmp_path / "scene.usdc"))
     np.testing.assert_allclose(again.ego.T_world_rig, scene.ego.T_world_rig, rtol=0, atol=1e-9)
     assert [agent.id for agent in again.agents] == [agent.id for agent in scene.agents]

@@ -14,8 +14,8 @@ from olt_generator.lenses.remap import Remapper
 from olt_generator.poses import make_pose, pose_from_quaternion
 from olt_toolkit.recordings.drives import open_dataset
 from olt_toolkit.recordings.recording import OpenOptions
-from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, pav_rig
-from olt_toolkit.rigs.rig_files import read_nvidia_calibration
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera
+from olt_toolkit.rigs.rig_files import pav_rig, read_nvidia_calibration
 
 FOLDER = "nuscenes_scene_0061_six_cameras"
 STEP_US = 83_333

@@ -17,8 +17,8 @@ from olt_toolkit.rigs.rig import (
     FRONT_TELE,
     FRONT_WIDE,
     POLICY_CAMERAS,
-    pav_rig,
 )
+from olt_toolkit.rigs.rig_files import pav_rig
 
 WIDTH, HEIGHT = 128, 72
 

@@ -6,6 +6,8 @@ What a user of the package needs is here by name, and loaded when it is first as
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from olt_generator.version import __version__ as __version__
+
 if TYPE_CHECKING:
     from olt_toolkit.clips.builder import BuiltClip as BuiltClip
     from olt_toolkit.clips.builder import build_clip as build_clip
@@ -31,7 +33,6 @@ if TYPE_CHECKING:
     from olt_toolkit.rigs.rig import Rig as Rig
     from olt_toolkit.rigs.rig_files import load_rig as load_rig
     from olt_toolkit.rigs.rig_files import read_rig as read_rig
-    from olt_toolkit.runtime.version import __version__ as __version__
 
 _MODULES = {
     "clips.builder": ("BuiltClip", "build_clip"),
@@ -45,7 +46,6 @@ _MODULES = {
     "recordings.recording": ("OpenOptions", "Recording"),
     "rigs.rig": ("Rig",),
     "rigs.rig_files": ("load_rig", "read_rig"),
-    "runtime.version": ("__version__",),
 }
 _MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
 

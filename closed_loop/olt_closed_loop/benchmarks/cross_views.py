@@ -18,7 +18,8 @@ from olt_generator.views.moving_objects import find_moving
 from olt_generator.views.synthesis import SynthesisSettings, synthesize_view
 from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.recordings.recording import Recording
-from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, pav_rig
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT
+from olt_toolkit.rigs.rig_files import pav_rig
 
 CATEGORY, SEED = "nominal", 3
 FRONT_SIZE, VIEW_SIZE = (480, 270), (288, 160)

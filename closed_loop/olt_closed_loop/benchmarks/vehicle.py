@@ -105,7 +105,7 @@ def reference_positions(model: Model) -> Array:
 
 
 def exact_derivative(_time: float, state: Array, control: Array, vehicle: VehicleParameters) -> Array:
-    """The equations of `vehicle.models` in the forward gear, written a second time without CasADi."""
+    """The equations of `vehicle.models` for a state (s,) in the forward gear, written a second time without CasADi."""
     yaw, speed, steering, acceleration = state[2:6]
     command = np.clip(control, *vehicle.control_limits)
     fade = speed / (speed**4 + vehicle.standing_speed**4) ** 0.25 if acceleration < 0.0 else 1.0

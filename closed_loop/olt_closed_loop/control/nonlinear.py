@@ -51,7 +51,7 @@ class NonlinearSolver:
         )
 
     def solve(self, start: Array, guesses: Sequence[Array], target: Array) -> Array:
-        """As of `control.linear.LinearSolver`."""
+        """The commands (horizon, 2); arguments and errors as of `control.linear.LinearSolver`."""
         controls = self._gauss_newton.cheapest(start, guesses, target)
         if not np.isfinite(self._gauss_newton.cost(start, controls, target)):
             raise SolveFailed("the predicted drive is not finite")

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.rollouts.rollout_record import record_rollout
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.scoring.definitions import SHORT_RECORDING, RolloutScore, recorded_length, score_rollout
@@ -68,7 +67,13 @@ def check_gate(scene: Scene, settings: SimulationSettings | None = None) -> Gate
     if recorded_m < 2.0 * scene.vehicle.length:
         checks.append(GateCheck("a wall is hit once", None, "the recording drives less than two vehicle lengths"))
     else:
-        walled = score_rollout(replace(scene, agents=(_wall(scene, replayed),)), replayed)
+        # Across the way of the ego, where the centre of its box is at the end of the drive.
+        x, y, yaw = replayed.states[-1, : STATE.speed]
+        ahead = scene.vehicle.rear_axle_to_bbox_center
+        pose = [x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), replayed.heights[-1] + 0.5 * WALL_HEIGHT, yaw]
+        times, poses = replayed.timestamps_us[[0, -1]], np.array([pose, pose])
+        wall = Agent("wall", "barrier", WALL_LENGTH, WALL_WIDTH, WALL_HEIGHT, times, poses)
+        walled = score_rollout(replace(scene, agents=(wall,)), replayed)
         checks.append(_check("a wall is hit once", walled, 0.0, collisions=1))
     return GateResult(scene.name, tuple(checks))
 
@@ -91,12 +96,3 @@ def _check(
     moments += [("off the road", score.offroad_us), ("off the recorded path", score.left_path_us)]
     happened = [f"{what} at {time_us * 1e-6:.2f} s" for what, time_us in moments if time_us is not None]
     return GateCheck(name, passed, ", ".join([*figures, *happened, *([score.reason] if score.reason else [])]))
-
-
-def _wall(scene: Scene, replayed: Rollout) -> Agent:
-    """A wall where the ego's box centre is at the end of the drive, across its way."""
-    x, y, yaw = replayed.states[-1, : STATE.speed]
-    ahead = scene.vehicle.rear_axle_to_bbox_center
-    pose = [x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), replayed.heights[-1] + 0.5 * WALL_HEIGHT, yaw]
-    times = replayed.timestamps_us[[0, -1]]
-    return Agent("wall", "barrier", WALL_LENGTH, WALL_WIDTH, WALL_HEIGHT, times, np.array([pose, pose]))

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_closed_loop.vehicle.state import STATE, STATE_SIZE
+from olt_closed_loop.vehicle.state import STATE_SIZE
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.omissions import Omission
-from olt_generator.poses import Array, planar_pose
-from olt_generator.trajectory import Trajectory
+from olt_generator.poses import Array
 
 Traffic = Literal["recorded", "idm"]
 
@@ -92,12 +91,6 @@ class Rollout:
         """The scene with its agents as they moved in this rollout."""
         reacted = {agent.id: agent for agent in self.reacted}
         return replace(scene, agents=tuple(reacted.get(agent.id, agent) for agent in scene.agents))
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """The driven path as rig poses T_world_rig; the vehicle stands upright."""
-        x, y, yaw = self.states[:, : STATE.speed].T
-        return Trajectory(self.timestamps_us, planar_pose(x, y, yaw, self.heights))
 
     def to_dict(self) -> dict[str, Any]:
         """The rollout as JSON can hold it; `from_dict` gives it back exactly."""

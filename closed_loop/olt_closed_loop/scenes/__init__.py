@@ -1,1 +1,1 @@
-"""Scenes: invented or recorded, in memory and as OpenUSD stages."""
+"""Scenes: invented or recorded, in memory and as scene files in OpenUSD."""

@@ -31,10 +31,18 @@ def standing(name: str, label: str, road: Road, s: float, d: float, duration_us:
     return Agent(name, label, *SIZES[label], np.array([0, duration_us], dtype=np.int64), poses)
 
 
+def standing_row(
+    name: str, label: str, road: Road, stations: Array, offsets: Array | float, duration_us: int
+) -> list[Agent]:
+    """Agents `name`_0, `name`_1, ... that stand at road coordinates (n,); one offset may serve them all."""
+    places = zip(stations.tolist(), np.broadcast_to(offsets, stations.shape).tolist(), strict=True)
+    return [standing(f"{name}_{index}", label, road, s, d, duration_us) for index, (s, d) in enumerate(places)]
+
+
 def moving(
     name: str, label: str, road: Road, times: Array, stations: Array, offsets: Array, turn: float = 0.0
-) -> Agent | None:
-    """An agent at road coordinates over time; it exists while it is on the road. None if it never is.
+) -> list[Agent]:
+    """An agent at road coordinates over time, which exists while it is on the road; none if it never is.
 
     Args:
         name: id of the agent.
@@ -47,10 +55,10 @@ def moving(
     margin = SIZES[label][0]
     present = (stations > margin) & (stations < road.length - margin)
     if present.sum() < 2:
-        return None
+        return []
     timestamps_us = np.round(times[present] * 1e6).astype(np.int64)
     poses = _poses(label, road, stations[present], offsets[present], turn)
-    return Agent(name, label, *SIZES[label], timestamps_us, poses)
+    return [Agent(name, label, *SIZES[label], timestamps_us, poses)]
 
 
 def sample_times(duration_us: int) -> Array:
@@ -89,8 +97,8 @@ def ego_clearance(ego: Trajectory, vehicle: VehicleDimensions, agent: Agent) -> 
     """Smallest distance in metres between the boxes of ego and agent, sampled every 0.1 s; inf if they never meet."""
     times = np.arange(0, ego.timestamps_us[-1] + 1, AGENT_SAMPLE_US)
     times = times[(times >= agent.timestamps_us[0]) & (times <= agent.timestamps_us[-1])]
-    size = (vehicle.length, vehicle.width)
-    return _smallest_distance(ego_boxes(ego, vehicle, times), size, agent_poses(agent, times), _base(agent))
+    base, other = (vehicle.length, vehicle.width), (agent.length, agent.width)
+    return _smallest_distance(ego_boxes(ego, vehicle, times), base, agent_poses(agent, times), other)
 
 
 def clearance(first: Agent, second: Agent) -> float:
@@ -98,7 +106,8 @@ def clearance(first: Agent, second: Agent) -> float:
     start = max(first.timestamps_us[0], second.timestamps_us[0])
     end = min(first.timestamps_us[-1], second.timestamps_us[-1])
     times = np.arange(start, end + 1, AGENT_SAMPLE_US)
-    return _smallest_distance(agent_poses(first, times), _base(first), agent_poses(second, times), _base(second))
+    base, other = (first.length, first.width), (second.length, second.width)
+    return _smallest_distance(agent_poses(first, times), base, agent_poses(second, times), other)
 
 
 def _smallest_distance(first: Array, base: tuple[float, float], second: Array, other: tuple[float, float]) -> float:
@@ -109,10 +118,6 @@ def _smallest_distance(first: Array, base: tuple[float, float], second: Array, o
     # The distance lies between `apart` less both radii and `apart`: only times that can hold the smallest are measured.
     close = apart - (np.hypot(*base) + np.hypot(*other)) / 2 <= apart.min()
     return float(shapely.distance(footprints(first[close], *base), footprints(second[close], *other)).min())
-
-
-def _base(agent: Agent) -> tuple[float, float]:
-    return agent.length, agent.width
 
 
 def _poses(label: str, road: Road, stations: Array, offsets: Array, turn: float) -> Array:

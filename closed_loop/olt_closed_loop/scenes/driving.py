@@ -7,6 +7,7 @@ from scipy.integrate import cumulative_trapezoid
 from scipy.interpolate import BPoly, CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
+from olt_closed_loop.scenes.polylines import arc_lengths
 from olt_closed_loop.scenes.roads import Road
 from olt_generator.poses import Array, planar_pose
 from olt_generator.trajectory import Trajectory
@@ -21,6 +22,10 @@ _PATH_STEP = 0.25
 _SPEED_SMOOTHING = 4.0
 
 
+Knots = tuple[tuple[float, float], ...]
+Limits = tuple[tuple[float, float, float], ...]
+
+
 @dataclass(frozen=True)
 class Intention:
     """What the driver means to do.
@@ -32,15 +37,15 @@ class Intention:
         limits: (from station, to station, speed) stretches with a lower speed.
     """
 
-    offsets: tuple[tuple[float, float], ...]
+    offsets: Knots
     start_slope: float
     cruise: float
-    limits: tuple[tuple[float, float, float], ...] = ()
+    limits: Limits = ()
 
 
 @dataclass(frozen=True)
-class Drive:
-    """A driven trajectory and the stations (n,) of its rig origin."""
+class EgoMotion:
+    """How the ego drove: its trajectory, and the stations (n,) of its rig origin in metres."""
 
     trajectory: Trajectory
     stations: Array
@@ -67,12 +72,12 @@ def offset_profile(intention: Intention) -> BPoly:
     return BPoly.from_derivatives(stations, np.stack([offsets, slopes, np.zeros_like(offsets)], axis=-1))
 
 
-def drive(road: Road, intention: Intention, duration_us: int) -> Drive:
+def drive(road: Road, intention: Intention, duration_us: int) -> EgoMotion:
     """Drive for `duration_us` from the first knot of the intention; the rig origin follows the path, tangent to it."""
     profile = offset_profile(intention)
     stations = np.arange(profile.x[0], profile.x[-1], _PATH_STEP)
     points = road.locate(stations, profile(stations))
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    arc = arc_lengths(points)
     path = CubicSpline(arc, points)
     speed = _plan_speed(path, arc, stations, intention)
 
@@ -81,7 +86,7 @@ def drive(road: Road, intention: Intention, duration_us: int) -> Drive:
     driven = CubicSpline(elapsed, arc)(timestamps_us * 1e-6)
     (x, y), tangent = path(driven).T, path(driven, 1)
     poses = planar_pose(x, y, np.arctan2(tangent[:, 1], tangent[:, 0]))
-    return Drive(Trajectory(timestamps_us, poses), np.interp(driven, arc, stations))
+    return EgoMotion(Trajectory(timestamps_us, poses), np.interp(driven, arc, stations))
 
 
 def _plan_speed(path: CubicSpline, arc: Array, stations: Array, intention: Intention) -> Array:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from olt_closed_loop.scenes.actors import SIZES, moving, sample_times, standing
-from olt_closed_loop.scenes.driving import Drive, Intention, offset_profile
+from olt_closed_loop.scenes.actors import SIZES, moving, sample_times, standing, standing_row
+from olt_closed_loop.scenes.driving import EgoMotion, Intention, Knots, Limits, offset_profile
 from olt_closed_loop.scenes.roads import LANE_WIDTH, Road
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array
@@ -18,9 +18,6 @@ from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 HALF_EGO = DEFAULT_VEHICLE.width / 2
 EGO_FRONT = DEFAULT_VEHICLE.rear_axle_to_bbox_center + DEFAULT_VEHICLE.length / 2
-
-Knots = tuple[tuple[float, float], ...]
-Limits = tuple[tuple[float, float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -40,13 +37,13 @@ class Event:
         factors: scene factors that hold.
         offsets: (station, offset) knots of the ego's path from the onset on.
         limits: (from station, to station, speed) stretches where the ego is slower.
-        place_agents: the agents, given the ego's drive.
+        place_agents: the agents, given how the ego drives.
     """
 
     factors: tuple[str, ...]
     offsets: Knots
     limits: Limits
-    place_agents: Callable[[Drive], list[Agent]]
+    place_agents: Callable[[EgoMotion], list[Agent]]
 
 
 def nominal(road: Road, approach: Approach, generator: np.random.Generator) -> Event:
@@ -56,17 +53,13 @@ def nominal(road: Road, approach: Approach, generator: np.random.Generator) -> E
     gap = generator.uniform(22.0, 32.0)
     leads = generator.random() < 0.5
 
-    def place_agents(drive: Drive) -> list[Agent]:
+    def place_agents(ego: EgoMotion) -> list[Agent]:
         offset = -road.half_width + SIZES["automobile"][1] / 2 + 0.1
-        agents = [
-            standing(f"parked_{i}", "automobile", road, s, offset, drive.duration_us) for i, s in enumerate(parked)
-        ]
+        agents = standing_row("parked", "automobile", road, parked, offset, ego.duration_us)
         if leads:
-            times = sample_times(drive.duration_us)
-            stations = drive.station_at(times) + gap
-            agents += _present(
-                moving("lead", "automobile", road, times, stations, np.full_like(stations, approach.center))
-            )
+            times = sample_times(ego.duration_us)
+            stations = ego.station_at(times) + gap
+            agents += moving("lead", "automobile", road, times, stations, np.full_like(stations, approach.center))
         return agents
 
     return Event((), (), (), place_agents)
@@ -81,16 +74,13 @@ def work_zone(road: Road, approach: Approach, generator: np.random.Generator) ->
     with_truck = generator.random() < 0.6
     limit = generator.uniform(7.0, 9.0)
 
-    def place_agents(drive: Drive) -> list[Agent]:
-        duration, border = drive.duration_us, -road.lane_edge + 0.1
+    def place_agents(ego: EgoMotion) -> list[Agent]:
+        duration, border = ego.duration_us, -road.lane_edge + 0.1
         taper = np.linspace(start - 20.0, start, 6)
         exit_taper = np.linspace(end, end + 8.0, 4)
-        agents = _cone_row("cone", road, taper, np.linspace(border, closed, 6), duration)
-        agents += _cone_row("exit_cone", road, exit_taper, np.linspace(closed, border, 4), duration)
-        agents += [
-            standing(f"barrier_{i}", "barrier", road, s, closed, duration)
-            for i, s in enumerate(np.arange(start + 2.5, end - 2.0, 3.0))
-        ]
+        agents = standing_row("cone", "cone", road, taper, np.linspace(border, closed, 6), duration)
+        agents += standing_row("exit_cone", "cone", road, exit_taper, np.linspace(closed, border, 4), duration)
+        agents += standing_row("barrier", "barrier", road, np.arange(start + 2.5, end - 2.0, 3.0), closed, duration)
         shoulder = -road.lane_edge - road.shoulder / 2
         if with_truck:
             agents.append(standing("work_truck", "heavy_truck", road, start + 9.0, shoulder, duration))
@@ -109,13 +99,13 @@ def path_reassignment(road: Road, approach: Approach, generator: np.random.Gener
     limit = generator.uniform(7.0, 9.0)
     half_channel = generator.uniform(1.85, 2.0)
 
-    def place_agents(drive: Drive) -> list[Agent]:
+    def place_agents(ego: EgoMotion) -> list[Agent]:
         path = offset_profile(Intention(((0.0, approach.center), *knots, (road.length, approach.center)), 0.0, 1.0))
         stations = np.arange(approach.onset + 2.0, end + 36.0, 4.0)
         agents: list[Agent] = []
         for side, sign in (("left", 1.0), ("right", -1.0)):
             row = path(stations) + sign * half_channel
-            agents += _cone_row(f"cone_{side}", road, stations, row, drive.duration_us)
+            agents += standing_row(f"cone_{side}", "cone", road, stations, row, ego.duration_us)
         return agents
 
     factors = ("temporary_path_reassignment", "cone_delineated")
@@ -154,13 +144,13 @@ def animal(road: Road, approach: Approach, generator: np.random.Generator) -> Ev
     speed = generator.uniform(3.0, 4.0)
     side = generator.choice([-1.0, 1.0])
 
-    def place_agents(drive: Drive) -> list[Agent]:
-        in_lane = drive.time_at(crossing - EGO_FRONT - 12.0)
-        times = sample_times(drive.duration_us)
+    def place_agents(ego: EgoMotion) -> list[Agent]:
+        in_lane = ego.time_at(crossing - EGO_FRONT - 12.0)
+        times = sample_times(ego.duration_us)
         limit = road.half_width + 5.0
         offsets = np.clip(approach.center + side * speed * (times - in_lane), -limit, limit)
         stations = np.full_like(times, crossing)
-        return _present(moving("deer", "animal", road, times, stations, offsets, turn=side * np.pi / 2))
+        return moving("deer", "animal", road, times, stations, offsets, turn=side * np.pi / 2)
 
     slow_down = (crossing - EGO_FRONT - 9.0, crossing - EGO_FRONT - 4.0, crawl)
     return Event(("animal",), (), (slow_down,), place_agents)
@@ -192,9 +182,7 @@ class _Slow:
         return [
             agent
             for i in range(self.count)
-            for agent in _present(
-                moving(f"{self.label}_{i}", self.label, road, times, stations + i * self.spacing, offsets)
-            )
+            for agent in moving(f"{self.label}_{i}", self.label, road, times, stations + i * self.spacing, offsets)
         ]
 
 
@@ -206,9 +194,9 @@ def _overtake(road: Road, approach: Approach, slow: _Slow, factors: tuple[str, .
     beside = shifted + (9.0 + length) / closing
     done = beside + (length + 6.0 + slow.spacing * (slow.count - 1)) / closing
 
-    def place_agents(drive: Drive) -> list[Agent]:
-        times = sample_times(drive.duration_us)
-        return slow.place(road, times, beside + slow.speed * (times - drive.time_at(beside)))
+    def place_agents(ego: EgoMotion) -> list[Agent]:
+        times = sample_times(ego.duration_us)
+        return slow.place(road, times, beside + slow.speed * (times - ego.time_at(beside)))
 
     return Event(factors, _sidestep(approach, passing, shifted, done), (), place_agents)
 
@@ -217,10 +205,10 @@ def _follow(road: Road, approach: Approach, slow: _Slow, factors: tuple[str, ...
     """Slow down to the speed of the slow ones and stay behind them."""
     settled = approach.onset + 30.0
 
-    def place_agents(drive: Drive) -> list[Agent]:
-        times = sample_times(drive.duration_us)
+    def place_agents(ego: EgoMotion) -> list[Agent]:
+        times = sample_times(ego.duration_us)
         rear = settled + EGO_FRONT + gap + SIZES[slow.label][0] / 2
-        return slow.place(road, times, rear + slow.speed * (times - drive.time_at(settled)))
+        return slow.place(road, times, rear + slow.speed * (times - ego.time_at(settled)))
 
     return Event(factors, (), ((settled, road.length, slow.speed),), place_agents)
 
@@ -232,8 +220,8 @@ def _stopped_truck(road: Road, approach: Approach, generator: np.random.Generato
     shifted = approach.onset + 34.0
     station = shifted + EGO_FRONT + 2.0 + length / 2
 
-    def place_agents(drive: Drive) -> list[Agent]:
-        return [standing("stopped_truck", "heavy_truck", road, station, offset, drive.duration_us)]
+    def place_agents(ego: EgoMotion) -> list[Agent]:
+        return [standing("stopped_truck", "heavy_truck", road, station, offset, ego.duration_us)]
 
     knots = _sidestep(approach, passing, shifted, station + length / 2 + 3.0)
     return Event(("uncommon_vehicle",), knots, ((shifted, station, generator.uniform(7.0, 9.0)),), place_agents)
@@ -243,14 +231,3 @@ def _sidestep(approach: Approach, passing: float, shifted: float, returning: flo
     """Leave the lane centre at the onset, be at offset `passing` from `shifted` to `returning`, and come back."""
     center = approach.center
     return (approach.onset, center), (shifted, passing), (returning, passing), (returning + length, center)
-
-
-def _cone_row(name: str, road: Road, stations: Array, offsets: Array, duration_us: int) -> list[Agent]:
-    return [
-        standing(f"{name}_{i}", "cone", road, float(s), float(d), duration_us)
-        for i, (s, d) in enumerate(zip(stations, offsets, strict=True))
-    ]
-
-
-def _present(agent: Agent | None) -> list[Agent]:
-    return [] if agent is None else [agent]

@@ -6,8 +6,7 @@ import numpy as np
 import shapely
 
 from olt_closed_loop.scenes.actors import footprints
-from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_generator.poses import Array
+from olt_closed_loop.scenes.scene import Scene
 from olt_generator.seeds import derive_seed, make_generator
 
 Color = tuple[float, float, float]
@@ -78,6 +77,13 @@ def generate_looks(scene: Scene) -> Looks:
     generator = make_generator("looks", scene.name)
     elevation, azimuth = generator.uniform(np.radians(30), np.radians(65)), generator.uniform(-np.pi, np.pi)
     sun = (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
+    agent_colors = {}
+    for agent in scene.agents:
+        chooser, colors = (
+            make_generator("agent color", scene.name, agent.id),
+            _AGENT_COLORS.get(agent.label, _OTHER_AGENT),
+        )
+        agent_colors[agent.id] = _shade(colors[chooser.integers(len(colors))], chooser, 0.08)
     grey, dry = generator.uniform(88.0, 122.0), generator.uniform(0.0, 1.0)
     return Looks(
         texture_seed=derive_seed("texture", scene.name) % 2**31,
@@ -89,20 +95,18 @@ def generate_looks(scene: Scene) -> Looks:
         asphalt=(float(grey), float(grey), float(grey + 3.0)),
         paint=_shade((238, 238, 232), generator, 0.04),
         cloudiness=float(generator.uniform(0.2, 0.7)),
-        agent_colors={agent.id: _agent_color(scene, agent) for agent in scene.agents},
+        agent_colors=agent_colors,
         scenery=_generate_scenery(scene),
     )
 
 
-def _agent_color(scene: Scene, agent: Agent) -> Color:
-    generator = make_generator("agent color", scene.name, agent.id)
-    colors = _AGENT_COLORS.get(agent.label, _OTHER_AGENT)
-    return _shade(colors[generator.integers(len(colors))], generator, 0.08)
-
-
 def _generate_scenery(scene: Scene) -> tuple[SceneryBox, ...]:
     generator = make_generator("scenery", scene.name)
-    occupied = shapely.union_all(_occupied(scene))
+    # No scenery stands on the road or where agents come and go.
+    road = [shapely.Polygon(outline[:, :2]) for outline in scene.drivable]
+    lanes = [] if road else [shapely.LineString(lane.center[:, :2]).buffer(2.5) for lane in scene.lanes]
+    tracks = [area for agent in scene.agents for area in footprints(agent.poses[[0, -1]], agent.length, agent.width)]
+    occupied = shapely.union_all([*road, *lanes, *tracks])
     boxes = _poles(scene, occupied)
     built_up = generator.uniform(0.1, 0.5)
     west, south, east, north = occupied.buffer(_FARTHEST).bounds
@@ -119,14 +123,6 @@ def _generate_scenery(scene: Scene) -> tuple[SceneryBox, ...]:
             taken = np.concatenate([taken, circle[None]])
             boxes += parts
     return tuple(boxes)
-
-
-def _occupied(scene: Scene) -> list[shapely.Geometry]:
-    """Road and tracks, where no scenery may stand."""
-    road = [shapely.Polygon(outline[:, :2]) for outline in scene.drivable]
-    lanes = [] if road else [shapely.LineString(lane.center[:, :2]).buffer(2.5) for lane in scene.lanes]
-    tracks = [area for agent in scene.agents for area in footprints(agent.poses[[0, -1]], agent.length, agent.width)]
-    return [*road, *lanes, *tracks]
 
 
 def _poles(scene: Scene, occupied: shapely.Geometry) -> list[SceneryBox]:
@@ -163,8 +159,3 @@ def _shade(color: Color, generator: np.random.Generator, spread: float) -> Color
     gain = generator.uniform(1.0 - spread, 1.0 + spread)
     red, green, blue = np.minimum(np.array(color) * gain, 255.0).tolist()
     return red, green, blue
-
-
-def sun_vector(looks: Looks) -> Array:
-    """The direction (3,) towards the sun."""
-    return np.array(looks.sun_direction)

@@ -3,8 +3,8 @@
 import numpy as np
 
 from olt_closed_loop.scenes.actors import clearance, ego_clearance, moving, sample_times
-from olt_closed_loop.scenes.driving import Drive, Intention, drive
-from olt_closed_loop.scenes.events import EVENTS, Approach, Event
+from olt_closed_loop.scenes.driving import EgoMotion, Intention, drive
+from olt_closed_loop.scenes.events import EVENTS, Approach
 from olt_closed_loop.scenes.roads import Road, generate_road
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_generator.errors import InputError
@@ -43,7 +43,16 @@ def generate_scene(category: str, seed: int, duration_us: int = DURATION_US) -> 
         cruise=generator.uniform(9.0, 13.5),
     )
     event = EVENTS[category](road, approach, generator)
-    ego = drive(road, _intend(road, approach, event, generator), duration_us)
+    recovers = generator.random() < 0.5
+    offset = generator.uniform(-0.6, 0.6) if recovers else 0.0
+    slope = generator.uniform(-0.05, 0.05) if recovers else 0.0
+    offsets = (
+        (START_STATION, approach.center + offset),
+        (START_STATION + _RECOVERY_LENGTH, approach.center),
+        *(event.offsets or ((approach.onset, approach.center),)),
+        (road.length, approach.center),
+    )
+    ego = drive(road, Intention(offsets, slope, approach.cruise, event.limits), duration_us)
     agents = event.place_agents(ego)
     agents += _oncoming_traffic(road, ego, agents, generator)
     return Scene(
@@ -60,22 +69,7 @@ def generate_scene(category: str, seed: int, duration_us: int = DURATION_US) -> 
     )
 
 
-def _intend(road: Road, approach: Approach, event: Event, generator: np.random.Generator) -> Intention:
-    """The event's path and speed, after a start that is sometimes off the lane centre."""
-    recovers = generator.random() < 0.5
-    offset = generator.uniform(-0.6, 0.6) if recovers else 0.0
-    slope = generator.uniform(-0.05, 0.05) if recovers else 0.0
-    middle = event.offsets or ((approach.onset, approach.center),)
-    offsets = (
-        (START_STATION, approach.center + offset),
-        (START_STATION + _RECOVERY_LENGTH, approach.center),
-        *middle,
-        (road.length, approach.center),
-    )
-    return Intention(offsets, slope, approach.cruise, event.limits)
-
-
-def _oncoming_traffic(road: Road, ego: Drive, others: list[Agent], generator: np.random.Generator) -> list[Agent]:
+def _oncoming_traffic(road: Road, ego: EgoMotion, others: list[Agent], generator: np.random.Generator) -> list[Agent]:
     """Cars of the other direction that come close to nobody."""
     times = sample_times(ego.duration_us)
     traffic: list[Agent] = []
@@ -84,13 +78,8 @@ def _oncoming_traffic(road: Road, ego: Drive, others: list[Agent], generator: np
         offset = road.lane_offset(int(generator.integers(road.lanes)), oncoming=True)
         stations = start - speed * times
         label = "heavy_truck" if generator.random() < 0.2 else "automobile"
-        car = moving(f"oncoming_{i}", label, road, times, stations, np.full_like(times, offset), turn=np.pi)
-        if car is not None and _keeps_clear(car, ego, [*others, *traffic]):
-            traffic.append(car)
+        for car in moving(f"oncoming_{i}", label, road, times, stations, np.full_like(times, offset), turn=np.pi):
+            clear_of_ego = ego_clearance(ego.trajectory, DEFAULT_VEHICLE, car) >= _TRAFFIC_CLEARANCE
+            if clear_of_ego and all(clearance(car, other) >= _TRAFFIC_CLEARANCE for other in [*others, *traffic]):
+                traffic.append(car)
     return traffic
-
-
-def _keeps_clear(car: Agent, ego: Drive, others: list[Agent]) -> bool:
-    if ego_clearance(ego.trajectory, DEFAULT_VEHICLE, car) < _TRAFFIC_CLEARANCE:
-        return False
-    return all(clearance(car, other) >= _TRAFFIC_CLEARANCE for other in others)

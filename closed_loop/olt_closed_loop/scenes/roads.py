@@ -69,11 +69,11 @@ class Road:
         """Points (n, 3) on the ground at a constant offset, about 2 m apart, in the direction of the stations."""
         end = self.length if end is None else end
         s = np.linspace(start, end, max(2, round((end - start) / _MAP_STEP) + 1))
-        return _on_ground(self.locate(s, np.full_like(s, d)))
+        return np.column_stack([self.locate(s, np.full_like(s, d)), np.zeros(len(s))])
 
     @cached_property
     def edges(self) -> tuple[Array, Array]:
-        """Right and left edge; the drivable area lies to the left of each."""
+        """Right and left edge, polylines (n, 3) in metres; the drivable area lies to the left of each."""
         return self.polyline(-self.half_width), self.polyline(self.half_width)[::-1].copy()
 
     @cached_property
@@ -134,7 +134,3 @@ def _curvature_profile(generator: np.random.Generator, length: float) -> tuple[A
     knots.append((max(length, knots[-1][0]) + 1.0, 0.0))
     stations, curvature = np.array(knots).T
     return stations, curvature
-
-
-def _on_ground(points: Array) -> Array:
-    return np.concatenate([points, np.zeros((*points.shape[:-1], 1))], axis=-1)

@@ -1,4 +1,4 @@
-"""The scene in memory: road, lanes, route, recorded ego and agents. `stage` reads and writes it as OpenUSD.
+"""The scene in memory: road, lanes, route, recorded ego and agents. `scene_file` reads and writes it.
 
 World frame: metres, z up, the ground is z = 0 unless a lane says otherwise; times are integer microseconds from the
 start of the recording.
@@ -61,7 +61,7 @@ class Scene:
         road_edges: polylines (n, 3) that bound the drivable area, which lies to their left.
         drivable: closed outlines (n, 3) of the drivable area, counter-clockwise.
         route: (n, 3) the line that the ego is meant to follow.
-        looks: path of the USD stage whose payload holds what only rendering needs; None if there is none.
+        looks: path of the scene file whose payload holds what only rendering needs; None if there is none.
         assumptions: what the recording does not say and was assumed, a sentence each.
     """
 

@@ -1,4 +1,4 @@
-"""Scenes as OpenUSD stages.
+"""Scene files: a scene as an OpenUSD stage.
 
     /World            name, category, factors, assumptions
     /World/Road       lanes, edges, drivable, route: polylines
@@ -6,185 +6,295 @@
     /World/Agents/*   label, size and recorded motion of each agent
     /World/Looks      payload: the file beside it that holds what only rendering needs
 
-`read_scene` leaves the payload alone, so nothing of it is opened, parsed or kept unless a renderer asks.
+`read_scene` leaves the payload alone, so nothing of it is opened, parsed or kept unless a renderer asks. Values of ours
+are custom attributes in the namespace `olt:` and keep double precision; USD's own schemas hold points in single
+precision, so those are written for viewers and never read back.
 """
+
+# pxr is compiled and has no type stubs: this is the one module that touches it.
+# pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Iterable
 from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
 from olt_closed_loop.scenes.looks import Looks, SceneryBox, generate_looks
 from olt_closed_loop.scenes.scene import Agent, Lane, Scene
-from olt_closed_loop.scenes.usd import (
-    Prim,
-    Reader,
-    Stage,
-    new_stage,
-    save_stage,
-    write_array,
-    write_box,
-    write_curve,
-    write_group,
-    write_payload,
-    write_texts,
-    write_trajectory,
-    write_upright_motion,
-    write_value,
-)
+from olt_generator.errors import InputError
+from olt_generator.files import write_whole
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
 
+Prim: TypeAlias = Any
+"""A `pxr.Usd.Prim`."""
+
+# Time codes are microseconds, which a double holds exactly for 285 years.
+TIME_CODES_PER_SECOND = 1e6
 _COLORS = ("zenith", "horizon", "grass", "gravel", "asphalt", "paint")
+
+Triple = tuple[float, float, float]
 
 
 def write_scene(scene: Scene, path: Path) -> Path:
     """Write a scene to `path` (.usda or .usdc) and its looks to `<stem>.looks` beside it; returns `path`."""
     looks = generate_looks(scene) if scene.looks is None else read_looks(Path(scene.looks))
     looks_path = path.with_name(f"{path.stem}.looks{path.suffix}")
-    stage = new_stage("/World")
-    world = stage.GetPrimAtPath("/World")
-    write_value(world, "name", scene.name)
-    write_value(world, "category", scene.category)
-    write_texts(world, "factors", scene.factors)
-    write_texts(world, "assumptions", scene.assumptions)
+    stage = _new_stage("/World")
+    _write(
+        stage.GetPrimAtPath("/World"),
+        name=scene.name,
+        category=scene.category,
+        factors=scene.factors,
+        assumptions=scene.assumptions,
+    )
     _write_road(stage, scene)
     _write_ego(stage, scene)
-    write_group(stage, "/World/Agents")
+    UsdGeom.Scope.Define(stage, "/World/Agents")
     for index, agent in enumerate(scene.agents):
+        # The prim's name is only a number, because ids of recorded data need not be valid prim names.
         _write_agent(stage, f"/World/Agents/agent_{index:03d}", agent)
-    write_payload(stage, "/World/Looks", looks_path.name)
+    stage.DefinePrim("/World/Looks").GetPayloads().AddPayload(f"./{looks_path.name}")
     _write_looks(looks, looks_path)
-    save_stage(stage, path)
+    _save(stage, path)
     return path
+
+
+def _write_road(stage: Any, scene: Scene) -> None:
+    for place in ("/World/Road", "/World/Road/Lanes", "/World/Road/Edges", "/World/Road/Drivable"):
+        UsdGeom.Scope.Define(stage, place)
+    for index, lane in enumerate(scene.lanes):
+        lines = {side: getattr(lane, side) for side in ("center", "left", "right")}
+        _write_line(stage, f"Lanes/lane_{index:03d}", lane.center, id=lane.id, **lines, successors=lane.successors)
+    for index, edge in enumerate(scene.road_edges):
+        _write_line(stage, f"Edges/edge_{index:03d}", edge, points=edge)
+    for index, outline in enumerate(scene.drivable):
+        _write_line(stage, f"Drivable/outline_{index:03d}", outline, points=outline)
+    _write_line(stage, "Route", scene.route, points=scene.route)
+
+
+def _write_line(stage: Any, place: str, line: Array, **values: str | tuple[str, ...] | Array) -> None:
+    """A polyline (n, 3) of the road for viewers, and what is read of it."""
+    curve = UsdGeom.BasisCurves.Define(stage, f"/World/Road/{place}")
+    curve.CreateTypeAttr(UsdGeom.Tokens.linear)
+    curve.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(line, dtype=np.float32)))
+    curve.CreateCurveVertexCountsAttr([len(line)])
+    _write(curve.GetPrim(), **values)
+
+
+def _write_ego(stage: Any, scene: Scene) -> None:
+    vehicle, body = scene.vehicle, UsdGeom.Xform.Define(stage, "/World/Ego")
+    motion = body.AddTransformOp()
+    for time_us, pose in zip(scene.ego.timestamps_us.tolist(), scene.ego.T_world_rig, strict=True):
+        motion.Set(Gf.Matrix4d(pose.T), time_us)  # USD multiplies row vectors
+    _write(body.GetPrim(), **{name: float(value) for name, value in asdict(vehicle).items()})
+    center = (vehicle.rear_axle_to_bbox_center, 0.0, vehicle.height / 2)
+    _write_box(stage, "/World/Ego/Box", (vehicle.length, vehicle.width, vehicle.height), center)
+
+
+def _write_agent(stage: Any, place: str, agent: Agent) -> None:
+    body = UsdGeom.Xform.Define(stage, place)
+    position = body.AddTranslateOp(UsdGeom.XformOp.PrecisionDouble)
+    turn = body.AddRotateZOp(UsdGeom.XformOp.PrecisionDouble)
+    for time_us, (x, y, z, yaw) in zip(agent.timestamps_us.tolist(), agent.poses.tolist(), strict=True):
+        position.Set(Gf.Vec3d(x, y, z), time_us)
+        turn.Set(float(np.degrees(yaw)), time_us)
+    size = (float(agent.length), float(agent.width), float(agent.height))
+    _write(body.GetPrim(), id=agent.id, label=agent.label, length=size[0], width=size[1], height=size[2])
+    _write_box(stage, f"{place}/Box", size, (0.0, 0.0, 0.0))
+
+
+def _write_looks(looks: Looks, path: Path) -> None:
+    def rows(triples: Iterable[Triple]) -> Array:
+        return np.array(list(triples), dtype=np.float64).reshape(-1, 3)
+
+    stage = _new_stage("/Looks")
+    _write(
+        stage.GetPrimAtPath("/Looks"),
+        texture_seed=looks.texture_seed,
+        cloudiness=looks.cloudiness,
+        sun_direction=np.array(looks.sun_direction),
+        colors=rows(getattr(looks, name) for name in _COLORS),
+        agent_ids=tuple(looks.agent_colors),
+        agent_colors=rows(looks.agent_colors.values()),
+        scenery_kind=tuple(box.kind for box in looks.scenery),
+        scenery_yaw=np.array([box.yaw for box in looks.scenery]),
+        scenery_center=rows(box.center for box in looks.scenery),
+        scenery_size=rows(box.size for box in looks.scenery),
+        scenery_color=rows(box.color for box in looks.scenery),
+    )
+    _save(stage, path)
+
+
+def _new_stage(root: str) -> Any:
+    """An empty stage in metres, z up, microseconds, whose default prim is `root`; payloads stay unloaded."""
+    stage = Usd.Stage.CreateInMemory(Usd.Stage.LoadNone)
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z)
+    stage.SetTimeCodesPerSecond(TIME_CODES_PER_SECOND)
+    stage.SetDefaultPrim(UsdGeom.Xform.Define(stage, root).GetPrim())
+    return stage
+
+
+def _save(stage: Any, path: Path) -> None:
+    with write_whole(path) as temporary:
+        stage.GetRootLayer().Export(str(temporary))
+
+
+def _write(prim: Prim, **values: str | int | float | tuple[str, ...] | Array) -> None:
+    """Write texts, numbers, lists of texts, and arrays (n,) or (n, 3) of doubles as attributes of ours."""
+    kinds = {str: Sdf.ValueTypeNames.String, int: Sdf.ValueTypeNames.Int64, float: Sdf.ValueTypeNames.Double}
+    for name, value in values.items():
+        if isinstance(value, tuple):
+            kind, content = Sdf.ValueTypeNames.StringArray, Vt.StringArray(list(value))
+        elif isinstance(value, np.ndarray):
+            rows = np.ascontiguousarray(value, dtype=np.float64)
+            if rows.ndim == 1:
+                kind, content = Sdf.ValueTypeNames.DoubleArray, Vt.DoubleArray.FromNumpy(rows)
+            else:
+                kind, content = Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(rows)
+        else:
+            kind, content = kinds[type(value)], value
+        prim.CreateAttribute(f"olt:{name}", kind, custom=True).Set(content)
+
+
+def _write_box(stage: Any, place: str, size: Triple, center: Triple) -> None:
+    """A box of the given size (length, width, height) in metres around `center`, for viewers."""
+    cube = UsdGeom.Cube.Define(stage, place)
+    cube.CreateSizeAttr(1.0)
+    cube.AddTranslateOp().Set(Gf.Vec3d(*center))
+    cube.AddScaleOp().Set(Gf.Vec3f(*size))
 
 
 def read_scene(path: Path) -> Scene:
     """Read a scene without its looks.
 
     Raises:
-        InputError: the file is not a stage, or lacks a prim or attribute.
+        InputError: the file is not a scene file, or lacks a prim or attribute.
     """
-    reader = Reader(path)
-    world = reader.prim("/World")
+    reader = _Reader(path)
+    world, ego = reader.prim("/World"), reader.prim("/World/Ego")
+    name, category = reader.values(world, "name", "category")
+    sizes = [field.name for field in fields(VehicleDimensions)]
+    times_us, matrices = reader.samples(ego, "xformOp:transform")
+    lanes = [
+        Lane(
+            *reader.values(prim, "id"),
+            *reader.arrays(prim, "center", "left", "right"),
+            successors=reader.texts(prim, "successors"),
+        )
+        for prim in reader.children("/World/Road/Lanes")
+    ]
+    edges, outlines = (
+        tuple(reader.arrays(prim, "points")[0] for prim in reader.children(f"/World/Road/{place}"))
+        for place in ("Edges", "Drivable")
+    )
     return Scene(
-        name=reader.value(world, "name"),
-        category=reader.value(world, "category"),
+        name=name,
+        category=category,
         factors=reader.texts(world, "factors"),
-        vehicle=_read_vehicle(reader),
-        ego=Trajectory(*reader.trajectory(reader.prim("/World/Ego"))),
-        agents=tuple(_read_agent(reader, prim) for prim in reader.children("/World/Agents")),
-        lanes=tuple(_read_lane(reader, prim) for prim in reader.children("/World/Road/Lanes")),
-        road_edges=_read_lines(reader, "/World/Road/Edges"),
-        drivable=_read_lines(reader, "/World/Road/Drivable"),
-        route=reader.array(reader.prim("/World/Road/Route"), "points"),
+        vehicle=VehicleDimensions(**dict(zip(sizes, reader.values(ego, *sizes), strict=True))),
+        ego=Trajectory(times_us, np.swapaxes(matrices, 1, 2)),
+        agents=tuple(reader.agent(prim) for prim in reader.children("/World/Agents")),
+        lanes=tuple(lanes),
+        road_edges=edges,
+        drivable=outlines,
+        route=reader.arrays(reader.prim("/World/Road/Route"), "points")[0],
         looks=str(path),
         assumptions=reader.texts(world, "assumptions"),
     )
 
 
 def read_looks(path: Path) -> Looks:
-    """Read the looks of the scene at `path` by loading the payload of its stage.
+    """Read the looks of the scene at `path` by loading the payload of its scene file.
 
     Raises:
-        InputError: the file is not a stage, or the payload is missing or lacks an attribute.
+        InputError: the file is not a scene file, or the payload is missing or lacks an attribute.
     """
-    reader = Reader(path, with_payloads=True)
+    reader = _Reader(path, with_payloads=True)
     prim = reader.prim("/World/Looks")
-    sun_x, sun_y, sun_z = reader.array(prim, "sun_direction").tolist()
-    agents = zip(reader.texts(prim, "agent_ids"), _read_triples(reader, prim, "agent_colors"), strict=True)
+
+    def triples(*names: str) -> list[list[Triple]]:
+        return [[(x, y, z) for x, y, z in rows.tolist()] for rows in reader.arrays(prim, *names)]
+
+    sun, yaws = reader.arrays(prim, "sun_direction", "scenery_yaw")
+    sun_x, sun_y, sun_z = sun.tolist()
+    texture_seed, cloudiness = reader.values(prim, "texture_seed", "cloudiness")
+    colors, agent_colors = triples("colors", "agent_colors")
+    centers, sizes, box_colors = triples("scenery_center", "scenery_size", "scenery_color")
+    boxes = zip(reader.texts(prim, "scenery_kind"), centers, sizes, yaws.tolist(), box_colors, strict=True)
     return Looks(
-        texture_seed=int(reader.value(prim, "texture_seed")),
+        texture_seed=int(texture_seed),
         sun_direction=(sun_x, sun_y, sun_z),
-        cloudiness=float(reader.value(prim, "cloudiness")),
-        agent_colors=dict(agents),
-        scenery=_read_scenery(reader, prim),
-        **dict(zip(_COLORS, _read_triples(reader, prim, "colors"), strict=True)),
+        cloudiness=float(cloudiness),
+        agent_colors=dict(zip(reader.texts(prim, "agent_ids"), agent_colors, strict=True)),
+        scenery=tuple(SceneryBox(*box) for box in boxes),
+        **dict(zip(_COLORS, colors, strict=True)),
     )
 
 
-def _write_road(stage: Stage, scene: Scene) -> None:
-    for place in ("/World/Road", "/World/Road/Lanes", "/World/Road/Edges", "/World/Road/Drivable"):
-        write_group(stage, place)
-    for index, lane in enumerate(scene.lanes):
-        prim = write_curve(stage, f"/World/Road/Lanes/lane_{index:03d}", lane.center)
-        write_value(prim, "id", lane.id)
-        for side in ("center", "left", "right"):
-            write_array(prim, side, getattr(lane, side))
-        write_texts(prim, "successors", lane.successors)
-    lines = [(f"Edges/edge_{index:03d}", edge) for index, edge in enumerate(scene.road_edges)]
-    lines += [(f"Drivable/outline_{index:03d}", outline) for index, outline in enumerate(scene.drivable)]
-    for place, points in [*lines, ("Route", scene.route)]:
-        write_array(write_curve(stage, f"/World/Road/{place}", points), "points", points)
+class _Reader:
+    """Reads prims of one scene file; every complaint is an `InputError` that names the file and the prim."""
 
+    def __init__(self, path: Path, with_payloads: bool = False) -> None:
+        if not path.is_file():
+            raise InputError(f"{path}: no such file; give the .usda or .usdc file of a scene")
+        try:
+            stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll if with_payloads else Usd.Stage.LoadNone)
+        except Tf.ErrorException as error:
+            raise InputError(f"{path}: not a USD stage; give the .usda or .usdc file of a scene") from error
+        found = (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage), stage.GetTimeCodesPerSecond())
+        if found != (1.0, UsdGeom.Tokens.z, TIME_CODES_PER_SECOND):
+            raise InputError(
+                f"{path}: metersPerUnit, upAxis and timeCodesPerSecond are {found[0]:g}, {found[1]}, {found[2]:g}; "
+                f"a scene has 1, Z, {TIME_CODES_PER_SECOND:.0f}"
+            )
+        self.path, self.stage = path, stage
 
-def _write_ego(stage: Stage, scene: Scene) -> None:
-    vehicle = scene.vehicle
-    prim = write_trajectory(stage, "/World/Ego", scene.ego.timestamps_us, scene.ego.T_world_rig)
-    for name, value in asdict(vehicle).items():
-        write_value(prim, name, float(value))
-    center = (vehicle.rear_axle_to_bbox_center, 0.0, vehicle.height / 2)
-    write_box(stage, "/World/Ego/Box", (vehicle.length, vehicle.width, vehicle.height), center)
+    def prim(self, place: str) -> Prim:
+        prim = self.stage.GetPrimAtPath(place)
+        if not prim:
+            raise InputError(f"{self.path}: prim {place} is missing; write the scene again")
+        return prim
 
+    def children(self, place: str) -> list[Prim]:
+        return list(self.prim(place).GetChildren())
 
-def _write_agent(stage: Stage, place: str, agent: Agent) -> None:
-    """The prim's name is only a number, because ids of recorded data need not be valid prim names."""
-    prim = write_upright_motion(stage, place, agent.timestamps_us, agent.poses)
-    for name in ("id", "label"):
-        write_value(prim, name, getattr(agent, name))
-    for name in ("length", "width", "height"):
-        write_value(prim, name, float(getattr(agent, name)))
-    write_box(stage, f"{place}/Box", (agent.length, agent.width, agent.height), (0.0, 0.0, 0.0))
+    def attribute(self, prim: Prim, name: str) -> Any:
+        attribute = prim.GetAttribute(name)
+        if not attribute or not attribute.HasAuthoredValue():
+            raise InputError(f"{self.path}: prim {prim.GetPath()} lacks attribute {name}; write the scene again")
+        return attribute
 
+    def values(self, prim: Prim, *names: str) -> list[Any]:
+        return [self.attribute(prim, f"olt:{name}").Get() for name in names]
 
-def _write_looks(looks: Looks, path: Path) -> None:
-    stage = new_stage("/Looks")
-    prim = stage.GetPrimAtPath("/Looks")
-    write_value(prim, "texture_seed", looks.texture_seed)
-    write_value(prim, "cloudiness", looks.cloudiness)
-    write_array(prim, "sun_direction", np.array(looks.sun_direction))
-    write_array(prim, "colors", np.array([getattr(looks, name) for name in _COLORS]))
-    write_texts(prim, "agent_ids", tuple(looks.agent_colors))
-    write_array(prim, "agent_colors", _rows(looks.agent_colors.values()))
-    write_texts(prim, "scenery_kind", tuple(box.kind for box in looks.scenery))
-    write_array(prim, "scenery_yaw", np.array([box.yaw for box in looks.scenery]))
-    for name in ("center", "size", "color"):
-        write_array(prim, f"scenery_{name}", _rows(getattr(box, name) for box in looks.scenery))
-    save_stage(stage, path)
+    def texts(self, prim: Prim, name: str) -> tuple[str, ...]:
+        (value,) = self.values(prim, name)
+        return tuple(str(text) for text in value)
 
+    def arrays(self, prim: Prim, *names: str) -> list[Array]:
+        """Arrays (n,) or (n, 3) of doubles."""
+        return [np.array(value, dtype=np.float64) for value in self.values(prim, *names)]
 
-def _rows(triples: Iterable[tuple[float, float, float]]) -> Array:
-    return np.array(list(triples), dtype=np.float64).reshape(-1, 3)
+    def samples(self, prim: Prim, name: str) -> tuple[NDArray[np.int64], Array]:
+        """Times (n,) in microseconds and values (n, ...) of an animated attribute."""
+        attribute = self.attribute(prim, name)
+        times = attribute.GetTimeSamples()
+        if not times:
+            raise InputError(f"{self.path}: attribute {name} of prim {prim.GetPath()} has no time samples")
+        return np.array(times, dtype=np.int64), np.array([attribute.Get(time) for time in times], dtype=np.float64)
 
-
-def _read_vehicle(reader: Reader) -> VehicleDimensions:
-    ego = reader.prim("/World/Ego")
-    sizes = {field.name: float(reader.value(ego, field.name)) for field in fields(VehicleDimensions)}
-    return VehicleDimensions(**sizes)
-
-
-def _read_agent(reader: Reader, prim: Prim) -> Agent:
-    length, width, height = (float(reader.value(prim, name)) for name in ("length", "width", "height"))
-    name, label = reader.value(prim, "id"), reader.value(prim, "label")
-    return Agent(name, label, length, width, height, *reader.upright_motion(prim))
-
-
-def _read_lane(reader: Reader, prim: Prim) -> Lane:
-    center, left, right = (reader.array(prim, side) for side in ("center", "left", "right"))
-    return Lane(reader.value(prim, "id"), center, left, right, reader.texts(prim, "successors"))
-
-
-def _read_lines(reader: Reader, place: str) -> tuple[Array, ...]:
-    return tuple(reader.array(prim, "points") for prim in reader.children(place))
-
-
-def _read_scenery(reader: Reader, prim: Prim) -> tuple[SceneryBox, ...]:
-    centers, sizes, colors = (_read_triples(reader, prim, f"scenery_{name}") for name in ("center", "size", "color"))
-    kinds, yaws = reader.texts(prim, "scenery_kind"), reader.array(prim, "scenery_yaw").tolist()
-    return tuple(SceneryBox(*box) for box in zip(kinds, centers, sizes, yaws, colors, strict=True))
-
-
-def _read_triples(reader: Reader, prim: Prim, name: str) -> list[tuple[float, float, float]]:
-    return [(x, y, z) for x, y, z in reader.array(prim, name).tolist()]
+    def agent(self, prim: Prim) -> Agent:
+        times_us, positions = self.samples(prim, "xformOp:translate")
+        turn_times_us, turns = self.samples(prim, "xformOp:rotateZ")
+        if not np.array_equal(times_us, turn_times_us):
+            raise InputError(f"{self.path}: prim {prim.GetPath()} has position and turn at different times")
+        poses = np.concatenate([positions, np.radians(turns)[:, None]], axis=1)
+        described = self.values(prim, "id", "label", "length", "width", "height")
+        return Agent(*described, timestamps_us=times_us, poses=poses)

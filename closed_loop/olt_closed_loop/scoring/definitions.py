@@ -34,6 +34,7 @@ import numpy as np
 from olt_closed_loop.rollouts.progress import PathTracker
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord, record_rollout
+from olt_closed_loop.scenes.polylines import arc_lengths
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
 from olt_closed_loop.scoring.collisions import Collision, find_collisions
@@ -42,7 +43,6 @@ from olt_closed_loop.scoring.driving_metrics import measure_driving
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
-from olt_generator.poses import Array
 
 FULL_PROGRESS = 0.8
 SHORT_RECORDING = 5.0
@@ -232,7 +232,6 @@ def _measure_progress(record: RolloutRecord, recorded_m: float) -> tuple[float, 
 def recorded_length(record: RolloutRecord) -> float:
     """Metres that the recording drives from the rollout's hand-over to its end."""
     times = record.recorded_us
-    steps: Array = np.linalg.norm(np.diff(record.recorded_poses[:, :2], axis=0), axis=1)
-    driven = np.concatenate([[0.0], np.cumsum(steps)])
+    driven = arc_lengths(record.recorded_poses)
     start, end = np.interp(np.array(_scored_span(record)) - times[0], times - times[0], driven)
     return float(end - start)

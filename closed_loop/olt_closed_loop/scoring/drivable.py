@@ -89,7 +89,13 @@ def first_departure(
     surroundings of the ego are inside the area; this changes nothing.
     """
     times = np.append(np.arange(start_us, end_us, SAMPLE_US, dtype=np.int64), end_us)
-    tested = _near_border(drivable, ego, times) if skip else np.ones(len(times), dtype=bool)
+    tested = np.ones(len(times), dtype=bool)
+    if skip:  # judged from every fifth time and what the ego can drive in between
+        ways = np.linalg.norm(np.diff(ego.poses[:, :2], axis=0), axis=1)
+        fastest = float((ways / np.diff(ego.timestamps_us)).max(initial=0.0))
+        reach = ego.radius + fastest * _EVERY * SAMPLE_US
+        near_border = drivable.may_be_left(ego.at(times[::_EVERY], columns=2), reach)
+        tested = np.repeat(near_border, _EVERY)[: len(times)]
     outside = np.flatnonzero(tested)[drivable.leaves(ego.at(times[tested]), ego.half_size)]
     if len(outside) == 0:
         return None
@@ -99,14 +105,6 @@ def first_departure(
         index = 1 + int(np.argmax(drivable.leaves(ego.at(times[1:]), ego.half_size)))
         before_us, after_us = int(times[index - 1]), int(times[index])
     return after_us
-
-
-def _near_border(drivable: DrivableArea, ego: MovingBox, times: NDArray[np.int64]) -> Flags:
-    """At which times (n,) the ego may be off the road, judged from every fifth and what it can drive in between."""
-    ways = np.linalg.norm(np.diff(ego.poses[:, :2], axis=0), axis=1)
-    fastest = float((ways / np.diff(ego.timestamps_us)).max(initial=0.0))
-    reach = ego.radius + fastest * _EVERY * SAMPLE_US
-    return np.repeat(drivable.may_be_left(ego.at(times[::_EVERY], columns=2), reach), _EVERY)[: len(times)]
 
 
 def _union(areas: Sequence[BaseGeometry]) -> BaseGeometry:

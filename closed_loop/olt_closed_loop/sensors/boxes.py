@@ -6,9 +6,10 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.scenes.looks import Color, Looks, SceneryBox
+from olt_closed_loop.scenes.looks import Color, Looks
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.sensors.textures import SURFACE_INDEX, FloatImage
+from olt_closed_loop.sensors.surfaces import SURFACE_INDEX
+from olt_closed_loop.sensors.textures import FloatImage
 from olt_generator.poses import Array
 
 # Faces in the order +x, -x, +y, -y, +z, -z: the axes that run across and up the face.
@@ -40,7 +41,7 @@ class Boxes:
         return len(self.center)
 
     def select(self, chosen: NDArray[np.bool_]) -> "Boxes":
-        """Some of the boxes."""
+        """The boxes that a mask (n,) chooses."""
         return Boxes(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     @classmethod
@@ -122,6 +123,14 @@ _BODIES: dict[str, tuple[Part, ...]] = {
     "barrier": (Part((0, 0, 0), (1, 1, 1), ("stripes", "stripes", "stripes", "plain")),),
 }
 
+_PLAIN = (("plain", "plain", "plain", "plain"), np.inf, np.inf)
+# By kind: surfaces of front, rear, sides and top, and how many metres one picture of them covers across and up. That of
+# a building shows two storeys of 3 m.
+_SCENERY: dict[str, tuple[tuple[str, str, str, str], float, float]] = {
+    "building": (("building", "building", "building", "plain"), 9.0, 6.0),
+    "crown": (("foliage", "foliage", "foliage", "foliage"), 3.0, 3.0),
+}
+
 
 def body_boxes(agent: Agent, color: Color) -> Boxes:
     """The boxes that make up an agent, relative to the centre of its own box; a plain box for a label unknown here."""
@@ -141,29 +150,18 @@ def body_boxes(agent: Agent, color: Color) -> Boxes:
 def scenery_boxes(looks: Looks) -> Boxes:
     """The buildings, trees and poles."""
     size = np.array([box.size for box in looks.scenery]).reshape(-1, 3)
+    surfaces = [_SCENERY.get(box.kind, _PLAIN) for box in looks.scenery]
+    covered = np.array([[across, across, up] for _, across, up in surfaces]).reshape(-1, 3)
+    # Pictures repeat as a whole, up also by halves.
+    parts = np.array([1.0, 1.0, 2.0])
     return Boxes(
         center=np.array([box.center for box in looks.scenery]).reshape(-1, 3),
         half=size / 2,
         yaw=np.array([box.yaw for box in looks.scenery]),
         color=np.array([box.color for box in looks.scenery], dtype=np.float32).reshape(-1, 3),
-        surface=np.array([_scenery_faces(box) for box in looks.scenery], dtype=np.int32).reshape(-1, 6),
-        repeats=np.array([_scenery_repeats(box) for box in looks.scenery], dtype=np.float32).reshape(-1, 3),
+        surface=np.array([_faces(*names) for names, _, _ in surfaces], dtype=np.int32).reshape(-1, 6),
+        repeats=(np.maximum(np.round(parts * size / covered), 1.0) / parts).astype(np.float32),
     )
-
-
-def _scenery_faces(box: SceneryBox) -> list[int]:
-    if box.kind == "building":
-        return _faces("building", "building", "building", "plain")
-    if box.kind == "crown":
-        return _faces("foliage", "foliage", "foliage", "foliage")
-    return _faces("plain", "plain", "plain", "plain")
-
-
-def _scenery_repeats(box: SceneryBox) -> tuple[float, float, float]:
-    """A building's surface shows two storeys of 3 m and is 9 m wide; foliage is spread over 3 m."""
-    across, up = {"building": (9.0, 6.0), "crown": (3.0, 3.0)}.get(box.kind, (np.inf, np.inf))
-    length, width, height = box.size
-    return max(1.0, round(length / across)), max(1.0, round(width / across)), max(0.5, round(2.0 * height / up) / 2.0)
 
 
 def _faces(front: str, rear: str, side: str, top: str) -> list[int]:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.sensors.boxes import Boxes
+from olt_closed_loop.sensors.camera_rays import CameraRays
 from olt_closed_loop.sensors.textures import FloatImage
-from olt_closed_loop.sensors.views import View
 from olt_generator.poses import Array
 
 # Boxes farther away (metres), or that cover less than this share of a pixel, are left out.
@@ -38,8 +38,13 @@ class Hits:
     box: NDArray[np.intp]
     distance: FloatImage
 
+    def before(self, distance: FloatImage) -> "Hits":
+        """Those that lie before the given distance (b, p) of each ray, metres."""
+        nearer = self.distance < distance[self.block, self.pixel]
+        return Hits(self.block[nearer], self.pixel[nearer], self.box[nearer], self.distance[nearer])
 
-class _Frames(NamedTuple):
+
+class BoxFrames(NamedTuple):
     """The camera's place (x, y, z) in each box's own axes, the box's half sizes, and cosine and sine of its yaw."""
 
     x: FloatImage
@@ -52,23 +57,27 @@ class _Frames(NamedTuple):
     sin: FloatImage
 
 
-def boxes_in_view(boxes: Boxes, position: Array, axis: Array, view: View) -> Boxes:
+def boxes_in_view(boxes: Boxes, position: Array, axis: Array, camera_rays: CameraRays) -> Boxes:
     """The boxes that a camera at `position` (3,) looking along `axis` (3,) may see."""
     offset = boxes.center - position
     away = np.linalg.norm(offset, axis=1)
     radius = np.linalg.norm(boxes.half, axis=1)
     off_axis = np.arccos(np.clip(offset @ axis / np.maximum(away, 1e-9), -1.0, 1.0))
     apparent = np.arcsin(np.minimum(radius / np.maximum(away, 1e-9), 1.0))
-    inside = (away <= radius) | (off_axis - apparent <= view.field)
-    large = apparent > _SMALLEST * 0.5 * float(view.angles.min())
+    inside = (away <= radius) | (off_axis - apparent <= camera_rays.field)
+    large = apparent > _SMALLEST * 0.5 * float(camera_rays.angles.min())
     return boxes.select(inside & large & (away - radius < _FARTHEST))
 
 
 def cast(boxes: Boxes, position: Array, rays: FloatImage, middle: FloatImage, spread: FloatImage) -> Hits:
     """Cast world rays (3, b, p) from `position` (3,); `middle` (3, b) and `spread` (b,) are those of their blocks."""
-    frames = _camera_in_boxes(boxes, position)
+    x, y, z = (position - boxes.center).T
+    cos, sin = np.cos(boxes.yaw), np.sin(boxes.yaw)
+    columns = (cos * x + sin * y, cos * y - sin * x, z, *boxes.half.T, cos, sin)
+    frames = BoxFrames(*(column.astype(np.float32) for column in columns))
     reach = np.linalg.norm(boxes.center - position, axis=1) + np.linalg.norm(boxes.half, axis=1)
-    grown = _grow(frames, spread[:, None] * reach.astype(np.float32))
+    growth = spread[:, None] * reach.astype(np.float32)
+    grown = frames._replace(half_x=frames.half_x + growth, half_y=frames.half_y + growth, half_z=frames.half_z + growth)
     entry, leave = intersect(grown, middle[:, :, None])
     block, box = np.nonzero((entry <= leave) & (leave > 0.0))
 
@@ -76,13 +85,13 @@ def cast(boxes: Boxes, position: Array, rays: FloatImage, middle: FloatImage, sp
     for start in range(0, len(block), CHUNK):
         chunk = slice(start, start + CHUNK)
         column = box[chunk, None]
-        entry, leave = intersect(_Frames(*(values[column] for values in frames)), rays[:, block[chunk]])
+        entry, leave = intersect(BoxFrames(*(values[column] for values in frames)), rays[:, block[chunk]])
         reached = np.where(entry > 0.0, entry, leave)
         distance[chunk] = np.where((entry <= leave) & (leave > 0.0), reached, np.float32(np.inf))
     return _nearest(block, box, distance, rays.shape[1])
 
 
-def intersect(frames: _Frames, rays: FloatImage) -> tuple[FloatImage, FloatImage]:
+def intersect(frames: BoxFrames, rays: FloatImage) -> tuple[FloatImage, FloatImage]:
     """Where world rays (3, ...) enter and leave boxes (slab method); boxes and rays broadcast together.
 
     The ray misses where it leaves before it enters, or leaves behind the camera.
@@ -111,14 +120,3 @@ def _nearest(block: NDArray[np.intp], box: NDArray[np.intp], distance: FloatImag
     np.minimum.at(best, ray, met)
     first = met == best[ray]
     return Hits(block[pair[first]], pixel[first], box[pair[first]], met[first])
-
-
-def _camera_in_boxes(boxes: Boxes, position: Array) -> _Frames:
-    x, y, z = (position - boxes.center).T
-    cos, sin = np.cos(boxes.yaw), np.sin(boxes.yaw)
-    columns = (cos * x + sin * y, cos * y - sin * x, z, *boxes.half.T, cos, sin)
-    return _Frames(*(column.astype(np.float32) for column in columns))
-
-
-def _grow(frames: _Frames, growth: FloatImage) -> _Frames:
-    return frames._replace(half_x=frames.half_x + growth, half_y=frames.half_y + growth, half_z=frames.half_z + growth)

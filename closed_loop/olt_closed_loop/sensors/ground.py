@@ -1,5 +1,6 @@
 """The ground of a scene as the renderer sees it: a map of materials, grain on top, and the shadows of boxes."""
 
+from collections import Counter
 from dataclasses import dataclass
 
 import cv2
@@ -7,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.looks import Looks
+from olt_closed_loop.scenes.polylines import length_of, points_along
 from olt_closed_loop.scenes.scene import Lane, Scene
 from olt_closed_loop.sensors.textures import NOISE_LAYERS, FloatImage, Image, ground_noise, noise_spread, sample
 from olt_generator.poses import Array
@@ -75,8 +77,12 @@ class Ground:
     def __init__(self, scene: Scene, looks: Looks) -> None:
         self._raster = draw_materials(scene)
         self._mips, self._left, self._top = _mip_atlas(self._raster.image)
-        self._palette = _palette(looks)
-        self._contrast = _contrast()
+        values, known = np.arange(256), [GRASS, GRAVEL, ASPHALT, PAINT]
+        colors = np.array([looks.grass, looks.gravel, looks.asphalt, looks.paint])
+        palette = [np.interp(values, known, channel) for channel in colors.T]
+        self._palette = np.stack(palette, axis=-1).astype(np.float32)
+        # How strongly the noise shows on each material.
+        self._contrast = np.interp(values, known, [0.16, 0.16, 0.12, 0.04]).astype(np.float32)
         generator = make_generator("ground", looks.texture_seed)
         self._noise_offsets = generator.uniform(0.0, 1000.0, size=(len(NOISE_LAYERS), 2))
 
@@ -126,31 +132,23 @@ def draw_materials(scene: Scene) -> Raster:
     for outline in surfaces:
         raster.fill(outline, ASPHALT)
     for line, dashed in lane_markings(scene.lanes):
-        for stroke in _dashes(line) if dashed else [line]:
+        length = length_of(line)
+        starts = np.arange(0.0, length, _DASH + _GAP)
+        dashes = [points_along(line, np.linspace(start, min(start + _DASH, length), 4)) for start in starts]
+        for stroke in dashes if dashed else [line]:
             raster.draw(stroke, _LINE_WIDTH, PAINT)
     return raster
 
 
 def lane_markings(lanes: tuple[Lane, ...]) -> list[tuple[Array, bool]]:
-    """Lane borders, each once, and whether they are dashed: those between two lanes are, the others are not."""
-    borders: dict[tuple[tuple[float, ...], ...], Array] = {}
-    uses: dict[tuple[tuple[float, ...], ...], int] = {}
-    for lane in lanes:
-        for border in (lane.left, lane.right):
-            ends = sorted(tuple(np.round(point[:2], 1).tolist()) for point in (border[0], border[-1]))
-            key = tuple(ends)
-            borders.setdefault(key, border)
-            uses[key] = uses.get(key, 0) + 1
-    return [(border, uses[key] > 1) for key, border in borders.items()]
-
-
-def _dashes(line: Array) -> list[Array]:
-    arc = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1))])
-    strokes = []
-    for start in np.arange(0.0, arc[-1], _DASH + _GAP):
-        at = np.linspace(start, min(start + _DASH, arc[-1]), 4)
-        strokes.append(np.stack([np.interp(at, arc, line[:, 0]), np.interp(at, arc, line[:, 1])], axis=-1))
-    return strokes
+    """Lane borders (n, 3), each once, and whether they are dashed: those between two lanes are, the others are not."""
+    borders: dict[object, Array] = {}
+    uses = Counter[object]()
+    for border in (side for lane in lanes for side in (lane.left, lane.right)):
+        ends = tuple(sorted(tuple(np.round(point[:2], 1).tolist()) for point in (border[0], border[-1])))
+        borders.setdefault(ends, border)
+        uses[ends] += 1
+    return [(border, uses[ends] > 1) for ends, border in borders.items()]
 
 
 def empty_shadows(scene: Scene) -> Raster:
@@ -190,18 +188,6 @@ def _mip_atlas(image: Image) -> tuple[Image, FloatImage, FloatImage]:
         level = cv2.resize(level, (level.shape[1] // 2, level.shape[0] // 2), interpolation=cv2.INTER_AREA)
     lefts, tops = np.array(corners, dtype=np.float32).T
     return atlas, lefts, tops
-
-
-def _palette(looks: Looks) -> FloatImage:
-    """Colours (256, 3) of the material values."""
-    values = [GRASS, GRAVEL, ASPHALT, PAINT]
-    colors = np.array([looks.grass, looks.gravel, looks.asphalt, looks.paint])
-    return np.stack([np.interp(np.arange(256), values, channel) for channel in colors.T], axis=-1).astype(np.float32)
-
-
-def _contrast() -> FloatImage:
-    """How strongly the noise shows (256,) on the material values."""
-    return np.interp(np.arange(256), [GRASS, GRAVEL, ASPHALT, PAINT], [0.16, 0.16, 0.12, 0.04]).astype(np.float32)
 
 
 def _inside(pixels: FloatImage, size: int) -> FloatImage:

@@ -10,7 +10,8 @@ from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.recording import Recording
-from olt_toolkit.rigs.rig import FRONT_WIDE, pav_rig
+from olt_toolkit.rigs.rig import FRONT_WIDE
+from olt_toolkit.rigs.rig_files import pav_rig
 
 
 def record_drive(
@@ -42,7 +43,10 @@ def record_drive(
     names = tuple(dict.fromkeys((FRONT_WIDE, *cameras)))
     drive_us = frame_times(scene, frame_rate)
     T_world_rig = scene.ego.interpolate(drive_us + scene.ego.timestamps_us[0])
-    filmed = np.ones(len(drive_us), np.bool_) if window_us is None else _within(drive_us, window_us, scene.name)
+    first_us, last_us = window_us or (0, drive_us[-1])
+    filmed = (drive_us >= first_us) & (drive_us <= last_us)
+    if not filmed.any():
+        raise InputError(f"{scene.name}: no image lies between {first_us} and {last_us} us of the drive")
     timestamps_us = drive_us[filmed]
     renderer = SceneRenderer(scene)
 
@@ -83,10 +87,3 @@ def frame_times(scene: Scene, frame_rate: float) -> NDArray[np.int64]:
     duration_us = int(scene.ego.timestamps_us[-1] - scene.ego.timestamps_us[0])
     count = int(np.floor(duration_us * 1e-6 * frame_rate + 1e-9)) + 1
     return np.round(np.arange(count) * (1e6 / frame_rate)).astype(np.int64)
-
-
-def _within(times_us: NDArray[np.int64], window_us: Span, name: str) -> NDArray[np.bool_]:
-    inside = (times_us >= window_us[0]) & (times_us <= window_us[1])
-    if not inside.any():
-        raise InputError(f"{name}: no image lies between {window_us[0]} and {window_us[1]} us of the drive")
-    return inside

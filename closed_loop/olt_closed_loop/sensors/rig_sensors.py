@@ -1,14 +1,12 @@
 """The cameras of the policy's rig in a scene, as the simulation asks for them."""
 
-from functools import lru_cache
-
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.sensors.ray_casting import SceneRenderer
+from olt_closed_loop.sensors.ray_casting import SceneRenderer, render_rig
 from olt_generator.poses import Array
-from olt_toolkit.rigs.rig import Rig, pav_rig
+from olt_toolkit.rigs.rig_files import pav_rig
 
 
 class RigSensors:
@@ -20,20 +18,14 @@ class RigSensors:
 
     def __init__(self, scene: Scene) -> None:
         self._renderer = SceneRenderer(scene)
+        self._rig, self._size = pav_rig(), (0, 0)
 
     def render_rig(
         self, cameras: tuple[str, ...], size: tuple[int, int], T_world_rig: Array, time_us: int
     ) -> NDArray[np.uint8]:
-        """See `simulation.closed_loop.Sensors`."""
-        height, width = size
-        rig = _fitted_rig(width, height)
-        views = [
-            self._renderer.render(rig[name].camera, T_world_rig @ rig[name].T_rig_camera, time_us).rgb
-            for name in cameras
-        ]
-        return np.ascontiguousarray(np.stack(views).transpose(0, 3, 1, 2))
-
-
-@lru_cache(maxsize=4)
-def _fitted_rig(width: int, height: int) -> Rig:
-    return pav_rig().fitted(width, height)
+        """Images (cameras, 3, H, W) uint8 of size (H, W), the rig being at pose (4, 4)."""
+        if size != self._size:
+            height, width = size
+            self._rig, self._size = pav_rig().fitted(width, height), size
+        pictures = render_rig(self._renderer, self._rig, cameras, T_world_rig, time_us)
+        return np.ascontiguousarray(np.stack([pictures[name].rgb for name in cameras]).transpose(0, 3, 1, 2))

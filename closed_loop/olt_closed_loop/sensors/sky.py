@@ -18,26 +18,22 @@ class Sky:
     """
 
     def __init__(self, looks: Looks) -> None:
-        self._image = _paint(looks)
+        axis = np.linspace(-1.0, 1.0, _SIZE, dtype=np.float32)
+        u, v = np.meshgrid(axis, axis)
+        squared = np.minimum(u * u + v * v, 1.0)
+        x, y, z = 2.0 * u / (1.0 + squared), 2.0 * v / (1.0 + squared), (1.0 - squared) / (1.0 + squared)
+        zenith, horizon = (np.array(color, dtype=np.float32) for color in (looks.zenith, looks.horizon))
+        sky = _mix(horizon, zenith, np.sqrt(z))
+        sky = _mix(sky, np.array([245.0, 246.0, 248.0], dtype=np.float32), _cloud_cover(looks, x, y, z))
+        sky = _mix(sky, 0.55 * horizon + 0.45 * np.array(_HILLS, dtype=np.float32), _hills(looks, x, y, z))
+        self._image = np.clip(sky + 0.5, 0, 255).astype(np.uint8)
 
-    def color(self, direction: tuple[FloatImage, FloatImage, FloatImage]) -> Image:
-        """Colours (n, m, 3) uint8 of unit directions with z >= 0, each of x, y, z (n, m)."""
-        x, y, z = direction
+    def color(self, directions: FloatImage) -> Image:
+        """Colours (n, m, 3) uint8 of unit directions (3, n, m) with z >= 0."""
+        x, y, z = directions
         scale = np.float32((_SIZE - 1) / 2) / (np.float32(1.0) + np.maximum(z, np.float32(0.0)))
         center = np.float32((_SIZE - 1) / 2)
         return sample(self._image, x * scale + center, y * scale + center)
-
-
-def _paint(looks: Looks) -> Image:
-    axis = np.linspace(-1.0, 1.0, _SIZE, dtype=np.float32)
-    u, v = np.meshgrid(axis, axis)
-    squared = np.minimum(u * u + v * v, 1.0)
-    x, y, z = 2.0 * u / (1.0 + squared), 2.0 * v / (1.0 + squared), (1.0 - squared) / (1.0 + squared)
-    zenith, horizon = (np.array(color, dtype=np.float32) for color in (looks.zenith, looks.horizon))
-    sky = _mix(horizon, zenith, np.sqrt(z))
-    sky = _mix(sky, np.array([245.0, 246.0, 248.0], dtype=np.float32), _cloud_cover(looks, x, y, z))
-    sky = _mix(sky, 0.55 * horizon + 0.45 * np.array(_HILLS, dtype=np.float32), _hills(looks, x, y, z))
-    return np.clip(sky + 0.5, 0, 255).astype(np.uint8)
 
 
 def _cloud_cover(looks: Looks, x: FloatImage, y: FloatImage, z: FloatImage) -> FloatImage:

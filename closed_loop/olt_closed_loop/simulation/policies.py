@@ -6,11 +6,10 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
-from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.simulation.batch_policy import ObservationBatch, PlannedTrajectoryBatch
 from olt_generator.errors import InputError
-from olt_generator.poses import Array, invert, planar_pose
-from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, PlannedTrajectory, Policy
+from olt_generator.poses import Array, planar_pose
+from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, Observation, PlannedTrajectory, Policy
 
 FUTURE_TIMES: Array = STEP_SECONDS * np.arange(1, FUTURE_STEPS + 1, dtype=np.float64)
 PolicyLoader = Callable[[str | None], Policy]
@@ -91,42 +90,15 @@ class RouteFollowingPolicy(_BatchPolicy):
             raise InputError("policy route: the scene gives no route ahead; choose another policy or scene")
         travelled = np.maximum(_speed(observations), 0.0)[:, None] * FUTURE_TIMES
         offset = np.exp(-travelled / self.return_distance)[..., None] * -route[:, :1]
-        return _facing_forward(_along(route, travelled) + offset)
-
-
-class ReplayPolicy:
-    """Drives back to and along the recording of the scene.
-
-    It keeps track of its pose in the world by the observed history, from the recorded pose at which it is first asked;
-    so it serves one rollout after the other, not two at once.
-    """
-
-    name = "replay"
-    cameras: tuple[str, ...] = ()
-    image_size: tuple[int, int] = (0, 0)
-
-    def __init__(self, scene: Scene) -> None:
-        self._recording = scene.ego
-        self._T_world_rig = np.eye(4)
-        self._time_us: int | None = None
-
-    def plan(self, observation: Observation) -> PlannedTrajectory:
-        """See `Policy.plan`; after the recording's end the plan goes straight on at the last recorded speed."""
-        now = observation.time_us
-        if self._time_us is not None and now == self._time_us + STEP_US:
-            before = np.eye(4)
-            before[:3, :3], before[:3, 3] = observation.history_rotation[-2], observation.history_xyz[-2]
-            self._T_world_rig = self._T_world_rig @ invert(before)
-        else:
-            self._T_world_rig = self._recording.interpolate(np.array([now]))[0]
-        self._time_us = now
-        known_us, positions = self._recording.timestamps_us[-2:], self._recording.positions[-2:]
-        velocity = (positions[1] - positions[0]) / (known_us[1] - known_us[0])
-        future_us = now + STEP_US * np.arange(1, FUTURE_STEPS + 1, dtype=np.int64)
-        poses = self._recording.interpolate(np.minimum(future_us, known_us[1]))
-        poses[:, :3, 3] += np.maximum(future_us - known_us[1], 0)[:, None] * velocity
-        in_rig = invert(self._T_world_rig) @ poses
-        return PlannedTrajectory(in_rig[:, :3, 3], in_rig[:, :3, :3])
+        points = _along(route, travelled) + offset
+        # The plans face where they go; while they do not move they face as before.
+        moves = np.diff(points, axis=1, prepend=0.0)
+        moving = np.hypot(moves[..., 0], moves[..., 1]) > 1e-3
+        headings = np.where(moving, np.arctan2(moves[..., 1], moves[..., 0]), 0.0)
+        latest = np.maximum.accumulate(np.where(moving, np.arange(moves.shape[1]), -1), axis=1)
+        held = np.take_along_axis(headings, np.maximum(latest, 0), axis=1)
+        poses = planar_pose(points[..., 0], points[..., 1], np.where(latest >= 0, held, 0.0))
+        return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])
 
 
 def _loader(make: Callable[[], Policy]) -> PolicyLoader:
@@ -168,14 +140,3 @@ def _along(paths: Array, distances: Array) -> Array:
     share = (distances - starts[row, segment]) / lengths[row, segment]
     begin, end = paths[row, segment], paths[row, segment + 1]
     return begin + share[..., None] * (end - begin)
-
-
-def _facing_forward(points: Array) -> PlannedTrajectoryBatch:
-    """The plans through points (n, 64, 2) that face where they go; while they do not move they face as before."""
-    moves = np.diff(points, axis=1, prepend=0.0)
-    moving = np.hypot(moves[..., 0], moves[..., 1]) > 1e-3
-    headings = np.where(moving, np.arctan2(moves[..., 1], moves[..., 0]), 0.0)
-    latest = np.maximum.accumulate(np.where(moving, np.arange(moves.shape[1]), -1), axis=1)
-    held = np.take_along_axis(headings, np.maximum(latest, 0), axis=1)
-    poses = planar_pose(points[..., 0], points[..., 1], np.where(latest >= 0, held, 0.0))
-    return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])

@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from olt_closed_loop.scenes.polylines import arc_lengths
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array
 from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
@@ -85,8 +86,7 @@ class _Driver:
         self._agent, self._start_us = agent, int(agent.timestamps_us[0])
         self._times = (agent.timestamps_us - agent.timestamps_us[0]).astype(np.float64)
         self._poses = np.column_stack([agent.poses[:, :3], np.unwrap(agent.poses[:, 3])])
-        steps = np.linalg.norm(np.diff(self._poses[:, :2], axis=0), axis=1)
-        self.arc: Array = np.concatenate([[0.0], np.cumsum(steps)])
+        self.arc = arc_lengths(self._poses)
         self._clock = float(max(handover_us - self._start_us, 0))
         self._speed = self._recorded_speed(self._clock)
         self._moved: list[tuple[int, Array]] = []

@@ -1,8 +1,9 @@
 """Implicit steps of the vehicle models: Radau collocation and CVODES, both from CasADi's wheel.
 
-Radau IIA of three stages (order 5, stiffly accurate; Hairer, Wanner, Solving Ordinary Differential Equations II,
-section IV.5) on equal elements, and Sundials' CVODES, which chooses order and sub-steps to a tolerance. Both integrate
-the whole equations, lags included, over the time scaled to 0..1, so one function serves every step and vehicle.
+Radau IIA with three collocation points (order 5, stiffly accurate; Hairer, Wanner, Solving Ordinary Differential
+Equations II, section IV.5) on equal elements, and Sundials' CVODES, which chooses order and sub-steps to a tolerance.
+Both integrate the whole equations, lags included, over the time scaled to 0..1, so one function serves every step and
+vehicle.
 """
 
 from functools import lru_cache
@@ -19,7 +20,7 @@ from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 
-RADAU_STAGES = 3
+RADAU_POINTS = 3
 NEWTON_TOLERANCE = 1e-12
 CVODES_TOLERANCE = 1e-10
 
@@ -29,7 +30,7 @@ def radau_function(model: Model, elements: int) -> ca.Function:
     """(state, control, numbers of the vehicle, step in seconds) -> state one step later."""
     options: dict[str, Any] = {
         "collocation_scheme": "radau",
-        "interpolation_order": RADAU_STAGES,
+        "interpolation_order": RADAU_POINTS,
         "number_of_finite_elements": elements,
         "rootfinder": "newton",
         "rootfinder_options": {"abstol": NEWTON_TOLERANCE, "max_iter": 100, "error_on_fail": True},

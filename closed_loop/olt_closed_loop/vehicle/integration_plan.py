@@ -91,7 +91,7 @@ def _plan_of(demands: "_Demands", model: Model, tolerance: float) -> Any:
     answer = ca.if_else(cheaper, ca.vertcat(first, midpoint, 0.0), ca.vertcat(first + 1, rk4, 0.0))
     if model == "saturating":
         measured = ca.vertcat(first + 1, ca.ceil(FIRST_SHARE * rk4), tolerance)
-        return ca.if_else(demands.sliding() > SLIDING, measured, answer)
+        return ca.if_else(demands.asked_force() / demands.vehicle.friction > SLIDING, measured, answer)
     return answer
 
 
@@ -103,79 +103,61 @@ class _Demands:
         state, control, numbers, self.step = self.arguments
         self.vehicle = vehicle = VehicleNumbers(*ca.vertsplit(numbers))
         steering_command, acceleration_command = limited_commands(control, vehicle)
-        rolling = state[STATE.speed] * ca.tan(state[STATE.steering]) / vehicle.wheelbase
-        along = vehicle.gear * state[STATE.acceleration], vehicle.gear * acceleration_command
-        self.speed = ca.fabs(state[STATE.speed])
-        self.steering = ca.fmax(ca.fabs(state[STATE.steering]), ca.fabs(steering_command))
-        self.steering_change = ca.fabs(steering_command - state[STATE.steering])
-        self.driving, self.braking = ca.fmax(ca.fmax(*along), 0.0), ca.fmax(-ca.fmin(*along), 0.0)
+        steering, speed = state[STATE.steering], ca.fabs(state[STATE.speed])
+        self.steering_change = ca.fabs(steering_command - steering)
         self.commanded_change = ca.fabs(acceleration_command - state[STATE.acceleration])
+        along = vehicle.gear * state[STATE.acceleration], vehicle.gear * acceleration_command
+        self.driving, self.braking = ca.fmax(ca.fmax(*along), 0.0), ca.fmax(-ca.fmin(*along), 0.0)
+        self.pull = ca.fmax(self.driving, self.braking)
+        # The least and the greatest speed that it can have within the step: brakes add none.
+        self.lowest_speed = ca.fmax(speed - self.pull * self.step, 0.0)
+        self.highest_speed = speed + self.driving * self.step
+        # Rolling without slip along the sharpest curve of the step: yaw rate (rad/s), lateral acceleration (m/s^2).
+        sharpest = ca.fmax(ca.fabs(steering), ca.fabs(steering_command))
+        self.turning_rate = self.highest_speed * ca.tan(sharpest) / vehicle.wheelbase
+        self.turning = self.highest_speed * self.turning_rate
+        # How far it is from that now.
+        rolling = state[STATE.speed] * ca.tan(steering) / vehicle.wheelbase
         self.has_tyres = model != "kinematic"
         self.lateral_speed = ca.fabs(state[STATE.lateral_speed]) if self.has_tyres else 0.0
         self.yaw_rate = ca.fabs(state[STATE.yaw_rate] - rolling) if self.has_tyres else 0.0
+        self.slowness = inverse_speed(self.lowest_speed, vehicle.slip_speed)
+        self.front_slip = (self.lateral_speed + vehicle.wheelbase * self.yaw_rate) * self.slowness
+        self.rear_slip = self.lateral_speed * self.slowness
 
     def plan(self, answer: Any) -> ca.Function:
         """The plan that answers so."""
         return ca.Function("plan", list(self.arguments), [ca.densify(ca.cse(answer))])
 
-    @property
-    def pull(self) -> Any:
-        """The largest acceleration that drive or brakes are set to."""
-        return ca.fmax(self.driving, self.braking)
-
-    def lowest_speed(self) -> Any:
-        """The least speed that it can have within the step."""
-        return ca.fmax(self.speed - self.pull * self.step, 0.0)
-
-    def highest_speed(self) -> Any:
-        """The greatest speed that it can have within the step: brakes add none."""
-        return self.speed + self.driving * self.step
-
     def tyre_deviation(self) -> Any:
         """Metres by which tyres could move it away from rolling without slip."""
-        vehicle, speed = self.vehicle, self.highest_speed()
+        vehicle, speed = self.vehicle, self.highest_speed
         swinging = speed * self.steering_change / vehicle.steering_lag
         drifting = self.lateral_speed + (0.5 * speed * self.step + vehicle.wheelbase) * self.yaw_rate
-        return 0.5 * (self.turning() + swinging) * self.step**2 + drifting * self.step + self.saturation_deviation()
+        return 0.5 * (self.turning + swinging) * self.step**2 + drifting * self.step + self.saturation_deviation()
 
     def saturation_deviation(self) -> Any:
         """Metres by which saturation could move it away from linear tyres."""
+        if not self.has_tyres:
+            return 0.0
         asked = self.asked_force()
         share = asked / self.vehicle.friction
-        return 0.5 * GRAVITY * asked * share**4 / 4.0 * self.step**2 if self.has_tyres else 0.0
-
-    def sliding(self) -> Any:
-        """The largest share of the friction limit that an axle could be asked for."""
-        return self.asked_force() / self.vehicle.friction
+        return 0.5 * GRAVITY * asked * share**4 / 4.0 * self.step**2
 
     def asked_force(self) -> Any:
         """The largest force that an axle could be asked for, over its load."""
-        vehicle = self.vehicle
+        vehicle, speed = self.vehicle, self.highest_speed
         front_load = vehicle.mass * GRAVITY * vehicle.rear_axle_to_centre / vehicle.wheelbase
         rear_load = vehicle.mass * GRAVITY - front_load
-        front = vehicle.front_stiffness * (self.front_slip() + self.steering_change) / front_load
-        rear = vehicle.rear_stiffness * self.rear_slip() / rear_load + self.turning() / GRAVITY
-        speed = self.highest_speed()
+        front = vehicle.front_stiffness * (self.front_slip + self.steering_change) / front_load
+        rear = vehicle.rear_stiffness * self.rear_slip / rear_load + self.turning / GRAVITY
         braking = self.braking * speed * inverse_speed(speed, vehicle.standing_speed)
         return ca.fmax(front, rear) + ca.fmax(self.driving, braking) / GRAVITY
-
-    def turning(self) -> Any:
-        """Lateral acceleration (m/s^2) of rolling without slip along the sharpest curve of the step."""
-        return self.highest_speed() * self.turning_rate()
-
-    def slowness(self) -> Any:
-        return inverse_speed(self.lowest_speed(), self.vehicle.slip_speed)
-
-    def front_slip(self) -> Any:
-        return (self.lateral_speed + self.vehicle.wheelbase * self.yaw_rate) * self.slowness()
-
-    def rear_slip(self) -> Any:
-        return self.lateral_speed * self.slowness()
 
     def rate(self, model: Model) -> Any:
         """The fastest rate (1/s) at which the model moves or is moved."""
         vehicle = self.vehicle
-        rate = 1.0 / vehicle.steering_lag + self.turning_rate() + self.pull / vehicle.standing_speed
+        rate = 1.0 / vehicle.steering_lag + self.turning_rate + self.pull / vehicle.standing_speed
         if model == "kinematic":
             return rate
         front, rear = vehicle.front_stiffness, vehicle.rear_stiffness
@@ -183,24 +165,19 @@ class _Demands:
         to_front, to_rear = vehicle.front_axle_to_centre, vehicle.rear_axle_to_centre
         yawing = (front * to_front**2 + rear * to_rear**2) / vehicle.yaw_inertia
         swaying = ca.sqrt(ca.fabs(rear * to_rear - front * to_front) / vehicle.yaw_inertia)
-        return ca.fmax(rate, ca.fmax((lateral + yawing) * self.slowness(), swaying))
+        return ca.fmax(rate, ca.fmax((lateral + yawing) * self.slowness, swaying))
 
     def substeps(self, model: Model, method: ExplicitMethod, tolerance: float) -> Any:
         """Sub-steps that stability and the error ask for."""
-        rate, speed, errors = self.rate(model), self.highest_speed(), ERROR_MODELS[method]
-        slipping = self.steering_change + self.front_slip() + self.rear_slip()
-        swaying = errors.swaying * (1.0 + speed) * rate * slipping
-        bent = speed * self.turning_rate() + self.pull
-        bending = errors.bending * bent * self.step * self.turning_rate() ** (errors.order - 1)
-        pulling = errors.pulling * self.pull_change() / self.vehicle.acceleration_lag ** (errors.order - 2)
+        rate, errors, vehicle = self.rate(model), ERROR_MODELS[method], self.vehicle
+        slipping = self.steering_change + self.front_slip + self.rear_slip
+        swaying = errors.swaying * (1.0 + self.highest_speed) * rate * slipping
+        bent = self.highest_speed * self.turning_rate + self.pull
+        bending = errors.bending * bent * self.step * self.turning_rate ** (errors.order - 1)
+        # How far the acceleration is from what it will be; close to standstill brakes fade, and all of it may go.
+        fading = self.lowest_speed < 4.0 * vehicle.standing_speed
+        pull_change = ca.if_else(fading, self.pull, self.commanded_change)
+        pulling = errors.pulling * pull_change / vehicle.acceleration_lag ** (errors.order - 2)
         stable = rate * self.step / STABLE_RATE_TIMES_LENGTH
         accurate = self.step * ((swaying + bending + pulling) / tolerance) ** (1.0 / errors.order)
         return ca.ceil(clip(ca.fmax(stable, accurate), 1.0, MOST_SUBSTEPS + 1.0))
-
-    def turning_rate(self) -> Any:
-        """Yaw rate (rad/s) of rolling without slip along the sharpest curve of the step."""
-        return self.highest_speed() * ca.tan(self.steering) / self.vehicle.wheelbase
-
-    def pull_change(self) -> Any:
-        """How far the acceleration is from what it will be; close to standstill brakes fade, and all of it may go."""
-        return ca.if_else(self.lowest_speed() < 4.0 * self.vehicle.standing_speed, self.pull, self.commanded_change)

@@ -97,7 +97,7 @@ class VehicleParameters:
 
     @property
     def numbers(self) -> Array:
-        """The parameters in the order of `VehicleNumbers`; those of absent tyres are 1."""
+        """The parameters (`NUMBERS_SIZE`,) in the order of `VehicleNumbers`, SI units; those of absent tyres are 1."""
         (_, low), (_, high) = self.control_limits
         tyres = self.tyres or TyreParameters(*np.ones(7))
         return np.array(

@@ -22,7 +22,8 @@ from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, Vi
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.policy.sample import SampleKey
 from olt_toolkit.policy.window import IMAGE_OFFSETS_US
-from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS
+from olt_toolkit.rigs.rig_files import pav_rig
 
 IMAGE_SIZE = (320, 576)
 CLIP_ID = make_clip_id("samples benchmark")

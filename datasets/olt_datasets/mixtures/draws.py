@@ -45,7 +45,7 @@ def sample_times(component: Component) -> pl.Expr:
     if limit is None:
         return TIMES
     middles = pl.concat_list([(2 * part + 1) * count // (2 * limit) for part in range(limit)])
-    return pl.when(count > limit).then(TIMES.list.gather(middles, null_on_oob=True)).otherwise(TIMES)
+    return pl.when(count > limit).then(TIMES.list.gather(middles)).otherwise(TIMES)
 
 
 def draw_samples(

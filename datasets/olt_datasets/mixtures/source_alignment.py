@@ -42,7 +42,7 @@ PAPER_COVERAGE = {
     "nv": {"temporary_path_reassignment": 671.0, "human_guided_control": 62.0},
     "waymo_e2e": {"temporary_path_reassignment": 52.0, "human_guided_control": 0.0},
 }
-"""Clips of two patterns of complex intersections in NVIDIA's and Waymo's data (section Generative Scaling)."""
+"""Clips of two patterns of complex intersections in NVIDIA's and Waymo's data (docs/formats/paper.md)."""
 
 PRIOR_CLIPS = 1.0
 DRAWS = 4000

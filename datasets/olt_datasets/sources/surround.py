@@ -25,7 +25,8 @@ from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import Drive
 from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import OpenOptions, Recording
-from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, pav_rig, short_name
+from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, short_name
+from olt_toolkit.rigs.rig_files import pav_rig
 
 Image = NDArray[np.uint8]
 

@@ -28,7 +28,8 @@ from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.recordings.recording import OpenOptions, Recording
-from olt_toolkit.rigs.rig import POLICY_CAMERAS, pav_rig
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.rigs.rig_files import pav_rig
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
 
 NAME = "synthetic"

@@ -17,7 +17,8 @@ from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.toy.inputs import planar_poses, select_images
 from olt_toolkit.policy.action_space import trajectory_to_actions
 from olt_toolkit.policy.sample import PolicySample
-from olt_toolkit.rigs.rig import POLICY_CAMERAS, pav_rig
+from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.rigs.rig_files import pav_rig
 
 # Left and right change places in a mirror: cross-left, front, cross-right, tele.
 MIRRORED_CAMERAS = [2, 1, 0, 3]

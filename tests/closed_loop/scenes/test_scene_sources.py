@@ -111,7 +111,7 @@ def test_a_sensor_log_is_read_into_the_world_frame(sensor_log):
     assert any("Ford" in text for text in scene.assumptions)
 
 
-def test_a_sensor_log_passes_the_gate_and_survives_a_stage(sensor_log, tmp_path):
+def test_a_sensor_log_passes_the_gate_and_survives_a_scene_file(sensor_log, tmp_path):
     scene = read_recording(sensor_log)
     again = read_scene(write_scene(scene, tmp_path / "scene.usdc"))
     assert check_gate(again).passed

@@ -90,11 +90,44 @@ def test_a_turning_ego_closes_with_the_speed_of_its_point():
     assert (hit.side, hit.ego_closing) == ("lateral", pytest.approx(1.0, rel=0.02))
 
 
+def test_whether_the_ego_moves_is_said_of_the_point_that_touches():
+    # Its corner comes round at 0.06 rad/s and 2.236 m, 0.134 m/s, of which 0.06 m/s towards the wall.
+    yaw = np.arcsin(2.0 / np.hypot(2.0, 1.0)) - np.arctan2(1.0, 2.0)
+    turning = make_box((0, 0, 0, yaw - 0.03), (0, 0, 0, 0.06))
+    ((hit,), _) = collide(turning, make_agent((0.0, 3.0, 0, 0), (0, 0, 0, 0), (20.0, 2.0, 2.0)))
+    assert (hit.ego_closing, hit.at_fault) == (pytest.approx(0.06, rel=0.02), True)
+
+
 def test_a_turning_agent_closes_with_the_speed_of_its_point():
     turning = make_agent((0.0, 3.0, 0, 0), (0, 0, 0, -1.0))
     ((hit,), _) = collide(make_box((3.0, 0, 0, 0), (0, 0, 0, 0), size=(20.0, 2.0, 2.0)), turning)
     assert (hit.side, hit.at_fault) == ("lateral", False)
     assert (hit.ego_closing, hit.agent_closing) == (0.0, pytest.approx(1.0, rel=0.02))
+
+
+def make_uneven(times_us, x):
+    """An ego along x at given places."""
+    poses = np.zeros((len(x), 4))
+    poses[:, 0] = x
+    return MovingBox(np.array(times_us, dtype=np.int64), poses, 0.5 * np.array(SIZE))
+
+
+def test_speeds_are_those_just_before_the_contact():
+    # 2 m/s, then 8 m/s from 0.4 s on, the contact at 0.5 s, then nothing.
+    ego = make_uneven([0, 400_000, 500_010, SECOND], [0.0, 0.8, 1.60008, 1.60008])
+    ((hit,), _) = collide(ego, make_agent((5.6, 0, 0, 0), (0, 0, 0, 0)))
+    assert hit.time_us == pytest.approx(500_000, abs=2)
+    assert hit.ego_closing == pytest.approx(8.0)
+
+
+def test_who_appears_in_a_contact_moves_as_it_does_from_then_on():
+    ego = make_box((0, 0, 0, 0), (0, 0, 0, 0))
+    late = make_box((3.9, 0, 0, 0), (-1.5, 0, 0, 0), start_us=500_000)
+    once = MovingBox(late.timestamps_us[:1], late.poses[:1], late.half_size)
+    for box, closing in ((late, 3.0), (once, 0.0)):
+        agent = Agent("late", "automobile", *SIZE, box.timestamps_us, box.poses)
+        ((hit,), _) = collide(ego, agent)
+        assert (hit.time_us, hit.side, hit.agent_closing) == (500_000, "front", pytest.approx(closing))
 
 
 def test_who_is_out_of_reach_in_place_or_time_is_left_out():

@@ -9,7 +9,8 @@ from olt_closed_loop.sensors.ray_casting import SceneRenderer
 from olt_closed_loop.sensors.recorder import record_drive
 from olt_generator.errors import InputError
 from olt_toolkit.recordings.recording import Recording
-from olt_toolkit.rigs.rig import CROSS_LEFT, FRONT_TELE, FRONT_WIDE, pav_rig
+from olt_toolkit.rigs.rig import CROSS_LEFT, FRONT_TELE, FRONT_WIDE
+from olt_toolkit.rigs.rig_files import pav_rig
 
 SIZE = (56, 32)
 

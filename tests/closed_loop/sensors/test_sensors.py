@@ -14,7 +14,8 @@ from olt_closed_loop.sensors.ray_casting import SceneRenderer, render_rig
 from olt_generator.cameras import FthetaCamera, PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
 from olt_generator.poses import R_FORWARD_CAMERA, camera_pose_in_rig
-from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_TELE, FRONT_WIDE, pav_rig
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_TELE, FRONT_WIDE
+from olt_toolkit.rigs.rig_files import pav_rig
 
 PINHOLE = PinholeCamera.from_field_of_view(80, 60, np.radians(80.0))
 FISHEYE = FthetaCamera.equidistant(80, 60, 39.5, 29.5, 40.0)
@@ -162,7 +163,7 @@ def test_tele_and_wide_show_the_same_world(renderer: SceneRenderer, scene: Scene
     assert np.corrcoef(got.mean(axis=-1).ravel(), expected.mean(axis=-1).ravel())[0, 1] > 0.9
 
 
-def test_same_bytes_twice_and_from_a_written_stage(scene: Scene, renderer: SceneRenderer, tmp_path: Path) -> None:
+def test_same_bytes_twice_and_from_a_scene_file(scene: Scene, renderer: SceneRenderer, tmp_path: Path) -> None:
     rig = pav_rig().fitted(112, 64)
     pose = scene.ego.interpolate(np.array([6_000_000]))[0]
     first = render_rig(renderer, rig, tuple(CAMERA_INDEX), pose, 6_000_000)

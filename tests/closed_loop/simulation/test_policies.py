@@ -6,7 +6,6 @@ from hypothesis import strategies as st
 from olt_closed_loop.simulation.batch_policy import ObservationBatch
 from olt_closed_loop.simulation.policies import (
     ConstantVelocityPolicy,
-    ReplayPolicy,
     RouteFollowingPolicy,
     StandingPolicy,
     load_constant_velocity,
@@ -93,8 +92,8 @@ def test_each_row_of_a_batch_is_answered_as_alone(policy, speeds, lengths):
         np.testing.assert_array_equal(together.rotation[index], alone.rotation[0])
 
 
-def test_replay_answers_with_the_recorded_future(straight_scene):
-    plan = ReplayPolicy(straight_scene(speed=7.0)).plan(make_observation(7.0))
+def test_replay_answers_with_the_recorded_future(straight_scene, replay_policy):
+    plan = replay_policy(straight_scene(speed=7.0)).plan(make_observation(7.0))
     np.testing.assert_allclose(plan.xyz[:, 0], 0.7 * np.arange(1, 65), atol=1e-9)
 
 

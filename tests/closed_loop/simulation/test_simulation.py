@@ -8,7 +8,6 @@ from olt_closed_loop.scoring.definitions import score_rollout
 from olt_closed_loop.simulation.closed_loop import RolloutRequest, replay, simulate, simulate_batch, stand
 from olt_closed_loop.simulation.policies import (
     ConstantVelocityPolicy,
-    ReplayPolicy,
     RouteFollowingPolicy,
     StandingPolicy,
 )
@@ -301,10 +300,10 @@ def curved_scene(scene):
     return replace(scene, ego=Trajectory(scene.ego.timestamps_us, poses), route=route, drivable=())
 
 
-@pytest.mark.parametrize(("make", "off"), [(ReplayPolicy, 0.02), (lambda scene: RouteFollowingPolicy(), 0.4)])
-def test_replay_and_route_following_stay_on_a_winding_road(straight_scene, make, off):
+@pytest.mark.parametrize(("follows", "off"), [("recording", 0.02), ("route", 0.4)])
+def test_replay_and_route_following_stay_on_a_winding_road(straight_scene, replay_policy, follows, off):
     scene = curved_scene(straight_scene())
-    rollout = simulate(scene, make(scene))
+    rollout = simulate(scene, RouteFollowingPolicy() if follows == "route" else replay_policy(scene))
     nearest = np.linalg.norm(rollout.states[:, None, :2] - scene.route[None, :, :2], axis=-1).min(axis=1)
     recorded = replay(scene).states
     assert np.linalg.norm(rollout.states[-1, :2] - recorded[-1, :2]) < off

@@ -15,7 +15,8 @@ from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
 from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS
+from olt_toolkit.rigs.rig_files import pav_rig
 
 WIDTH, HEIGHT = 64, 36
 REVISION = "0" * 40

@@ -1,4 +1,6 @@
+import math
 from fractions import Fraction
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -46,3 +48,22 @@ def test_running_totals_stay_close_to_the_shares(counts):
     running = np.cumsum(batch_counts(counts, 8), axis=0)
     exact = np.outer(running.sum(axis=1), np.array(counts) / sum(counts))
     assert np.abs(running - exact).max() < 4
+
+
+@given(counts=st.lists(st.integers(0, 60), min_size=1, max_size=5).filter(any), batch_size=st.integers(1, 12))
+@example(counts=[7, 3, 11], batch_size=4)
+def test_batches_are_what_the_equation_says(counts, batch_size):
+    """A plain reference in fractions; p ranks the golden-section sequence k (sqrt(5) - 1) / 2 mod 1."""
+    samples, full = sum(counts), sum(counts) // batch_size
+    places = sorted(range(full), key=lambda k: k * 0.6180339887498949 % 1.0)
+    up_to = [sum(counts[:column]) for column in range(len(counts) + 1)]
+    expected = []
+    for k in range(full):
+        shift = Fraction(places.index(k), full)
+        reached = [math.floor(Fraction(batch_size * items, samples) + shift) for items in up_to]
+        expected.append([after - before for before, after in pairwise(reached)])
+    rest = samples % batch_size
+    if rest:
+        reached = [math.ceil(Fraction(rest * items, samples)) for items in up_to]
+        expected.append([after - before for before, after in pairwise(reached)])
+    assert batch_counts(counts, batch_size).tolist() == expected

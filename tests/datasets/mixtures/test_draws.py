@@ -1,6 +1,6 @@
 import polars as pl
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from olt_datasets.mixtures.draws import PRIORITY, draw_samples, sample_count
@@ -46,6 +46,7 @@ def draw(clips, count, seed=0, **fields):
 
 @SETTINGS
 @given(count=st.integers(0, 1000), seed=st.integers(0, 100))
+@example(count=1000, seed=0)
 def test_a_draw_has_its_size_and_no_sample_twice(clips, count, seed):
     drawn = draw(clips, count, seed)
     assert len(drawn) == len(set(drawn)) == count
@@ -75,6 +76,12 @@ def test_clips_that_are_added_move_no_other_clip(clips):
     kept = {clip_id for (clip_id,) in first.select("clip_id").collect().rows()}
     still_there = [sample for sample in draw(clips, 125) if sample[0] in kept]
     assert 50 < len(still_there) < 125 and draw(first, 200)[: len(still_there)] == still_there
+
+
+def test_a_bound_that_leaves_too_few_is_widened(clips):
+    """The number of available samples sets the first bound only."""
+    drawn = draw_samples(clips, component(), 20_000, 500, 0, ("clip_id",))
+    assert drawn.select("clip_id", "t0_us").rows() == draw(clips, 500)
 
 
 def test_seeds_and_names_draw_differently(clips):
@@ -129,4 +136,6 @@ def test_both_kinds_of_a_window_are_drawn_alike(same):
     ],
 )
 def test_sample_times_of_a_clip(times, fields, expected):
-    assert sorted(t0_us for _, t0_us in draw(make_clips([times]), 10, **fields)) == expected
+    clips = make_clips([times])
+    assert sorted(t0_us for _, t0_us in draw(clips, 10, **fields)) == expected
+    assert clips.select(sample_count(component(**fields))).collect().item() == len(expected)

@@ -67,6 +67,16 @@ def test_ranks_are_disjoint_and_give_the_batches_of_one_rank(toy_table, data, pe
         assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
 
+def test_a_rank_takes_every_nth_item_from_its_own_on_and_starts_again_at_any_batch(toy_table):
+    recipe = make_recipe({**NOMINAL, "count": 45}, {**WORK_ZONES, "count": 5})
+    mixture = compose_mixture(recipe, toy_table, 0)
+    whole = mixture.epoch(1, 12)
+    assert [len(batch) for batch in whole] == [12, 12, 12, 12, 2]
+    for start in range(6):
+        ranks = [mixture.epoch(1, 12, rank, 3, start_batch=start) for rank in range(3)]
+        assert ranks == [[batch[rank::3] for batch in whole[start:]] for rank in range(3)]
+
+
 @SETTINGS
 @given(
     data=st.data(), stop=st.integers(0, 12), before=st.sampled_from([1, 2, 3, 6]), after=st.sampled_from([1, 4, 6, 12])

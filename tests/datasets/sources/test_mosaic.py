@@ -10,8 +10,8 @@ from olt_datasets.sources.mosaic import NOBODY, Mosaic, choose_cameras, coverage
 from olt_generator.cameras import PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, make_pose
-from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, MountedCamera, pav_rig
-from olt_toolkit.rigs.rig_files import load_rig
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, MountedCamera
+from olt_toolkit.rigs.rig_files import load_rig, pav_rig
 
 SMALL = (104, 58)
 NUSCENES = load_rig("nuscenes")

@@ -18,8 +18,8 @@ from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, Vi
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.recordings.drives import open_dataset
 from olt_toolkit.recordings.recording import OpenOptions
-from olt_toolkit.rigs.rig import CROSS_LEFT, DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, pav_rig
-from olt_toolkit.rigs.rig_files import load_rig
+from olt_toolkit.rigs.rig import CROSS_LEFT, DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.rigs.rig_files import load_rig, pav_rig
 
 SIZE = (64, 36)
 FRAMES = 240

@@ -21,8 +21,8 @@ from olt_toolkit.rigs.rig import (
     FRONT_WIDE,
     POLICY_CAMERAS,
     MountedCamera,
-    pav_rig,
 )
+from olt_toolkit.rigs.rig_files import pav_rig
 
 SIZE = (192, 108)
 OPTIONS = BuildOptions(width=128, height=72)

@@ -17,7 +17,8 @@ from olt_toolkit.clips.clip import CameraStream, EgoMotion, make_clip_id
 from olt_toolkit.clips.score import score_against, score_consistency
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.commands.clip import app
-from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, pav_rig
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
+from olt_toolkit.rigs.rig_files import pav_rig
 
 CAMERAS = (CROSS_LEFT, FRONT_WIDE, CROSS_RIGHT)
 TRUE, COPIED, DISTURBED, FRONT_ONLY = (make_clip_id(name) for name in ("true", "copied", "disturbed", "front only"))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from olt_generator.cameras import BrownConradyCamera, FthetaCamera, KannalaBrandtCamera, PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
 from olt_toolkit.rigs.ftheta_fit import fit_ftheta
-from olt_toolkit.rigs.rig import pav_rig
+from olt_toolkit.rigs.rig_files import pav_rig
 
 
 def largest_distance(pixels_a, pixels_b):

@@ -5,7 +5,8 @@ import pytest
 
 from olt_generator.errors import InputError
 from olt_generator.poses import invert
-from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, pav_rig
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.rigs.rig_files import pav_rig
 
 # The rig's cameras by the names of the measured median calibration.
 MEASURED = {

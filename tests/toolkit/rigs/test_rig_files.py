@@ -9,8 +9,8 @@ import yaml
 from olt_generator.cameras import BrownConradyCamera, FthetaCamera, KannalaBrandtCamera, PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
 from olt_generator.poses import invert
-from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, pav_rig
-from olt_toolkit.rigs.rig_files import load_rig, read_nvidia_calibration, read_rig, rig_names
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE
+from olt_toolkit.rigs.rig_files import load_rig, pav_rig, read_nvidia_calibration, read_rig, rig_names
 
 CAMERA = {
     "size": [640, 480],

@@ -99,7 +99,7 @@ def test_doctor_names_versions_and_parts():
     report = json.loads(result.stdout)
     assert result.returncode == 0
     assert report["ready"] and report["machine"]["packages"]["torch"]
-    assert {part["name"] for part in report["optional_parts"]} == {"generator", "sft", "interop", "distributed"}
+    assert {part["name"] for part in report["optional_parts"]} == {"learned", "devkit", "distributed"}
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals are a matter of POSIX")

@@ -1,11 +1,8 @@
-from importlib.metadata import version
-
 import olt_toolkit
 from olt_toolkit.runtime.version import code_version, hash_source
 
 
-def test_the_version_stands_in_one_place():
-    assert olt_toolkit.__version__ == version("openlongtail")
+def test_the_version_is_told():
     assert code_version().split("+")[0] == olt_toolkit.__version__
 
 

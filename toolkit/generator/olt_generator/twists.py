@@ -19,14 +19,22 @@ _JACOBIAN_TERMS = 6
 def exponential(twist: Array) -> Array:
     """Poses (..., 4, 4) reached from the identity along twists (..., 6)."""
     rotation_vector = twist[..., 3:]
-    translation = np.matmul(_left_jacobian(rotation_vector), twist[..., :3, None])[..., 0]
+    angle, safe, small = _angles(rotation_vector)
+    linear = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
+    square = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
+    # The left Jacobian of SO(3): the mean rotation on the way.
+    translation = np.matmul(_polynomial(rotation_vector, linear, square), twist[..., :3, None])[..., 0]
     return make_pose(rotation_from_vector(rotation_vector), translation)
 
 
 def logarithm(pose: Array) -> Array:
     """Twists (..., 6) that lead from the identity to poses (..., 4, 4); angles are at most pi."""
     rotation_vector = vector_from_rotation(pose[..., :3, :3])
-    translation = np.matmul(_inverse_left_jacobian(rotation_vector), pose[..., :3, 3:])[..., 0]
+    angle, safe, small = _angles(rotation_vector)
+    closed = (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2
+    square = np.where(small, 1.0 / 12.0 + angle**2 / 720.0, closed)
+    inverse_jacobian = _polynomial(rotation_vector, np.full_like(angle, -0.5), square)
+    translation = np.matmul(inverse_jacobian, pose[..., :3, 3:])[..., 0]
     return np.concatenate([translation, rotation_vector], axis=-1)
 
 
@@ -65,21 +73,6 @@ def cross_matrix(vector: Array) -> Array:
     x, y, z = np.moveaxis(vector, -1, 0)
     zero = np.zeros_like(x)
     return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*vector.shape[:-1], 3, 3)
-
-
-def _left_jacobian(rotation_vector: Array) -> Array:
-    """Matrices (..., 3, 3): mean rotation on the way to the rotations of the vectors."""
-    angle, safe, small = _angles(rotation_vector)
-    linear = np.where(small, 0.5 - angle**2 / 24.0, (1.0 - np.cos(safe)) / safe**2)
-    square = np.where(small, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
-    return _polynomial(rotation_vector, linear, square)
-
-
-def _inverse_left_jacobian(rotation_vector: Array) -> Array:
-    angle, safe, small = _angles(rotation_vector)
-    closed = (1.0 - 0.5 * safe / np.tan(0.5 * safe)) / safe**2
-    square = np.where(small, 1.0 / 12.0 + angle**2 / 720.0, closed)
-    return _polynomial(rotation_vector, np.full_like(angle, -0.5), square)
 
 
 def _angles(rotation_vector: Array) -> tuple[Array, Array, Array]:

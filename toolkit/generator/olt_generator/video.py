@@ -224,34 +224,28 @@ def _decode(
     stream.thread_type = "AUTO"
     frames: list[NDArray[np.uint8]] = []
     times: list[Fraction] = []
-    for frame in _decoded(path, container, stream):
-        if frame.pts is None or frame.time_base is None:
-            raise InputError(f"{path}: frame {len(frames)} has no presentation time; convert the video to mp4")
-        time = frame.pts * frame.time_base
-        if times and time <= times[-1]:
-            raise InputError(f"{path}: frame {len(frames)} is not later than the one before it; convert it to mp4")
-        if times and time - times[0] >= duration:
-            return np.stack(frames), _microseconds(times)
-        times.append(time)
-        frames.append(shrink(_upright(frame), width))
+    try:
+        for frame in container.decode(stream):
+            where = f"{path}: frame {len(frames)}"
+            if frame.is_corrupt:
+                raise InputError(f"{where} is damaged; copy the video again or cut it before this frame")
+            if frame.pts is None or frame.time_base is None:
+                raise InputError(f"{where} has no presentation time; convert the video to mp4")
+            time = frame.pts * frame.time_base
+            if times and time <= times[-1]:
+                raise InputError(f"{where} is not later than the one before it; convert it to mp4")
+            if times and time - times[0] >= duration:
+                return np.stack(frames), _microseconds(times)
+            times.append(time)
+            frames.append(shrink(_upright(frame), width))
+    except FFmpegError as error:
+        raise InputError(
+            f"{path}: decoding fails after frame {len(frames) - 1} ({error.strerror}); copy the video again"
+        ) from error
     if not frames:
         raise InputError(f"{path}: no frame could be decoded; copy or convert the video again")
     _check_complete(path, stream, times)
     return np.stack(frames), _microseconds(times)
-
-
-def _decoded(path: Path, container: InputContainer, stream: VideoStream) -> Iterator[av.VideoFrame]:
-    count = 0
-    try:
-        for frame in container.decode(stream):
-            if frame.is_corrupt:
-                raise InputError(f"{path}: frame {count} is damaged; copy the video again or cut it before this frame")
-            yield frame
-            count += 1
-    except FFmpegError as error:
-        raise InputError(
-            f"{path}: decoding fails after frame {count - 1} ({error.strerror}); copy the video again"
-        ) from error
 
 
 def _check_complete(path: Path, stream: VideoStream, times: list[Fraction]) -> None:

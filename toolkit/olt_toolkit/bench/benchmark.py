@@ -20,6 +20,16 @@ class Setting:
     default: bool = False
 
 
+def after(build_input: Callable[[], object], call: Callable[[], Any]) -> Callable[[], Callable[[], Any]]:
+    """A `Setting.prepare` for a call whose input is cached: builds the input, so that its time is not the call's."""
+
+    def prepare() -> Callable[[], Any]:
+        build_input()
+        return call
+
+    return prepare
+
+
 @dataclass(frozen=True)
 class Grid:
     """What a component does over its stiff and extreme cases.

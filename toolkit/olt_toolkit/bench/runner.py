@@ -1,13 +1,15 @@
 """Measures the settings of a registered benchmark, each in a process of its own."""
 
-import statistics
 import time
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from importlib.metadata import entry_points
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
@@ -50,7 +52,7 @@ def run_benchmark(name: str, repeats: int, on_progress: Progress = silent) -> di
         # A fresh process per setting: no setting profits from another's warm caches or freed memory.
         with ProcessPoolExecutor(1, mp_context=get_context("spawn"), initializer=use_one_thread) as pool:
             times, peak_mib, result = pool.submit(_measure, name, index, repeats).result()
-        first, median, third = _quartiles(times)
+        first, median, third = np.quantile(times, (0.25, 0.5, 0.75)).tolist()
         rows.append(
             {
                 "setting": setting.name,
@@ -65,8 +67,8 @@ def run_benchmark(name: str, repeats: int, on_progress: Progress = silent) -> di
             }
         )
         on_progress((index + 1) / len(settings))
-    for row in rows:
-        row["pareto"] = not any(_dominates(other, row) for other in rows)
+    for row, on_front in zip(rows, pareto_front([(row["error"], row["median_s"]) for row in rows]), strict=True):
+        row["pareto"] = on_front
     return {
         "benchmark": name,
         "title": benchmark.title,
@@ -76,6 +78,14 @@ def run_benchmark(name: str, repeats: int, on_progress: Progress = silent) -> di
         "settings": rows,
         "machine": describe_machine(),
     }
+
+
+def pareto_front(costs: Sequence[tuple[float, float]]) -> list[bool]:
+    """Whether each (error, seconds) is beaten by no other: none is better in one of them and no worse in the other."""
+    return [
+        all(other == (error, seconds) for other in costs if other[0] <= error and other[1] <= seconds)
+        for error, seconds in costs
+    ]
 
 
 def resident_mib(field: str) -> float | None:
@@ -91,7 +101,8 @@ def resident_mib(field: str) -> float | None:
 def _measure(name: str, index: int, repeats: int) -> tuple[list[float], float | None, Any]:
     call = load_benchmark(name).settings()[index].prepare()
     before = resident_mib("VmRSS")
-    _reset_peak()
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")  # Linux: the peak starts anew from the present size
     result = call()  # warms caches and is the result that is judged
     peak = resident_mib("VmHWM")
     times = []
@@ -100,20 +111,3 @@ def _measure(name: str, index: int, repeats: int) -> tuple[list[float], float | 
         call()
         times.append(time.perf_counter() - start)
     return times, None if before is None or peak is None else round(max(peak - before, 0.0), 2), result
-
-
-def _quartiles(times: list[float]) -> tuple[float, float, float]:
-    if len(times) == 1:
-        return times[0], times[0], times[0]
-    first, median, third = statistics.quantiles(times, n=4, method="inclusive")
-    return first, median, third
-
-
-def _dominates(other: dict[str, Any], row: dict[str, Any]) -> bool:
-    no_worse = other["error"] <= row["error"] and other["median_s"] <= row["median_s"]
-    return no_worse and (other["error"] < row["error"] or other["median_s"] < row["median_s"])
-
-
-def _reset_peak() -> None:
-    with suppress(OSError):
-        Path("/proc/self/clear_refs").write_text("5")  # Linux: the peak starts anew from the present size

@@ -1,6 +1,5 @@
 """Distances of a drive down the made-up street: time of the plane sweep against pixels that come out wrong."""
 
-from collections.abc import Callable
 from functools import lru_cache, partial
 
 import cv2
@@ -12,7 +11,7 @@ from olt_generator.distance.background import FAR_DISTANCE, background_distance
 from olt_generator.distance.depth import SweepSettings, estimate_distance
 from olt_generator.poses import Array, camera_pose_in_rig, invert, planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting, after
 from olt_toolkit.benchmarks.street import render_street
 
 WIDTH, HEIGHT = 832, 480
@@ -83,26 +82,22 @@ def _triangulate_flow(
 
 def _sweep(settings: SweepSettings) -> NDArray[np.float32]:
     frames, _, trajectory = _drive()
-    return estimate_distance(frames, CAMERA, trajectory, T_RIG_CAMERA, shown=SHOWN, settings=settings).distance
+    return estimate_distance(frames, CAMERA, trajectory, T_RIG_CAMERA, frame_indices=SHOWN, settings=settings).distance
 
 
-def _prepare(method: Callable[[], NDArray[np.float32]]) -> Callable[[], NDArray[np.float32]]:
-    _drive()
-    return method
-
-
-def _wrong(distance: NDArray[np.float32]) -> float:
+def measure_error(distance: NDArray[np.float32]) -> float:
     """Percent of pixels (m, H, W) that are off by more than a tenth."""
     _, truth, _ = _drive()
     return float(100.0 * np.mean(~(np.abs(distance - truth) < RIGHT * truth)))
 
 
-def _settings() -> list[Setting]:
+def list_settings() -> list[Setting]:
+    """What is measured."""
     sweeps = [
-        Setting(name, partial(_prepare, partial(_sweep, settings)), default=settings == SweepSettings())
+        Setting(name, after(_drive, partial(_sweep, settings)), default=settings == SweepSettings())
         for name, settings in SETTINGS.items()
     ]
-    return [*sweeps, Setting("flow of one pair", partial(_prepare, flow_of_one_pair))]
+    return [*sweeps, Setting("flow of one pair", after(_drive, flow_of_one_pair))]
 
 
 BENCHMARK = Benchmark(
@@ -111,6 +106,6 @@ BENCHMARK = Benchmark(
     error_name="wrong by more than a tenth",
     error_unit="% of pixels",
     reference="the distances to which the made-up street is ray-cast, at most 150 m",
-    settings=_settings,
-    measure_error=_wrong,
+    settings=list_settings,
+    measure_error=measure_error,
 )

@@ -1,6 +1,6 @@
 """Visual odometry through a street that is ray-cast exactly: error of the motion against features and window."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import lru_cache, partial
 
 import numpy as np
@@ -11,7 +11,7 @@ from olt_generator.motion.odometry import OdometrySettings, estimate_odometry
 from olt_generator.motion.pose_metrics import compare_trajectories
 from olt_generator.poses import Array, camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting, after
 from olt_toolkit.benchmarks.street import render_street
 
 FRAMES, SECONDS_APART = 21, 0.1
@@ -23,11 +23,15 @@ DEFAULT = OdometrySettings()
 
 @lru_cache(maxsize=1)
 def make_drive() -> tuple[NDArray[np.uint8], Trajectory]:
-    """Frames with the noise of a sensor, and the true path: 17 m at 8.5 m/s along a gentle bend."""
+    """Frames (n, H, W, 3) with the noise of a sensor, and the true path: 17 m at 8.5 m/s along a gentle bend."""
     seconds = SECONDS_APART * np.arange(FRAMES)
     yaw = 0.03 * seconds
     T_world_rig = planar_pose(8.5 * seconds - 8.0, 0.5 * 8.5 * 0.03 * seconds**2 - 0.4, yaw)
-    frames = [_noisy(render_street(CAMERA, pose @ MOUNTING)[0], index) for index, pose in enumerate(T_world_rig)]
+    frames = []
+    for index, pose in enumerate(T_world_rig):
+        image = render_street(CAMERA, pose @ MOUNTING)[0]
+        noise = NOISE_LEVELS * np.random.default_rng(index).standard_normal(image.shape)
+        frames.append(np.clip(image + noise, 0.0, 255.0).astype(np.uint8))
     timestamps_us = np.round(1e6 * seconds).astype(np.int64)
     return np.stack(frames), Trajectory(timestamps_us, T_world_rig)
 
@@ -39,19 +43,15 @@ def follow(settings: OdometrySettings) -> Array:
 
 
 def measure_error(poses: Array) -> float:
-    """Mean error of a step in percent of its length after Sim(3) alignment: the scale, which the road gives, is out."""
+    """Mean error of a step of poses (n, 4, 4) in percent of its length, after Sim(3) alignment: the scale is out."""
     _, true = make_drive()
     aligned = compare_trajectories(Trajectory(true.timestamps_us, poses), true).sim3
     assert aligned is not None and aligned.step_translation_percent is not None  # the drive moves
     return aligned.step_translation_percent
 
 
-def _noisy(image: NDArray[np.uint8], seed: int) -> NDArray[np.uint8]:
-    noise = NOISE_LEVELS * np.random.default_rng(seed).standard_normal(image.shape)
-    return np.clip(image + noise, 0.0, 255.0).astype(np.uint8)
-
-
-def _settings() -> Sequence[Setting]:
+def list_settings() -> Sequence[Setting]:
+    """What is measured."""
     tried = {
         "each step on its own": OdometrySettings(rounds=0),
         "2 rounds": OdometrySettings(rounds=2),
@@ -62,12 +62,10 @@ def _settings() -> Sequence[Setting]:
         "1 corner a cell": OdometrySettings(corners_per_cell=1),
         "8 corners a cell": OdometrySettings(corners_per_cell=8),
     }
-    return [Setting(name, partial(_prepare, settings), settings == DEFAULT) for name, settings in tried.items()]
-
-
-def _prepare(settings: OdometrySettings) -> Callable[[], Array]:
-    make_drive()
-    return partial(follow, settings)
+    return [
+        Setting(name, after(make_drive, partial(follow, settings)), settings == DEFAULT)
+        for name, settings in tried.items()
+    ]
 
 
 BENCHMARK = Benchmark(
@@ -76,6 +74,6 @@ BENCHMARK = Benchmark(
     error_name="error of a step after Sim(3) alignment",
     error_unit="%",
     reference="the path along which the frames were ray-cast",
-    settings=_settings,
+    settings=list_settings,
     measure_error=measure_error,
 )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from olt_generator.cameras import PinholeCamera
 from olt_generator.poses import Array, camera_pose_in_rig, make_pose, planar_pose
 from olt_generator.views.plucker import MOMENT_SCALE, anchor_poses, plucker_rays
-from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting, after
 
 CAMERA = PinholeCamera.from_field_of_view(832, 480, float(np.radians(100.0)))
 T_RIG_FRONT = camera_pose_in_rig([1.7, 0.0, 1.45], 0.0, 0.01, -0.01)
@@ -42,12 +42,12 @@ def chained(kind: type[np.floating]) -> Floats:
 
 
 def differenced() -> NDArray[np.float32]:
-    """What the generator uses: positions subtracted first, double precision, rounded at the end."""
+    """Rays (6, n, 30, 52) as the generator makes them: positions subtracted first, float64, rounded at the end."""
     return plucker_rays(CAMERA, anchor_poses(front_poses(), T_RIG_FRONT, T_RIG_LEFT))
 
 
 def measure_error(rays: Floats) -> float:
-    """Largest difference from the reference over all features."""
+    """Largest difference of rays (6, n, 30, 52) from the reference over all features."""
     return float(np.abs(rays - _reference()).max())
 
 
@@ -64,17 +64,14 @@ def _inverse(pose: Floats) -> Floats:
     return inverse
 
 
-def _prepared(call: Callable[[], Floats]) -> Callable[[], Floats]:
-    return call
-
-
-def _settings() -> list[Setting]:
+def list_settings() -> list[Setting]:
+    """What is measured."""
     calls: dict[str, Callable[[], Floats]] = {
         "float32 throughout": partial(chained, np.float32),
         "float64 throughout": partial(chained, np.float64),
         "float64, positions subtracted first, float32 result": differenced,
     }
-    return [Setting(name, partial(_prepared, call), call is differenced) for name, call in calls.items()]
+    return [Setting(name, after(front_poses, call), call is differenced) for name, call in calls.items()]
 
 
 BENCHMARK = Benchmark(
@@ -83,6 +80,6 @@ BENCHMARK = Benchmark(
     error_name="largest feature error",
     error_unit="of 1",
     reference="the same rays in extended precision (80 bit on x86), by multiplying the poses as they are",
-    settings=_settings,
+    settings=list_settings,
     measure_error=measure_error,
 )

@@ -13,7 +13,8 @@ from olt_generator.lenses.remap import Remapper
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 from olt_toolkit.bench.benchmark import Benchmark, Setting
-from olt_toolkit.rigs.rig import FRONT_WIDE, pav_rig
+from olt_toolkit.rigs.rig import FRONT_WIDE
+from olt_toolkit.rigs.rig_files import pav_rig
 
 WIDTH, HEIGHT = 576, 320
 REFERENCE_SAMPLES = 8
@@ -23,7 +24,7 @@ Images = NDArray[np.uint8]
 
 @lru_cache(maxsize=1)
 def scene() -> tuple[Images, Camera, list[tuple[Camera, Array]]]:
-    """Image, its camera, and the wanted cameras with R_source_target.
+    """Image (H, W, 3), its camera, and the wanted cameras with R_source_target (3, 3).
 
     One keeps the lens, one enlarges, one turns aside, and one of 150 degrees shrinks 13-fold in the middle and hardly
     at its edge.
@@ -51,7 +52,7 @@ def make_image(width: int, height: int) -> Images:
 
 @lru_cache(maxsize=1)
 def reference() -> list[tuple[NDArray[np.float32], NDArray[np.bool_]]]:
-    """Every view as the mean of 144 samples a pixel, and which pixels the source sees whole."""
+    """Every view (h, w, 3) as the mean of 64 samples a pixel, and which pixels (h, w) the source sees whole."""
     image, source, views = scene()
     result = []
     for target, R_source_target in views:
@@ -86,7 +87,8 @@ def measure_error(images: Images) -> float:
     return float(np.sqrt(np.mean(np.concatenate(differences) ** 2)))
 
 
-def _settings() -> Sequence[Setting]:
+def list_settings() -> Sequence[Setting]:
+    """What is measured."""
     prepared: dict[str, Callable[[], Callable[[], Images]]] = {
         "nearest": partial(prepare_plain, cv2.INTER_NEAREST),
         "bilinear": partial(prepare_plain, cv2.INTER_LINEAR),
@@ -104,6 +106,6 @@ BENCHMARK = Benchmark(
     error_name="rms error",
     error_unit="grey levels",
     reference=f"{REFERENCE_SAMPLES**2} bilinear samples of the full image averaged in every pixel",
-    settings=_settings,
+    settings=list_settings,
     measure_error=measure_error,
 )

@@ -14,7 +14,7 @@ from olt_generator.motion.kalman import LinearSystem, filter_forward, smooth_sta
 from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.twists import exponential
-from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting, after
 
 Floats = NDArray[np.floating]
 
@@ -86,12 +86,12 @@ def exact_states() -> Array:
 
 
 def filter_only() -> Floats:
-    """What is known of each state from the past alone."""
+    """What is known of each state (n, states) from the past alone."""
     return filter_forward(make_system()).filtered[:, 0, :, 0]
 
 
 def fixed_lag(lag: int) -> Floats:
-    """States that use the past and the next `lag` measurements."""
+    """States (n, states) that use the past and the next `lag` measurements."""
     system = make_system()
     forward = filter_forward(system)
     gains = smoothing_gains(system, forward)
@@ -106,7 +106,7 @@ def fixed_lag(lag: int) -> Floats:
 
 
 def full(kind: type[np.floating]) -> Floats:
-    """States that use all measurements, computed in the given floating-point type."""
+    """States (n, states) that use all measurements, computed in the given floating-point type."""
     system = make_system()
     arrays = {name: value.astype(kind) for name, value in vars(system).items() if name != "lengths"}
     system = LinearSystem(lengths=system.lengths, **arrays)
@@ -115,17 +115,18 @@ def full(kind: type[np.floating]) -> Floats:
 
 
 def batch_sparse() -> Array:
-    """The batch problem by sparse normal equations."""
+    """States (n, states) of the batch problem by sparse normal equations."""
     A, b = batch_problem(make_system())
     return np.asarray(spsolve((A.T @ A).tocsc(), A.T @ b), dtype=np.float64).reshape(POSES, -1)
 
 
 def measure_error(states: Floats) -> float:
-    """Root mean square distance in metres of the positions from the exact solution."""
+    """Root mean square distance in metres of the positions of states (n, states) from the exact solution."""
     return float(np.sqrt(np.mean(np.sum((states[:, :3] - exact_states()[:, :3]) ** 2, axis=1))))
 
 
-def _settings() -> Sequence[Setting]:
+def list_settings() -> Sequence[Setting]:
+    """What is measured."""
     calls: dict[str, Callable[[], Floats]] = {
         "forward filter only": filter_only,
         **{f"fixed-lag RTS, {lag} poses": partial(fixed_lag, lag) for lag in LAGS},
@@ -133,12 +134,7 @@ def _settings() -> Sequence[Setting]:
         "full RTS, float32": partial(full, np.float32),
         "batch, sparse normal equations": batch_sparse,
     }
-    return [Setting(name, partial(_prepared, call), name == "full RTS") for name, call in calls.items()]
-
-
-def _prepared(call: Callable[[], Floats]) -> Callable[[], Floats]:
-    make_system()
-    return call
+    return [Setting(name, after(make_system, call), name == "full RTS") for name, call in calls.items()]
 
 
 BENCHMARK = Benchmark(
@@ -147,6 +143,6 @@ BENCHMARK = Benchmark(
     error_name="rms position difference",
     error_unit="m",
     reference="the dense batch least-squares solution of the same model and measurements",
-    settings=_settings,
+    settings=list_settings,
     measure_error=measure_error,
 )

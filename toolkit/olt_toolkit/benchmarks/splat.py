@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from olt_generator.cameras import Camera, PinholeCamera
 from olt_generator.poses import Array, camera_pose_in_rig, invert
 from olt_generator.views.splat import Warp, land, splat, splat_reference
-from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting, after
 from olt_toolkit.benchmarks.street import render_street
 
 WIDTH, HEIGHT = 832, 480
@@ -23,7 +23,7 @@ Splat = Callable[[NDArray[np.uint8], NDArray[np.float32], Camera, Camera, Array]
 def overwrite(
     image: NDArray[np.uint8], distance: NDArray[np.float32], source: Camera, target: Camera, T_target_source: Array
 ) -> Warp:
-    """The method of the released generator (docs/formats/generator.md), without a depth test.
+    """Warp an image (H, W, 3) as the released generator does (docs/formats/generator.md), without a depth test.
 
     Points are sorted from far to near and written once for each of the nine offsets of the footprint, so that a
     later offset of a far point overwrites an earlier one of a near point.
@@ -58,7 +58,7 @@ def at_reduced_size(
     target: Camera,
     T_target_source: Array,
 ) -> Warp:
-    """Splat every `factor`-th pixel into an image smaller by `factor` and enlarge the result."""
+    """Splat every `factor`-th pixel of an image (H, W, 3) into one smaller by `factor` and enlarge the result."""
     height, width = distance.shape
     small = splat(
         np.ascontiguousarray(image[::factor, ::factor]),
@@ -85,12 +85,7 @@ def _reference() -> Warp:
     return splat_reference(*_scene())
 
 
-def _prepare(method: Splat) -> Callable[[], NDArray[np.float32]]:
-    scene = _scene()
-    return lambda: method(*scene).distance
-
-
-def _wrong_surface(distance: NDArray[np.float32]) -> float:
+def measure_error(distance: NDArray[np.float32]) -> float:
     """Percent of the target pixels (h, w) that show another surface than the reference, or one where it has none."""
     reference = _reference().distance
     with np.errstate(invalid="ignore"):
@@ -98,14 +93,18 @@ def _wrong_surface(distance: NDArray[np.float32]) -> float:
     return float(100.0 * (1.0 - right.mean()))
 
 
-def _settings() -> list[Setting]:
+def list_settings() -> list[Setting]:
+    """What is measured."""
     methods: dict[str, Splat] = {
         "radius 1": splat,
         "overwrite without depth test": overwrite,
         "half size, enlarged": partial(at_reduced_size, 2),
         "quarter size, enlarged": partial(at_reduced_size, 4),
     }
-    return [Setting(name, partial(_prepare, method), default=method is splat) for name, method in methods.items()]
+    return [
+        Setting(name, after(_scene, lambda method=method: method(*_scene()).distance), default=method is splat)
+        for name, method in methods.items()
+    ]
 
 
 BENCHMARK = Benchmark(
@@ -114,6 +113,6 @@ BENCHMARK = Benchmark(
     error_name="wrong surface",
     error_unit="% of pixels",
     reference="the painter's algorithm in a plain loop (`splat_reference`); right is within 5 % of its distance",
-    settings=_settings,
-    measure_error=_wrong_surface,
+    settings=list_settings,
+    measure_error=measure_error,
 )

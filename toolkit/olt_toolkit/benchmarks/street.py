@@ -44,7 +44,8 @@ def render_street(
     """Image (H, W, 3) and distance (H, W) along each pixel's ray in metres, inf for the sky; exact at pixel centres."""
     directions = pixel_rays(camera) @ T_world_camera[:3, :3].T
     origin = T_world_camera[:3, 3]
-    distance = _distance_to_road(origin, directions)
+    down = -directions[..., 2]
+    distance = np.where(down > 1e-6, origin[2] / np.maximum(down, 1e-6), np.inf)
     colour = np.broadcast_to(np.array(ROAD_COLOUR, np.float64), directions.shape).copy()
     for box in boxes:
         hit = _distance_to_box(origin, directions, box)
@@ -53,15 +54,11 @@ def render_street(
     sky = ~np.isfinite(distance)
     points = origin + directions * np.where(sky, 0.0, distance)[..., None]
     # A pattern finer than two pixels would alias: it is faded out with the width of a pixel on the surface.
-    pixel_width = np.where(sky, 0.0, distance) * _pixel_angle(camera)
+    neighbours = np.array([[0.5 * camera.width, 0.5 * camera.height], [0.5 * camera.width + 1.0, 0.5 * camera.height]])
+    pixel_width = np.where(sky, 0.0, distance) * float(np.linalg.norm(np.diff(camera.rays(neighbours), axis=0)))
     image = colour + 30.0 * _pattern(points, pixel_width)[..., None]
     image[sky] = SKY_COLOUR
     return np.clip(image, 0.0, 255.0).astype(np.uint8), distance.astype(np.float32)
-
-
-def _distance_to_road(origin: Array, directions: Array) -> Array:
-    down = -directions[..., 2]
-    return np.where(down > 1e-6, origin[2] / np.maximum(down, 1e-6), np.inf)
 
 
 def _distance_to_box(origin: Array, directions: Array, box: Box) -> Array:
@@ -71,12 +68,6 @@ def _distance_to_box(origin: Array, directions: Array, box: Box) -> Array:
     enter = np.minimum(to_low, to_high).max(axis=-1)
     leave = np.maximum(to_low, to_high).min(axis=-1)
     return np.where((enter <= leave) & (enter > 0.0), enter, np.inf)
-
-
-def _pixel_angle(camera: Camera) -> float:
-    middle = np.array([[0.5 * camera.width, 0.5 * camera.height], [0.5 * camera.width + 1.0, 0.5 * camera.height]])
-    rays = camera.rays(middle)
-    return float(np.linalg.norm(rays[1] - rays[0]))
 
 
 def _pattern(points: Array, pixel_width: Array) -> Array:

@@ -1,17 +1,16 @@
 """Cross views of a street from one front camera: how many other frames to draw on, against time."""
 
-from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import FthetaCamera
-from olt_generator.poses import Array, camera_pose_in_rig, planar_pose
+from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.synthesis import SynthesisSettings, synthesize_view
-from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Setting, after
 from olt_toolkit.benchmarks.street import render_street
 
 FRONT = FthetaCamera.equidistant(576, 320, 286.0, 200.0, 280.0)
@@ -42,25 +41,18 @@ def make_views(front: FrontView, other_frames: int) -> NDArray[np.uint8]:
 
 
 def measure_error(images: NDArray[np.uint8]) -> float:
-    """Root mean square difference from the true views, invented pixels counted."""
-    return float(np.sqrt(np.mean((images.astype(np.float64) - _true_views()) ** 2)))
+    """Root mean square difference of images (2, h, w, 3) from the true views, invented pixels counted."""
+    true = np.stack([render_street(CROSS, T_rig_camera)[0] for T_rig_camera in T_RIG_CROSS]).astype(np.float64)
+    return float(np.sqrt(np.mean((images.astype(np.float64) - true) ** 2)))
 
 
-@lru_cache(maxsize=1)
-def _true_views() -> Array:
-    return np.stack([render_street(CROSS, T_rig_camera)[0] for T_rig_camera in T_RIG_CROSS]).astype(np.float64)
-
-
-def _prepare(other_frames: int) -> Callable[[], NDArray[np.uint8]]:
-    return partial(make_views, drive(), other_frames)
-
-
-def _settings() -> list[Setting]:
+def list_settings() -> list[Setting]:
+    """What is measured."""
     default = SynthesisSettings().other_frames
     return [
         Setting(
             "same frame only" if count == 0 else f"at most {count} other frames",
-            partial(_prepare, count),
+            after(drive, lambda count=count: make_views(drive(), count)),
             count == default,
         )
         for count in OTHER_FRAMES
@@ -73,6 +65,6 @@ BENCHMARK = Benchmark(
     error_name="rms colour error",
     error_unit="of 255",
     reference="the true views of a made-up street, ray-cast; distances are true, so that the warp alone is measured",
-    settings=_settings,
+    settings=list_settings,
     measure_error=measure_error,
 )

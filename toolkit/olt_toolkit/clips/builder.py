@@ -133,7 +133,12 @@ def build_clip(
         distance_error=distance_error,
         view_errors=_view_errors(views, shown),
         seconds=steps.seconds,
-        assumptions=(*recording.assumptions, *_lens_notes(views)),
+        assumptions=recording.assumptions
+        + tuple(
+            f"{name}: the f-theta polynomials of the clip's tables miss its lens by up to {error:.2f} px"
+            for name, view in views.items()
+            if (error := fit_ftheta(view.camera).error) > _NOTED_LENS_ERROR
+        ),
     )
 
 
@@ -273,12 +278,3 @@ def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, View
             float(np.mean([psnr(image, true_image, seen) for image, true_image, seen in triples if seen.any()])),
         )
     return errors
-
-
-def _lens_notes(views: dict[str, View]) -> list[str]:
-    errors = {name: fit_ftheta(view.camera).error for name, view in views.items()}
-    return [
-        f"{name}: the f-theta polynomials of the clip's tables miss its lens by up to {error:.2f} px"
-        for name, error in errors.items()
-        if error > _NOTED_LENS_ERROR
-    ]

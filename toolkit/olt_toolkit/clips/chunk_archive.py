@@ -8,10 +8,10 @@ matter.
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, TypeVar
 
 from olt_generator.errors import InputError
 
@@ -23,8 +23,6 @@ _HEADER = struct.Struct("<4s22xHH")
 _SIGNATURE = b"PK\x03\x04"
 _ENCRYPTED = 0x1
 
-Result = TypeVar("Result")
-
 
 @dataclass(frozen=True)
 class ByteRange:
@@ -33,16 +31,6 @@ class ByteRange:
     path: Path
     start: int
     size: int
-
-
-@dataclass(frozen=True)
-class _Member:
-    header: int
-    method: int
-    packed_size: int
-    size: int
-    checksum: int
-    encrypted: bool
 
 
 class ChunkArchive:
@@ -54,7 +42,8 @@ class ChunkArchive:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._members = _guard(path, lambda: _read_directory(path))
+        with _readable(path), zipfile.ZipFile(path) as archive:
+            self._members = {info.filename: info for info in archive.infolist()}
 
     def __contains__(self, name: str) -> bool:
         return name in self._members
@@ -66,10 +55,17 @@ class ChunkArchive:
             InputError: it is missing, damaged, encrypted, too large, or packed in an unusual way.
         """
         member = self._member(name)
-        packed = _guard(self.path, lambda: self._read_packed(member, name))
-        data = self._unpack(packed, member, name)
-        if len(data) != member.size or zlib.crc32(data) != member.checksum:
-            raise self._damaged(name)
+        with _readable(self.path), self.path.open("rb") as file:
+            file.seek(self._find_start(member))
+            data = file.read(member.compress_size)
+        if member.compress_type == zipfile.ZIP_DEFLATED:
+            try:
+                # One byte more than promised is enough to know that the promise is broken.
+                data = zlib.decompressobj(-zlib.MAX_WBITS).decompress(data, member.file_size + 1)
+            except zlib.error as error:
+                raise self._damaged(member) from error
+        if len(data) != member.file_size or zlib.crc32(data) != member.CRC:
+            raise self._damaged(member)
         return data
 
     def locate(self, name: str) -> ByteRange | None:
@@ -79,70 +75,40 @@ class ChunkArchive:
             InputError: see `read`.
         """
         member = self._member(name)
-        if member.method != zipfile.ZIP_STORED:
+        if member.compress_type != zipfile.ZIP_STORED:
             return None
-        return ByteRange(self.path, _guard(self.path, lambda: self._find_start(member, name)), member.size)
+        with _readable(self.path):
+            return ByteRange(self.path, self._find_start(member), member.file_size)
 
-    def _member(self, name: str) -> _Member:
+    def _member(self, name: str) -> zipfile.ZipInfo:
         if name not in self._members:
             raise InputError(f"{self.path}: member {name} is missing; build the clip again")
         member = self._members[name]
-        if member.size > LARGEST_MEMBER:
+        if member.file_size > LARGEST_MEMBER:
             raise InputError(
-                f"{self.path}: member {name} claims {member.size} bytes; no clip is as large, build it again"
+                f"{self.path}: member {name} claims {member.file_size} bytes; no clip is as large, build it again"
             )
-        if member.encrypted or member.method not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        if member.flag_bits & _ENCRYPTED or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise InputError(f"{self.path}: member {name} is encrypted or packed in an unusual way; store it plainly")
         return member
 
-    def _read_packed(self, member: _Member, name: str) -> bytes:
+    def _find_start(self, member: zipfile.ZipInfo) -> int:
         with self.path.open("rb") as file:
-            file.seek(self._start(file, member, name))
-            return file.read(member.packed_size)
-
-    def _find_start(self, member: _Member, name: str) -> int:
-        with self.path.open("rb") as file:
-            return self._start(file, member, name)
-
-    def _start(self, file: BinaryIO, member: _Member, name: str) -> int:
-        file.seek(member.header)
-        header = file.read(_HEADER.size)
+            file.seek(member.header_offset)
+            header = file.read(_HEADER.size)
         if len(header) < _HEADER.size or not header.startswith(_SIGNATURE):
-            raise self._damaged(name)
+            raise self._damaged(member)
         _, name_length, extra_length = _HEADER.unpack(header)
-        return member.header + _HEADER.size + name_length + extra_length
+        return member.header_offset + _HEADER.size + name_length + extra_length
 
-    def _unpack(self, packed: bytes, member: _Member, name: str) -> bytes:
-        if member.method == zipfile.ZIP_STORED:
-            return packed
-        try:
-            # One byte more than promised is enough to know that the promise is broken.
-            return zlib.decompressobj(-zlib.MAX_WBITS).decompress(packed, member.size + 1)
-        except zlib.error as error:
-            raise self._damaged(name) from error
-
-    def _damaged(self, name: str) -> InputError:
-        return InputError(f"{self.path}: member {name} is damaged; build the clip again")
+    def _damaged(self, member: zipfile.ZipInfo) -> InputError:
+        return InputError(f"{self.path}: member {member.filename} is damaged; build the clip again")
 
 
-def _read_directory(path: Path) -> dict[str, _Member]:
-    with zipfile.ZipFile(path) as archive:
-        return {
-            info.filename: _Member(
-                info.header_offset,
-                info.compress_type,
-                info.compress_size,
-                info.file_size,
-                info.CRC,
-                bool(info.flag_bits & _ENCRYPTED),
-            )
-            for info in archive.infolist()
-        }
-
-
-def _guard(path: Path, read: Callable[[], Result]) -> Result:
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
     try:
-        return read()
+        yield
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file; the clip store is incomplete") from error
     except (zipfile.BadZipFile, OSError) as error:

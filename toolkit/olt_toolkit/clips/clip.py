@@ -18,6 +18,8 @@ from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, make_pose, planar_pose, yaw_of
 from olt_generator.trajectory import Trajectory
+from olt_toolkit.policy.contract import HISTORY_STEPS
+from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
 from olt_toolkit.recordings.labels import Split
 from olt_toolkit.rigs.rig import VehicleDimensions
 
@@ -72,6 +74,8 @@ class EgoMotion:
     def anchored(cls, trajectory: Trajectory, velocity: Array, acceleration: Array, curvature: Array) -> "EgoMotion":
         """Take a motion from any frame whose z is up to the anchor frame of its clip.
 
+        Velocity (n, 3) m/s and acceleration (n, 3) m/s^2 are turned; curvature (n,) 1/m stays.
+
         Raises:
             InputError: the trajectory does not cover clip time 0.
         """
@@ -117,6 +121,17 @@ class EgoMotion:
         known, query = self.trajectory.timestamps_us - first, timestamps_us - first
         rotation = Slerp(known, Rotation.from_matrix(self.trajectory.T_world_rig[:, :3, :3]))(query)
         return make_pose(rotation.as_matrix(), CubicSpline(known, self.trajectory.positions)(query))
+
+    def around(self, t0_us: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Past poses (m, 16, 4, 4) and future poses (m, 64, 4, 4) in the rig frame at each of the times t0 (m,).
+
+        Raises:
+            InputError: a pose lies outside the motion.
+        """
+        times_us = t0_us[:, None] + np.concatenate([HISTORY_OFFSETS_US, FUTURE_OFFSETS_US])
+        poses = self.interpolate(times_us.ravel()).reshape(*times_us.shape, 4, 4)
+        relative = invert(poses[:, HISTORY_STEPS - 1, None]) @ poses
+        return relative[:, :HISTORY_STEPS], relative[:, HISTORY_STEPS:]
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,12 @@ def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
         timestamps_table(stream.timestamps_us).to_parquet(folder / feature.member(FRAME_TIMESTAMPS, clip.clip_id))
         path = folder / feature.member(VIDEO, clip.clip_id)
         write_video(path, stream.frames, stream.frame_rate, frames_per_step(stream.frame_rate))
-    info = describe_clip(clip, _checksum_files(folder))
+    digest = hashlib.blake2b(digest_size=16)
+    for path in sorted(folder.iterdir()):
+        data = path.read_bytes()
+        digest.update(f"{path.name}\x1f{len(data)}\x1f".encode())
+        digest.update(data)
+    info = describe_clip(clip, digest.hexdigest())
     write_clip_table(folder / CLIP_TABLE, [info])
     return info
 
@@ -122,15 +127,6 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
         fingerprint=fingerprint_images(clip.streams[FRONT_WIDE].frames) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,
     )
-
-
-def _checksum_files(folder: Path) -> str:
-    digest = hashlib.blake2b(digest_size=16)
-    for path in sorted(folder.iterdir()):
-        data = path.read_bytes()
-        digest.update(f"{path.name}\x1f{len(data)}\x1f".encode())
-        digest.update(data)
-    return digest.hexdigest()
 
 
 def pack_chunk(root: Path, chunk: int, folders: Sequence[Path]) -> list[ClipInfo]:

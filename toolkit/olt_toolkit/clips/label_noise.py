@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from olt_generator.motion.iterated_smoother import STANDSTILL_SPEED
 from olt_generator.motion.smoother import SmoothedMotion
-from olt_generator.poses import Array, invert
+from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.policy.action_space import DEFAULT_SETTINGS, trajectory_to_actions
-from olt_toolkit.policy.contract import HISTORY_STEPS, STEP_US
+from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
 
 # So many times t0 at most are looked at, spread evenly over the clip: their labels overlap for 6.4 s anyway.
@@ -53,20 +53,6 @@ class LabelNoiseBudget:
     raw: LabelNoise | None
 
 
-@dataclass(frozen=True)
-class _Labels:
-    """Accelerations (m, 64) in m/s2 and curvatures (m, 64) in 1/m of m samples."""
-
-    acceleration: Array
-    curvature: Array
-
-    def difference(self, other: "_Labels") -> LabelNoise:
-        return LabelNoise(
-            _root_mean_square(self.acceleration - other.acceleration),
-            _root_mean_square(self.curvature - other.curvature),
-        )
-
-
 def measure_label_noise(
     measured: Trajectory, motion: SmoothedMotion, reference: Trajectory | None = None
 ) -> LabelNoiseBudget | None:
@@ -88,9 +74,9 @@ def measure_label_noise(
     return LabelNoiseBudget(
         samples=len(t0_us),
         expected=_expect_noise(motion, t0_us),
-        taken_out=raw.difference(smooth),
-        actual=smooth.difference(true[0]) if true else None,
-        raw=raw.difference(true[0]) if true else None,
+        taken_out=_compare(raw, smooth),
+        actual=_compare(smooth, true[0]) if true else None,
+        raw=_compare(raw, true[0]) if true else None,
     )
 
 
@@ -103,18 +89,19 @@ def _sample_times(trajectories: list[Trajectory]) -> NDArray[np.int64]:
     return first + STEP_US * steps
 
 
-def _find_labels(trajectory: Trajectory, t0_us: NDArray[np.int64]) -> _Labels:
-    """The labels that the policy would be given at times t0 (m,)."""
+def _find_labels(trajectory: Trajectory, t0_us: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Accelerations (m, 64) in m/s2 and curvatures (m, 64) in 1/m that the policy would be given at times t0 (m,)."""
     start = int(trajectory.timestamps_us[0])
     motion = EgoMotion.from_trajectory(Trajectory(trajectory.timestamps_us - start, trajectory.T_world_rig))
-    offsets = np.concatenate([HISTORY_OFFSETS_US, FUTURE_OFFSETS_US])
-    poses = motion.interpolate((t0_us[:, None] + offsets - start).ravel()).reshape(len(t0_us), len(offsets), 4, 4)
-    poses = invert(poses[:, HISTORY_STEPS - 1, None]) @ poses
-    history, future = poses[:, :HISTORY_STEPS], poses[:, HISTORY_STEPS:]
+    history, future = motion.around(t0_us - start)
     actions = trajectory_to_actions(
         history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3], DEFAULT_SETTINGS
     )
-    return _Labels(*DEFAULT_SETTINGS.physical(actions))
+    return DEFAULT_SETTINGS.physical(actions)
+
+
+def _compare(labels: tuple[Array, Array], others: tuple[Array, Array]) -> LabelNoise:
+    return LabelNoise(*(float(np.sqrt(np.mean((a - b) ** 2))) for a, b in zip(labels, others, strict=True)))
 
 
 def _expect_noise(motion: SmoothedMotion, t0_us: NDArray[np.int64]) -> LabelNoise:
@@ -127,7 +114,3 @@ def _expect_noise(motion: SmoothedMotion, t0_us: NDArray[np.int64]) -> LabelNois
     by_speed = np.where(np.abs(speed) > STANDSTILL_SPEED, 1.0 / np.maximum(np.abs(speed), STANDSTILL_SPEED), 0.0)
     variance = covariance[:, 5, 5] - 2.0 * curvature * covariance[:, 0, 5] + curvature**2 * covariance[:, 0, 0]
     return LabelNoise(float(np.sqrt(np.mean(covariance[:, 6, 6]))), float(np.sqrt(np.mean(variance * by_speed**2))))
-
-
-def _root_mean_square(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))

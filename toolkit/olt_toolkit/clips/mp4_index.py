@@ -52,8 +52,12 @@ def read_mp4_index(read: Read, size: int) -> Mp4Index | None:
         0: another format, a fragmented or damaged file, gaps, tagged colours. A demuxer has to see to those.
     """
     try:
-        tables = _find_movie(read, size)
-        return None if tables is None else _read_track(_video_track(tables), size)
+        movie = _find_movie(read, size)
+        if movie is None:
+            return None
+        tracks = [track for kind, track in _boxes(movie) if kind == b"trak"]
+        (video,) = [track for track in tracks if _box(track, b"mdia", b"hdlr")[8:12] == b"vide"]
+        return _read_track(video, size)
     except (struct.error, LookupError, ValueError):
         return None
 
@@ -89,18 +93,13 @@ def _box(data: bytes, *path: bytes) -> bytes:
     return data
 
 
-def _video_track(movie: bytes) -> bytes:
-    tracks = [track for kind, track in _boxes(movie) if kind == b"trak"]
-    (video,) = [track for track in tracks if _box(track, b"mdia", b"hdlr")[8:12] == b"vide"]
-    return video
-
-
 def _read_track(track: bytes, file_size: int) -> Mp4Index | None:
     tables = dict(_boxes(_box(track, b"mdia", b"minf", b"stbl")))
     entry_kind, entry = next(_boxes(tables[b"stsd"][8:]))
     codec, configuration = _CODECS[entry_kind]
     settings = dict(_boxes(entry[_SAMPLE_ENTRY_FIELDS:]))
-    sizes = _sizes(tables[b"stsz"])
+    uniform, count = struct.unpack_from(">II", tables[b"stsz"], 4)
+    sizes = np.full(count, uniform, np.int64) if uniform else _numbers(tables[b"stsz"], 12)[:count]
     shown = _shown(tables, _first_shown_time(track), len(sizes))
     offsets = _offsets(tables, sizes)
     if shown is None or b"colr" in settings or int((offsets + sizes).max()) > file_size:
@@ -135,11 +134,6 @@ def _first_shown_time(track: bytes) -> int:
     if count != 1 or start < 0:
         raise ValueError("the video is put together of several pieces")
     return start
-
-
-def _sizes(table: bytes) -> NDArray[np.int64]:
-    uniform, count = struct.unpack_from(">II", table, 4)
-    return np.full(count, uniform, np.int64) if uniform else _numbers(table, 12)[:count]
 
 
 def _offsets(tables: dict[bytes, bytes], sizes: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -50,16 +50,15 @@ class Feature:
         return self.members[alias].format(clip_id=clip_id)
 
 
-def _camera_feature(camera: str) -> Feature:
-    members = {
-        VIDEO: f"{{clip_id}}.{camera}.mp4",
-        FRAME_TIMESTAMPS: f"{{clip_id}}.{camera}.timestamps.parquet",
-    }
-    return Feature(camera, "camera", members)
-
-
 FEATURES: dict[str, Feature] = {
-    **{camera: _camera_feature(camera) for camera in CAMERA_INDEX},
+    **{
+        camera: Feature(
+            camera,
+            "camera",
+            {VIDEO: f"{{clip_id}}.{camera}.mp4", FRAME_TIMESTAMPS: f"{{clip_id}}.{camera}.timestamps.parquet"},
+        )
+        for camera in CAMERA_INDEX
+    },
     EGOMOTION: Feature(EGOMOTION, "labels", {EGOMOTION: f"{{clip_id}}.{EGOMOTION}.parquet"}),
     **{name: Feature(name, "calibration") for name in CALIBRATIONS},
 }

@@ -63,7 +63,7 @@ def read_egomotion(data: bytes, where: str) -> EgoMotion:
 
 
 def timestamps_table(timestamps_us: NDArray[np.int64]) -> pd.DataFrame:
-    """The table `{clip}.<camera>.timestamps.parquet`: one row per video frame."""
+    """The table `{clip}.<camera>.timestamps.parquet`: one row for each of the frames at clip times (n,)."""
     return pd.DataFrame({"timestamp": timestamps_us})
 
 

@@ -46,7 +46,7 @@ def write_clip_pictures(
     observed: Mapping[str, NDArray[np.bool_]],
     timestamps_us: NDArray[np.int64],
 ) -> dict[str, str]:
-    """Write a contact sheet and then an animated preview; see `contact_sheet` for what is drawn.
+    """Write a contact sheet and then an animated preview of images (n, H, W, 3); see `contact_sheet` for the rest.
 
     Returns:
         The paths of both, "contact_sheet" and "animation".
@@ -145,12 +145,13 @@ def _surround(images: Mapping[str, Image], tile_width: int) -> Image:
             tiles = _side_by_side([images[name] for name in names], tile_width)
             rows.append(np.concatenate([_caption([short_name(name) for name in names], tile_width), tiles]))
     width = max(row.shape[1] for row in rows)
-    return np.concatenate([_centred(row, width) for row in rows])
-
-
-def _centred(row: Image, width: int) -> Image:
-    left = (width - row.shape[1]) // 2
-    return np.pad(row, ((0, 0), (left, width - row.shape[1] - left), (0, 0)))
+    margins = [(width - row.shape[1]) // 2 for row in rows]
+    return np.concatenate(
+        [
+            np.pad(row, ((0, 0), (left, width - row.shape[1] - left), (0, 0)))
+            for row, left in zip(rows, margins, strict=True)
+        ]
+    )
 
 
 def _caption(texts: Sequence[str], width: int) -> Image:

@@ -18,7 +18,6 @@ from olt_generator.metrics.cross_view_consistency import (
 )
 from olt_generator.metrics.image_metrics import psnr, ssim
 from olt_generator.metrics.matchers import Matcher
-from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.images import fit_images
 from olt_toolkit.clips.store import ClipStore
@@ -105,8 +104,8 @@ def score_against(
 ) -> dict[str, Any]:
     """PSNR, SSIM and, where it is given, LPIPS of each view that both clips have, over the times of both.
 
-    The reference is scaled to the size of the clip's views, which the result states. PSNR is None where a view is
-    identical.
+    The reference is scaled to the size of the clip's views, which the result states. PSNR is that of the mean square
+    error over all frames, and None where a view is identical.
 
     Raises:
         InputError: the clips share no view, or a view has no time in common.
@@ -162,16 +161,11 @@ def _compare_view(
     height, width = images.shape[1:3]
     truth = fit_images(reference.read_frames(reference_id, name, times_us)[0], width, height)
     pairs = list(zip(images, truth, strict=True))
+    mean_square = float(np.mean([10.0 ** (-0.1 * psnr(a, b)) for a, b in pairs]))
     return {
         "size": [width, height],
         "frames": len(times_us),
-        "psnr": _pooled_psnr(np.array([psnr(a, b) for a, b in pairs])),
+        "psnr": None if mean_square == 0.0 else -10.0 * float(np.log10(mean_square)),
         "ssim": float(np.mean([ssim(a, b) for a, b in pairs])),
         "lpips": None if lpips is None else float(np.mean([lpips(a, b) for a, b in pairs])),
     }
-
-
-def _pooled_psnr(by_frame: Array) -> float | None:
-    """PSNR of the mean square error over all frames; None where all are identical."""
-    mean_square = float(np.mean(10.0 ** (-0.1 * by_frame)))
-    return None if mean_square == 0.0 else -10.0 * float(np.log10(mean_square))

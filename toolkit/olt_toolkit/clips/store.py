@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole_folder
-from olt_generator.poses import Array, invert
 from olt_toolkit.clips.chunk_archive import ByteRange, ChunkArchive
 from olt_toolkit.clips.clip import Clip, ClipInfo, EgoMotion, check_clip_id
 from olt_toolkit.clips.files import pack_chunk, write_clip_files, write_metadata
@@ -46,8 +45,6 @@ from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_tabl
 from olt_toolkit.clips.video import check_video, decode_frames, decode_images
 from olt_toolkit.policy.sample import PolicySample, SampleKey
 from olt_toolkit.policy.window import (
-    FUTURE_OFFSETS_US,
-    HISTORY_OFFSETS_US,
     IMAGE_OFFSETS_US,
     Coverage,
     check_sample_window,
@@ -290,13 +287,28 @@ class ClipStore:
         asked = np.array(t0s_us)[:, None] + IMAGE_OFFSETS_US
         query, places = np.unique(asked, return_inverse=True)
         indices = {name: newest_frames(timestamps[name], query) for name in POLICY_CAMERAS}
-        views = [self._decode(clip_id, name, indices[name], image_size) for name in POLICY_CAMERAS]
+        views = []
+        for name in POLICY_CAMERAS:
+            video, video_name = self._video(clip_id, name)
+            views.append(decode_images(video, indices[name], video_name, image_size))
         if len({images.shape for images in views}) > 1:
             raise InputError(f"{where}: its cameras have different image sizes; give an image size to scale them to")
-        shown = np.stack([timestamps[name][indices[name]] for name in POLICY_CAMERAS])
+        taken_us = np.stack([timestamps[name][indices[name]] for name in POLICY_CAMERAS])
+        history, future = (poses.astype(np.float32) for poses in motion.around(np.array(t0s_us)))
         return [
-            _assemble_sample(clip_id, t0_us, _pick(views, place), shown[:, place], motion)
-            for t0_us, place in zip(t0s_us, places.reshape(asked.shape), strict=True)
+            PolicySample(
+                image_frames=_pick(views, place),
+                camera_indices=np.array([CAMERA_INDEX[name] for name in POLICY_CAMERAS], dtype=np.int64),
+                ego_history_xyz=history[None, sample, :, :3, 3],
+                ego_history_rot=history[None, sample, :, :3, :3],
+                ego_future_xyz=future[None, sample, :, :3, 3],
+                ego_future_rot=future[None, sample, :, :3, :3],
+                relative_timestamps=((taken_us[:, place] - taken_us[:, place].min()) * 1e-6).astype(np.float32),
+                absolute_timestamps=taken_us[:, place],
+                t0_us=t0_us,
+                clip_id=clip_id,
+            )
+            for sample, (t0_us, place) in enumerate(zip(t0s_us, places.reshape(asked.shape), strict=True))
         ]
 
     def _check_windows(
@@ -306,12 +318,6 @@ class ClipStore:
         coverage = Coverage(motion.span_us, spans)
         for t0_us in t0s_us:
             check_sample_window(t0_us, coverage, f"{self.root}: clip {clip_id}")
-
-    def _decode(
-        self, clip_id: str, camera: str, indices: NDArray[np.int64], size: tuple[int, int] | None
-    ) -> NDArray[np.uint8]:
-        video, where = self._video(clip_id, camera)
-        return decode_images(video, indices, where, size)
 
     # Where things are
 
@@ -377,36 +383,9 @@ class ClipStore:
             yield
 
 
-def _assemble_sample(
-    clip_id: str, t0_us: int, images: NDArray[np.uint8], shown_us: NDArray[np.int64], motion: EgoMotion
-) -> PolicySample:
-    """A sample of images (4, 4, 3, H, W) that were taken at the times (4, 4)."""
-    history, future = _poses_at(motion, t0_us)
-    return PolicySample(
-        image_frames=images,
-        camera_indices=np.array([CAMERA_INDEX[name] for name in POLICY_CAMERAS], dtype=np.int64),
-        ego_history_xyz=history[None, :, :3, 3].astype(np.float32),
-        ego_history_rot=history[None, :, :3, :3].astype(np.float32),
-        ego_future_xyz=future[None, :, :3, 3].astype(np.float32),
-        ego_future_rot=future[None, :, :3, :3].astype(np.float32),
-        relative_timestamps=((shown_us - shown_us.min()) * 1e-6).astype(np.float32),
-        absolute_timestamps=shown_us,
-        t0_us=t0_us,
-        clip_id=clip_id,
-    )
-
-
 def _pick(views: Sequence[NDArray[np.uint8]], places: NDArray[np.int64]) -> NDArray[np.uint8]:
     """Images (cameras, len(places), 3, H, W) at the same places of each view."""
     picked = np.empty((len(views), len(places), *views[0].shape[1:]), np.uint8)
     for target, images in zip(picked, views, strict=True):
         np.take(images, places, axis=0, out=target)
     return picked
-
-
-def _poses_at(motion: EgoMotion, t0_us: int) -> tuple[Array, Array]:
-    """Past poses (16, 4, 4) and future poses (64, 4, 4) in the rig frame at t0."""
-    offsets = np.concatenate([HISTORY_OFFSETS_US, FUTURE_OFFSETS_US])
-    poses = motion.interpolate(t0_us + offsets)
-    relative = invert(poses[len(HISTORY_OFFSETS_US) - 1]) @ poses
-    return relative[: len(HISTORY_OFFSETS_US)], relative[len(HISTORY_OFFSETS_US) :]

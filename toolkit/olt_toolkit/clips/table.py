@@ -63,7 +63,11 @@ OPTIONAL_COLUMNS = frozenset({"split", "no_sample_reason", "country", "licence",
 
 def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
     """Write the table; it appears whole."""
-    rows = [_row(info) for info in clips]
+    rows = []
+    for info in clips:
+        row = {field.name: getattr(info, field.name) for field in fields(info) if field.name != "origin"}
+        views = [{"camera": camera, **asdict(view)} for camera, view in info.views.items()]
+        rows.append(row | asdict(info.origin) | {"views": views})
     with write_whole(path) as temporary:
         pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), temporary)
 
@@ -96,12 +100,6 @@ def check_table_version(version: bytes | str | None, path: Path) -> None:
     if int(text) != TABLE_VERSION:
         advice = "install a newer release" if int(text) > TABLE_VERSION else "build the clips again"
         raise InputError(f"{path}: table_version is {text}, this release reads {TABLE_VERSION}; {advice}")
-
-
-def _row(info: ClipInfo) -> dict[str, Any]:
-    row = {field.name: getattr(info, field.name) for field in fields(info) if field.name != "origin"}
-    views = [{"camera": camera, **asdict(view)} for camera, view in info.views.items()]
-    return row | asdict(info.origin) | {"views": views}
 
 
 def _info(row: dict[str, Any], where: str) -> ClipInfo:

@@ -55,7 +55,20 @@ def decode_images(
 
     The other arguments and errors are those of `decode_frames`.
     """
-    return _decode(video, indices, where, _planes_converter(size))
+    reformatter = VideoReformatter()
+
+    def to_planes(frame: VideoFrame) -> NDArray[np.uint8]:
+        height, width = size or (frame.height, frame.width)
+        if (height, width) == (frame.height, frame.width):
+            image = _to_rgb(reformatter, frame)
+        else:
+            # Planar RGB, because FFmpeg halves the resolution of colour on its way to packed RGB.
+            image = reformatter.reformat(frame, width, height, "gbrp", interpolation="AREA", threads=1).to_ndarray()
+        planes = np.empty((3, height, width), np.uint8)
+        cv2.split(image, [planes[0], planes[1], planes[2]])
+        return planes
+
+    return _decode(video, indices, where, to_planes)
 
 
 def check_video(video: ByteRange | bytes, count: int, where: str) -> None:
@@ -98,10 +111,13 @@ def _decode_by_index(read: Read, index: Mp4Index, wanted: NDArray[np.int64], con
     decoder.extradata = index.extradata
     decoder.thread_count = 1
     for first, last in _runs(index, wanted):
-        for number, data in _packets(read, index, first, last):
+        offsets, sizes = index.offsets[first : last + 1], index.sizes[first : last + 1]
+        start, end = int(offsets.min()), int((offsets + sizes).max())
+        data = read(start, end - start)
+        for number, offset, size in zip(index.shown[first : last + 1].tolist(), offsets - start, sizes, strict=True):
             # A frame that no other depends on is not decoded unless it is asked for.
             decoder.skip_frame = "DEFAULT" if number in asked else "NONREF"
-            packet = av.Packet(data)
+            packet = av.Packet(data[offset : offset + size])
             packet.pts = number
             yield from _take(decoder.decode(packet), asked, convert, where)
         yield from _take(decoder.decode(None), asked, convert, where)
@@ -122,14 +138,6 @@ def _runs(index: Mp4Index, wanted: NDArray[np.int64]) -> list[tuple[int, int]]:
             first = min(first, runs.pop()[0])
         runs.append((first, last))
     return runs
-
-
-def _packets(read: Read, index: Mp4Index, first: int, last: int) -> Iterator[tuple[int, bytes]]:
-    offsets, sizes = index.offsets[first : last + 1], index.sizes[first : last + 1]
-    start, end = int(offsets.min()), int((offsets + sizes).max())
-    data = memoryview(read(start, end - start))
-    for number, offset, size in zip(index.shown[first : last + 1].tolist(), offsets - start, sizes, strict=True):
-        yield number, bytes(data[offset : offset + size])
 
 
 def _decode_by_container(video: bytes, wanted: NDArray[np.int64], convert: Convert, where: str) -> Found:
@@ -158,23 +166,6 @@ def _take(frames: Sequence[VideoFrame], asked: set[int], convert: Convert, where
 
 def _to_rgb(reformatter: VideoReformatter, frame: VideoFrame) -> NDArray[np.uint8]:
     return np.asarray(reformatter.reformat(frame, format="rgb24", threads=1).to_ndarray(), np.uint8)
-
-
-def _planes_converter(size: tuple[int, int] | None) -> Convert:
-    reformatter = VideoReformatter()
-
-    def to_planes(frame: VideoFrame) -> NDArray[np.uint8]:
-        height, width = size or (frame.height, frame.width)
-        if (height, width) == (frame.height, frame.width):
-            image = _to_rgb(reformatter, frame)
-        else:
-            # Planar RGB, because FFmpeg halves the resolution of colour on its way to packed RGB.
-            image = reformatter.reformat(frame, width, height, "gbrp", interpolation="AREA", threads=1).to_ndarray()
-        planes = np.empty((3, height, width), np.uint8)
-        cv2.split(image, [planes[0], planes[1], planes[2]])
-        return planes
-
-    return to_planes
 
 
 @contextmanager

@@ -20,7 +20,8 @@ from olt_toolkit.clips.clip import ClipOrigin, ViewKind, ViewProvenance
 from olt_toolkit.clips.images import fit_images
 from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import Recording
-from olt_toolkit.rigs.rig import FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, Rig, pav_rig
+from olt_toolkit.rigs.rig import FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, Rig
+from olt_toolkit.rigs.rig_files import pav_rig
 from olt_toolkit.runtime.version import code_version
 
 Images = NDArray[np.uint8]

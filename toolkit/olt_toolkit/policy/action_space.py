@@ -109,10 +109,10 @@ def trajectory_to_actions(
     """
     dt = STEP_SECONDS
     initial_speed = estimate_initial_speed(history_xyz, history_rotation, settings)
-    heading = _prepend(0.0, np.unwrap(yaw_of(future_rotation)) @ _heading_fit(settings.heading).T)
+    heading = _prepend(0.0, np.unwrap(yaw_of(future_rotation)) @ _smoothing_matrix(3, 1, settings.heading).T)
     path = np.concatenate([history_xyz[..., -1:, :2], future_xyz[..., :2]], axis=-2)
     speed = _prepend(initial_speed, _fit_speeds(path, heading, settings.speed, initial_speed))
-    acceleration = np.diff(speed) / dt @ _acceleration_fit(settings.acceleration).T
+    acceleration = np.diff(speed) / dt @ _smoothing_matrix(2, 0, settings.acceleration).T
     curvature = _fit_curvatures(np.diff(heading), _step_lengths(speed[..., :-1], acceleration), settings.curvature)
     return settings.normalise(acceleration, curvature)
 
@@ -167,16 +167,12 @@ def _fit_curvatures(turn: Array, length: Array, fit: SmoothingSettings) -> Array
 
 
 @lru_cache(maxsize=8)
-def _heading_fit(fit: SmoothingSettings) -> Array:
-    """Matrix (64, 64) from yaws to smoothed headings after t0; the heading 0 at t0 adds nothing to the right side."""
-    penalty = _penalty(FUTURE_STEPS + 1, 3, fit.smoothness / STEP_SECONDS**6)[1:, 1:]
-    return np.asarray(np.linalg.inv((1.0 + fit.ridge) * np.eye(FUTURE_STEPS) + penalty), dtype=np.float64)
+def _smoothing_matrix(order: int, known: int, fit: SmoothingSettings) -> Array:
+    """Matrix (64, 64) from a series to the smoothed one, by differences of the given order.
 
-
-@lru_cache(maxsize=8)
-def _acceleration_fit(fit: SmoothingSettings) -> Array:
-    """Matrix (64, 64) from differences of speed to smoothed accelerations."""
-    penalty = _penalty(FUTURE_STEPS, 2, fit.smoothness / STEP_SECONDS**4)
+    `known` values before the series are 0, as the heading at t0 is; they add nothing to the right side.
+    """
+    penalty = _penalty(FUTURE_STEPS + known, order, fit.smoothness / STEP_SECONDS ** (2 * order))[known:, known:]
     return np.asarray(np.linalg.inv((1.0 + fit.ridge) * np.eye(FUTURE_STEPS) + penalty), dtype=np.float64)
 
 

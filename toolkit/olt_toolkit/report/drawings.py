@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 
 
@@ -19,7 +18,8 @@ def draw_trajectory(raw: Trajectory, smoothed: Trajectory, reference: Trajectory
     for label, trajectory, color, width in curves:
         positions = trajectory.in_first_frame().positions
         path.plot(positions[:, 0], positions[:, 1], color=color, lw=width, label=label)
-        speed.plot(trajectory.times[1:], _speeds(trajectory), color=color, lw=width, label=label)
+        speeds = np.linalg.norm(np.diff(positions, axis=0), axis=1) / np.diff(trajectory.times)
+        speed.plot(trajectory.times[1:], speeds, color=color, lw=width, label=label)
     path.set(title="path from above", xlabel="forward (m)", ylabel="left (m)")
     path.set_aspect("equal", adjustable="datalim")
     speed.set(title="speed", xlabel="time (s)", ylabel="m/s", ylim=(0, None))
@@ -35,10 +35,6 @@ def draw_losses(curves: Sequence[tuple[str, Sequence[float]]], title: str) -> st
     axes.set(title=title, xlabel="step", ylabel="loss")
     axes.legend(fontsize=8)
     return _to_svg(figure)
-
-
-def _speeds(trajectory: Trajectory) -> Array:
-    return np.linalg.norm(np.diff(trajectory.positions, axis=0), axis=1) / np.diff(trajectory.times)
 
 
 def _make_figure(panels: int, size: tuple[float, float]) -> tuple[Any, Sequence[Any]]:

@@ -12,7 +12,7 @@ import numpy as np
 from olt_generator.cameras import Camera, FthetaCamera
 from olt_generator.errors import InputError
 from olt_generator.lenses.ftheta import TABLE_DEGREE
-from olt_generator.lenses.lens_curves import Polynomial, evaluate, fit_through_origin
+from olt_generator.lenses.lens_curves import evaluate, fit_through_origin
 from olt_generator.poses import Array
 
 # A pixel that is not square may move no image point further than this, and a fitted lens none further than that.
@@ -46,7 +46,14 @@ def fit_ftheta(camera: Camera) -> FthetaFit:
             bent for them.
     """
     right, down = camera.pixels_per_radian
-    shape_error = _shape_error(camera, right / down)
+    # How far taking pixels as square moves the furthest row or column of the image.
+    furthest = max(camera.cx, camera.width - camera.cx, camera.cy, camera.height - camera.cy)
+    shape_error = float(abs(right / down - 1.0) * furthest)
+    if shape_error > PIXEL_SHAPE_TOLERANCE:
+        raise InputError(
+            f"camera with pixels of aspect {right / down:.4f}: calibration tables hold square pixels only; scale the "
+            "images by one factor in both directions"
+        )
     if isinstance(camera, FthetaCamera):
         return _convert_ftheta(camera, shape_error)
     return _fit_lens(camera, shape_error)
@@ -56,7 +63,9 @@ def _convert_ftheta(camera: FthetaCamera, shape_error: float) -> FthetaFit:
     polynomials = camera.fw_poly, camera.bw_poly
     if any(any(coefficients[TABLE_DEGREE + 1 :]) for coefficients in polynomials):
         raise InputError("f-theta camera: calibration tables hold polynomials of degree 4 without constant term")
-    forward, backward = (_padded(coefficients) for coefficients in polynomials)
+    forward, backward = (
+        (tuple(coefficients) + (0.0,) * TABLE_DEGREE)[: TABLE_DEGREE + 1] for coefficients in polynomials
+    )
     converted = _trusted_to_corner(replace(camera, fw_poly=forward, bw_poly=backward, aspect=1.0))
     return FthetaFit(converted, shape_error, _round_trip(converted))
 
@@ -104,18 +113,6 @@ def _trusted_to_corner(camera: FthetaCamera) -> FthetaCamera:
     return replace(camera, max_angle=angle * (1.0 + 1e-9))
 
 
-def _shape_error(camera: Camera, aspect: float) -> float:
-    """How far (px) a pixel of this aspect moves the image's furthest row or column when it is taken as square."""
-    furthest = max(camera.cx, camera.width - camera.cx, camera.cy, camera.height - camera.cy)
-    error = abs(aspect - 1.0) * furthest
-    if error > PIXEL_SHAPE_TOLERANCE:
-        raise InputError(
-            f"camera with pixels of aspect {aspect:.4f}: calibration tables hold square pixels only; scale the images "
-            "by one factor in both directions"
-        )
-    return float(error)
-
-
 def _furthest_corner(camera: Camera) -> Array:
     """Pixel (2,) of the image corner that is furthest from the optical axis."""
     right = camera.cx < 0.5 * (camera.width - 1)
@@ -143,7 +140,3 @@ def _difference(camera: Camera, fitted: FthetaCamera) -> float:
 def _round_trip(camera: FthetaCamera) -> float:
     radii = np.linspace(0.0, float(np.linalg.norm(_furthest_corner(camera) - [camera.cx, camera.cy])), _NODES)
     return float(np.abs(evaluate(camera.fw_poly, evaluate(camera.bw_poly, radii)) - radii).max())
-
-
-def _padded(coefficients: Polynomial) -> Polynomial:
-    return (tuple(coefficients) + (0.0,) * TABLE_DEGREE)[: TABLE_DEGREE + 1]

@@ -4,7 +4,6 @@ Rig frame: x forward, y left, z up, origin on the ground under the middle of the
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 from olt_generator.cameras import Camera, fit_camera
 from olt_generator.errors import InputError
@@ -96,11 +95,3 @@ class Rig:
 DEFAULT_VEHICLE = VehicleDimensions(
     length=5.393, width=2.109, height=1.503, rear_axle_to_bbox_center=1.3965, wheelbase=2.85, track_width=1.62
 )
-
-
-@lru_cache(maxsize=1)
-def pav_rig() -> Rig:
-    """The nominal seven-camera PhysicalAI-AV rig, 1920 x 1080, read once; real clips carry their own calibration."""
-    from olt_toolkit.rigs.rig_files import load_rig  # needs the names of this module
-
-    return load_rig("pav")

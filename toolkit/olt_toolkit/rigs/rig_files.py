@@ -15,7 +15,7 @@ ftheta and equidistant; their fields are those of the classes below.
 """
 
 import json
-from collections.abc import Mapping
+from functools import lru_cache
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
@@ -26,7 +26,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from olt_generator.cameras import BrownConradyCamera, Camera, FthetaCamera, KannalaBrandtCamera, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, camera_pose_in_rig, pose_from_quaternion
-from olt_toolkit.rigs.rig import FRONT_WIDE, MountedCamera, Rig, VehicleDimensions
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, MountedCamera, Rig, VehicleDimensions, short_name
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
 
 _FOLDER = "rigs"
@@ -35,17 +35,6 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Pair = tuple[Number, Number]
 Triple = tuple[Number, Number, Number]
-
-# The cameras of the median calibration by the names of the PhysicalAI-AV rig.
-_NVIDIA_NAMES = {
-    "front": FRONT_WIDE,
-    "front_tele": "camera_front_tele_30fov",
-    "cross_left": "camera_cross_left_120fov",
-    "cross_right": "camera_cross_right_120fov",
-    "rear_left": "camera_rear_left_70fov",
-    "rear_right": "camera_rear_right_70fov",
-    "rear_tele": "camera_rear_tele_30fov",
-}
 
 
 def rig_names() -> list[str]:
@@ -64,6 +53,12 @@ def load_rig(name: str) -> Rig:
         raise InputError(f"no rig {name!r}; there are {', '.join(rig_names())}, and `read_rig` reads others from YAML")
     with as_file(files("olt_toolkit") / _FOLDER / f"{name}.yaml") as path:
         return read_rig(path)
+
+
+@lru_cache(maxsize=1)
+def pav_rig() -> Rig:
+    """The nominal seven-camera PhysicalAI-AV rig, 1920 x 1080, read once; real clips carry their own calibration."""
+    return load_rig("pav")
 
 
 def read_rig(path: Path) -> Rig:
@@ -99,12 +94,16 @@ def read_nvidia_calibration(path: Path) -> Rig:
         lenses = content["ftheta_intrinsics"]
         poses = {"front": np.eye(4), **content["relative_camera_poses_front_optical_from_camera"]}
         nominal = load_rig("pav")
-        cameras = {
-            ours: MountedCamera(
-                _measured_lens(lenses[name]), nominal[FRONT_WIDE].T_rig_camera @ _rigid(poses[name], name)
+        cameras = {}
+        for camera in CAMERA_INDEX:
+            name = "front" if camera == FRONT_WIDE else short_name(camera)
+            lens = lenses[name]
+            cx, cy = (float(value) for value in lens["principal_point_px"])
+            polynomial = tuple(float(value) for value in lens["pixel_radius_to_angle_poly"])
+            cameras[camera] = MountedCamera(
+                FthetaCamera.from_radius_to_angle(int(lens["width"]), int(lens["height"]), cx, cy, polynomial),
+                nominal[FRONT_WIDE].T_rig_camera @ _rigid(poses[name], name),
             )
-            for name, ours in _NVIDIA_NAMES.items()
-        }
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{path}: not a calibration of the seven-camera rig ({error})") from error
     except KeyError as error:
@@ -117,12 +116,6 @@ def read_nvidia_calibration(path: Path) -> Rig:
         "The vehicle has the size of the nominal PhysicalAI-AV rig.",
     )
     return Rig("pav_median", cameras, nominal.vehicle, assumptions)
-
-
-def _measured_lens(lens: Mapping[str, Any]) -> FthetaCamera:
-    cx, cy = (float(value) for value in lens["principal_point_px"])
-    polynomial = tuple(float(value) for value in lens["pixel_radius_to_angle_poly"])
-    return FthetaCamera.from_radius_to_angle(int(lens["width"]), int(lens["height"]), cx, cy, polynomial)
 
 
 def _rigid(values: Any, name: str) -> Array:

@@ -15,8 +15,8 @@ import typer
 from typer.core import TyperGroup
 
 from olt_generator.errors import InputError
+from olt_generator.version import __version__
 from olt_toolkit.runtime.threads import THREAD_VARIABLES
-from olt_toolkit.runtime.version import __version__
 
 
 def build_command() -> TyperGroup:

@@ -4,22 +4,30 @@ import os
 import platform
 import re
 import sys
-from importlib.metadata import requires
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, requires, version
 from typing import Any
 
+from olt_generator.version import __version__
 from olt_toolkit.runtime.threads import THREAD_VARIABLES
-from olt_toolkit.runtime.version import DISTRIBUTION, package_version
 from olt_toolkit.runtime.workers import default_workers
 
 CORE_PACKAGES = ("torch", "kornia", "casadi", "opencv-contrib-python-headless", "usd-core", "numpy", "scipy", "av")
 
 # What each extra of the distribution enables; which packages it takes stands in the distribution's metadata.
 OPTIONAL_PARTS = {
-    "generator": "the diffusion view engine",
-    "sft": "launching the two-stage SFT of Alpamayo",
-    "interop": "reading clips with the public devkit",
+    "learned": "depth by networks in local folders",
+    "devkit": "reading clips with the public devkit",
     "distributed": "building clips on more than one machine",
 }
+
+
+def package_version(package: str) -> str | None:
+    """Installed version of a distribution, None when it is absent."""
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
 
 
 def describe_machine() -> dict[str, Any]:
@@ -30,7 +38,7 @@ def describe_machine() -> dict[str, Any]:
         "memory_gib": _memory_gib(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "python": platform.python_version(),
-        "openlongtail": package_version(),
+        "openlongtail": __version__,
         "packages": {package: package_version(package) for package in CORE_PACKAGES},
         "threads": {variable: os.environ.get(variable) for variable in THREAD_VARIABLES},
     }
@@ -38,13 +46,21 @@ def describe_machine() -> dict[str, Any]:
 
 def describe_optional_parts() -> list[dict[str, Any]]:
     """For every optional part: what it enables, whether it is complete, and what is missing."""
-    requirements = requires(DISTRIBUTION) or []
     parts = []
     for name, enables in OPTIONAL_PARTS.items():
-        packages = [re.findall(r"[\w.-]+", line)[0] for line in requirements if re.search(rf"extra == .{name}\b", line)]
-        missing = [package for package in packages if package_version(package) is None]
+        missing = [package for package in _packages_of("openlongtail", name) if package_version(package) is None]
         parts.append({"name": name, "enables": enables, "present": not missing, "missing": missing})
     return parts
+
+
+def _packages_of(distribution: str, extra: str) -> Iterator[str]:
+    """The packages that an extra takes, those of the extras of other distributions included."""
+    for line in requires(distribution) or ():
+        package, _, others = re.findall(r"([\w.-]+)(\[([\w,-]+)\])?", line)[0]
+        if re.search(rf"extra == .{extra}\b", line):
+            yield package
+            for other in filter(None, others.split(",")):
+                yield from _packages_of(package, other)
 
 
 def _processor_name() -> str:

@@ -9,6 +9,7 @@ task that fails by itself is not, and ends the rest.
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import islice
 from typing import Any, TypeVar
 
 from olt_generator.errors import InputError
@@ -36,7 +37,13 @@ def map_on_ray(
     Raises:
         InputError: Ray is not installed, or the cluster cannot be reached, or a worker died too often.
     """
-    ray = _import_ray()
+    try:
+        import ray
+        from ray.exceptions import RayTaskError, WorkerCrashedError
+    except ImportError as error:
+        raise InputError(
+            "the engine 'ray' needs Ray; install it with `pip install openlongtail[distributed]`"
+        ) from error
     with _cluster(ray, workers):
         task = ray.remote(max_retries=RETRIES, num_cpus=1)(_work)
         results: dict[int, Result] = {}
@@ -44,26 +51,22 @@ def map_on_ray(
         waiting = iter(range(len(items)))
         try:
             while len(results) < len(items):
-                for index in _next(waiting, workers - len(running)):
+                for index in islice(waiting, workers - len(running)):
                     running[task.remote(function, items[index])] = index
                 finished, _ = ray.wait(list(running))
                 for reference in finished:
-                    results[running.pop(reference)] = _result(ray, reference)
+                    results[running.pop(reference)] = ray.get(reference)
                 on_progress(len(results) / len(items))
+        except RayTaskError as error:
+            raise error.cause from None
+        except WorkerCrashedError as error:
+            raise InputError(
+                f"a Ray worker died {RETRIES + 1} times over the same item; look into its machine"
+            ) from error
         finally:
             for reference in running:
                 ray.cancel(reference, force=True)
         return [results[index] for index in range(len(items))]
-
-
-def _import_ray() -> Any:
-    try:
-        import ray
-    except ImportError as error:
-        raise InputError(
-            "the engine 'ray' needs Ray; install it with `pip install openlongtail[distributed]`"
-        ) from error
-    return ray
 
 
 @contextmanager
@@ -92,19 +95,6 @@ def _cluster(ray: Any, workers: int) -> Iterator[None]:
         yield
     finally:
         ray.shutdown()
-
-
-def _next(waiting: Iterator[int], count: int) -> list[int]:
-    return [index for _, index in zip(range(count), waiting, strict=False)]
-
-
-def _result(ray: Any, reference: Any) -> Any:
-    try:
-        return ray.get(reference)
-    except ray.exceptions.RayTaskError as error:
-        raise error.cause from None
-    except ray.exceptions.WorkerCrashedError as error:
-        raise InputError(f"a Ray worker died {RETRIES + 1} times over the same item; look into its machine") from error
 
 
 def _work(function: Callable[[Item], Result], item: Item) -> Result:

@@ -1,27 +1,17 @@
-"""Which code made a result: the one place that knows the version."""
+"""Which code made a result."""
 
 import hashlib
 from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from olt_generator.version import __version__ as __version__
+from olt_generator.version import __version__
 
-DISTRIBUTION = "openlongtail"
 _HASHED = (".py", ".yaml")
-
-
-def package_version(package: str = DISTRIBUTION) -> str | None:
-    """Installed version of a distribution, None when it is absent."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return None
 
 
 @cache
 def code_version() -> str:
-    """What tells this code from any other, such as `0.1.0` or, out of a checkout, `0.1.0+source.3f2a9c01d4e5`.
+    """What tells this code from any other, such as `0.2.0` or, out of a checkout, `0.2.0+source.3f2a9c01d4e5`.
 
     An installed distribution is told by its version. The source in a checkout may be edited at any time, so a hash of
     its contents is added: the same source has the same one on every machine.

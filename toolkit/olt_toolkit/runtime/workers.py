@@ -3,7 +3,7 @@
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from enum import StrEnum
 from multiprocessing import get_context
@@ -46,9 +46,12 @@ def map_parallel(
         from olt_toolkit.runtime.ray_engine import map_on_ray
 
         return map_on_ray(function, items, workers, on_progress)
-    if workers <= 1 or len(items) <= 1:
-        return list(_map_here(function, items, on_progress))
     results: dict[int, Result] = {}
+    if workers <= 1 or len(items) <= 1:
+        for index, item in enumerate(items):
+            results[index] = function(item)
+            on_progress((index + 1) / len(items))
+        return list(results.values())
     pool = ProcessPoolExecutor(min(workers, len(items)), mp_context=get_context("spawn"), initializer=_start_worker)
     try:
         futures = {pool.submit(_work, function, item): index for index, item in enumerate(items)}
@@ -62,12 +65,6 @@ def map_parallel(
         raise
     pool.shutdown()
     return [results[index] for index in range(len(items))]
-
-
-def _map_here(function: Callable[[Item], Result], items: Sequence[Item], on_progress: Progress) -> Iterator[Result]:
-    for done, item in enumerate(items, start=1):
-        yield function(item)
-        on_progress(done / len(items))
 
 
 def _start_worker() -> None:

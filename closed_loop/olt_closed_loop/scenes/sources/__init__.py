@@ -12,8 +12,6 @@ from pathlib import Path
 from olt_closed_loop.scenes.scene import Scene
 from olt_generator.errors import InputError
 
-_SCENARIO_SUFFIXES = (".json", ".json.gz")
-
 
 def find_recordings(path: Path) -> list[Path]:
     """The recorded drives at a path, in alphabetical order: itself, or the scenario files in the folder.
@@ -23,7 +21,7 @@ def find_recordings(path: Path) -> list[Path]:
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder; give a recorded drive")
-    if _is_scenario(path) or _is_sensor_log(path) or _is_motion_scenario(path):
+    if _is_scenario(path) or _is_sensor_log(path) or any(path.glob("scenario_*.parquet")):
         return [path]
     found = sorted(file for file in path.glob("*.json.gz") if _is_scenario(file)) if path.is_dir() else []
     if not found:
@@ -53,12 +51,8 @@ def read_recording(path: Path) -> Scene:
 
 
 def _is_scenario(path: Path) -> bool:
-    return path.is_file() and path.name.endswith(_SCENARIO_SUFFIXES)
+    return path.is_file() and path.name.endswith((".json", ".json.gz"))
 
 
 def _is_sensor_log(path: Path) -> bool:
     return (path / "city_SE3_egovehicle.feather").is_file() and (path / "annotations.feather").is_file()
-
-
-def _is_motion_scenario(path: Path) -> bool:
-    return path.is_dir() and any(path.glob("scenario_*.parquet"))

@@ -34,36 +34,24 @@ _NORM_TOLERANCE = 1e-3
 _EGO_TRACK = "AV"
 _VEHICLE_LANES = ("VEHICLE", "BUS")
 _SENSOR_LABELS = {
-    "ANIMAL": "animal",
-    "ARTICULATED_BUS": "bus",
-    "BICYCLE": "bicycle",
-    "BICYCLIST": "rider",
-    "BOLLARD": "protruding_object",
-    "BOX_TRUCK": "heavy_truck",
-    "BUS": "bus",
-    "CONSTRUCTION_BARREL": "barrier",
-    "CONSTRUCTION_CONE": "cone",
-    "DOG": "animal",
-    "LARGE_VEHICLE": "other_vehicle",
-    "MESSAGE_BOARD_TRAILER": "trailer",
-    "MOBILE_PEDESTRIAN_CROSSING_SIGN": "protruding_object",
-    "MOTORCYCLE": "rider",
-    "MOTORCYCLIST": "rider",
-    "OFFICIAL_SIGNALER": "person",
-    "PEDESTRIAN": "person",
-    "RAILED_VEHICLE": "train_or_tram_car",
-    "REGULAR_VEHICLE": "automobile",
-    "SCHOOL_BUS": "bus",
-    "SIGN": "protruding_object",
-    "STOP_SIGN": "protruding_object",
-    "STROLLER": "stroller",
-    "TRAFFIC_LIGHT_TRAILER": "trailer",
-    "TRUCK": "heavy_truck",
-    "TRUCK_CAB": "heavy_truck",
-    "VEHICULAR_TRAILER": "trailer",
-    "WHEELCHAIR": "person",
-    "WHEELED_DEVICE": "rider",
-    "WHEELED_RIDER": "rider",
+    kind: label
+    for label, kinds in {
+        "animal": "ANIMAL DOG",
+        "automobile": "REGULAR_VEHICLE",
+        "barrier": "CONSTRUCTION_BARREL",
+        "bicycle": "BICYCLE",
+        "bus": "ARTICULATED_BUS BUS SCHOOL_BUS",
+        "cone": "CONSTRUCTION_CONE",
+        "heavy_truck": "BOX_TRUCK TRUCK TRUCK_CAB",
+        "other_vehicle": "LARGE_VEHICLE",
+        "person": "OFFICIAL_SIGNALER PEDESTRIAN WHEELCHAIR",
+        "protruding_object": "BOLLARD MOBILE_PEDESTRIAN_CROSSING_SIGN SIGN STOP_SIGN",
+        "rider": "BICYCLIST MOTORCYCLE MOTORCYCLIST WHEELED_DEVICE WHEELED_RIDER",
+        "stroller": "STROLLER",
+        "trailer": "MESSAGE_BOARD_TRAILER TRAFFIC_LIGHT_TRAILER VEHICULAR_TRAILER",
+        "train_or_tram_car": "RAILED_VEHICLE",
+    }.items()
+    for kind in kinds.split()
 }
 # Label, length, width, height: motion scenarios hold no sizes.
 _MOTION_CLASSES = {
@@ -96,19 +84,17 @@ def read_sensor_log(folder: Path) -> Scene:
     T_city_box = T_city_ego[sweep] @ _poses(boxes)
     poses = np.column_stack([T_city_box[:, :3, 3] - origin, yaw_of(T_city_box)])
     times_us = np.round((sweeps_ns - sweeps_ns[0]) / 1000).astype(np.int64)
-    lanes, areas = _read_map(folder / "map", origin)
-    return Scene(
-        name=f"argoverse2_{folder.name.removeprefix('argoverse2_sensor_log_')}",
-        category="recorded",
-        factors=(),
-        vehicle=FORD_FUSION,
-        ego=Trajectory(times_us, T_city_rig),
-        agents=_sensor_agents(boxes, times_us[sweep], poses, folder),
-        lanes=tuple(lanes),
-        road_edges=edges([shapely.Polygon(area[:, :2]) for area in areas]),
-        drivable=areas,
-        route=route_along(T_city_rig[:, :3, 3], float(yaw_of(T_city_rig[-1])), lanes),
-        assumptions=(
+    agents = []
+    for track, rows in _rows_of(boxes["track_uuid"], times_us[sweep]):
+        label = _look_up(_SENSOR_LABELS, str(boxes["category"][rows[0]]), folder / "annotations.feather")
+        length, width, height = (float(boxes[name][rows[0]]) for name in ("length_m", "width_m", "height_m"))
+        agents.append(Agent(track, label, length, width, height, times_us[sweep][rows], poses[rows]))
+    return _scene(
+        folder.name.removeprefix("argoverse2_sensor_log_"),
+        Trajectory(times_us, T_city_rig),
+        agents,
+        _read_map(folder / "map", origin),
+        (
             "ego box: data sheet of a Ford Fusion without mirrors",
             f"rig on the ground {AXLE_HEIGHT:g} m below the recorded axle",
         ),
@@ -130,28 +116,43 @@ def read_motion_scenario(folder: Path) -> Scene:
     origin = np.array([tracks["position_x"][first], tracks["position_y"][first], 0.0])
     x, y, heading = tracks["position_x"] - origin[0], tracks["position_y"] - origin[1], tracks["heading"]
 
-    first_us = times_us[first]
     motions = np.column_stack([x, y, np.zeros_like(x), heading])
-    agents, left_out = _motion_agents(rows_of, tracks["object_type"], times_us - first_us, motions, path)
-    lanes, areas = _read_map(folder, origin, flat=True)
-    return Scene(
-        name=f"argoverse2_{tracks['scenario_id'][0]}",
-        category="recorded",
-        factors=(),
-        vehicle=FORD_FUSION,
-        ego=ego,
-        agents=agents,
-        lanes=tuple(lanes),
-        road_edges=edges([shapely.Polygon(area[:, :2]) for area in areas]),
-        drivable=areas,
-        route=route_along(ego.positions, float(yaw_of(ego.T_world_rig[-1])), lanes),
-        assumptions=(
+    agents, left_out = _motion_agents(rows_of, tracks["object_type"], times_us - times_us[first], motions, path)
+    return _scene(
+        tracks["scenario_id"][0],
+        ego,
+        agents,
+        _read_map(folder, origin, flat=True),
+        (
             "ego box: data sheet of a Ford Fusion without mirrors, its rear axle at the recorded position (its "
             "sideways speed in bends is that of the rear axle)",
             "boxes of agents: the usual size of their class",
             "flat ground",
             f"{left_out} tracks of unknown size ({', '.join(_WITHOUT_SIZE)}) left out",
         ),
+    )
+
+
+def _scene(
+    name: str,
+    ego: Trajectory,
+    agents: list[Agent],
+    road: tuple[list[Lane], tuple[Array, ...]],
+    assumptions: tuple[str, ...],
+) -> Scene:
+    lanes, areas = road
+    return Scene(
+        name=f"argoverse2_{name}",
+        category="recorded",
+        factors=(),
+        vehicle=FORD_FUSION,
+        ego=ego,
+        agents=tuple(agents),
+        lanes=tuple(lanes),
+        road_edges=edges([shapely.Polygon(area[:, :2]) for area in areas]),
+        drivable=areas,
+        route=route_along(ego.positions, float(yaw_of(ego.T_world_rig[-1])), lanes),
+        assumptions=assumptions,
     )
 
 
@@ -240,23 +241,13 @@ def _ego_poses(path: Path, times_ns: NDArray[np.int64]) -> Array:
     return _poses({name: values[order[at]] for name, values in table.items()})
 
 
-def _sensor_agents(boxes: Columns, times_us: NDArray[np.int64], poses: Array, folder: Path) -> tuple[Agent, ...]:
-    agents = []
-    for track, rows in _rows_of(boxes["track_uuid"], times_us):
-        first = rows[0]
-        label = _look_up(_SENSOR_LABELS, str(boxes["category"][first]), folder / "annotations.feather")
-        length, width, height = (float(boxes[name][first]) for name in ("length_m", "width_m", "height_m"))
-        agents.append(Agent(track, label, length, width, height, times_us[rows], poses[rows]))
-    return tuple(agents)
-
-
 def _motion_agents(
     rows_of: dict[str, NDArray[np.intp]],
     kinds: NDArray[Any],
     times_us: NDArray[np.int64],
     motions: Array,
     path: Path,
-) -> tuple[tuple[Agent, ...], int]:
+) -> tuple[list[Agent], int]:
     """Agents of known size, standing on the ground, and how many tracks have none."""
     agents, left_out = [], 0
     for track, rows in rows_of.items():
@@ -267,7 +258,7 @@ def _motion_agents(
         label, length, width, height = _look_up(_MOTION_CLASSES, kind, path)
         poses = motions[rows] + [0.0, 0.0, 0.5 * height, 0.0]
         agents.append(Agent(track, label, length, width, height, times_us[rows], poses))
-    return tuple(agents), left_out
+    return agents, left_out
 
 
 def _rows_of(tracks: NDArray[Any], times_us: NDArray[np.int64]) -> list[tuple[str, NDArray[np.intp]]]:
@@ -300,7 +291,8 @@ def _read_map(folder: Path, origin: Array, flat: bool = False) -> tuple[list[Lan
             for segment in segments
             if segment["lane_type"] in _VEHICLE_LANES
         ]
-        return lanes, tuple(_outline(_points(area["area_boundary"], origin, flat)) for area in areas)
+        outlines = [_points(area["area_boundary"], origin, flat) for area in areas]
+        return lanes, tuple(line if shapely.LinearRing(line[:, :2]).is_ccw else line[::-1] for line in outlines)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError(f"{path}: not an Argoverse 2 map ({error!r}); give an unchanged copy of the log") from error
 
@@ -308,10 +300,6 @@ def _read_map(folder: Path, origin: Array, flat: bool = False) -> tuple[list[Lan
 def _points(points: list[dict[str, float]], origin: Array, flat: bool) -> Array:
     line = np.array([[point["x"], point["y"], 0.0 if flat else point["z"]] for point in points], dtype=np.float64)
     return line - origin
-
-
-def _outline(points: Array) -> Array:
-    return points if shapely.LinearRing(points[:, :2]).is_ccw else points[::-1]
 
 
 def _single(folder: Path, pattern: str) -> Path:

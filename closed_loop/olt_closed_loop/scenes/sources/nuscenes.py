@@ -16,15 +16,14 @@ import shapely
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.actors import footprints
+from olt_closed_loop.scenes.polylines import length_of, without_repeats
 from olt_closed_loop.scenes.scene import Agent, Lane, Scene
 from olt_closed_loop.scenes.sources.roads import (
     edges,
     lane_around,
-    length_of,
     link_by_place,
     outlines,
     route_along,
-    without_repeats,
 )
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
@@ -39,21 +38,22 @@ LANE_WIDTH = 3.7
 """Metres, for lanes of which only the centre line is recorded (AlpaSim's: docs/formats/alpasim.md)."""
 
 _LABELS = {
-    "animal": "animal",
-    "human.pedestrian": "person",
-    "human.pedestrian.stroller": "stroller",
-    "movable_object": "protruding_object",
-    "movable_object.barrier": "barrier",
-    "movable_object.trafficcone": "cone",
-    "static_object": "protruding_object",
-    "vehicle.bicycle": "rider",
-    "vehicle.bus": "bus",
-    "vehicle.car": "automobile",
-    "vehicle.construction": "other_vehicle",
-    "vehicle.emergency": "other_vehicle",
-    "vehicle.motorcycle": "rider",
-    "vehicle.trailer": "trailer",
-    "vehicle.truck": "heavy_truck",
+    kind: label
+    for label, kinds in {
+        "animal": "animal",
+        "automobile": "vehicle.car",
+        "barrier": "movable_object.barrier",
+        "bus": "vehicle.bus",
+        "cone": "movable_object.trafficcone",
+        "heavy_truck": "vehicle.truck",
+        "other_vehicle": "vehicle.construction vehicle.emergency",
+        "person": "human.pedestrian",
+        "protruding_object": "movable_object static_object",
+        "rider": "vehicle.bicycle vehicle.motorcycle",
+        "stroller": "human.pedestrian.stroller",
+        "trailer": "vehicle.trailer",
+    }.items()
+    for kind in kinds.split()
 }
 
 
@@ -63,42 +63,36 @@ def read_scenario(path: Path) -> Scene:
     Raises:
         InputError: the file is not such a scenario.
     """
-    content = _read_json(path)
     try:
-        return _make_scene(content)
+        content = path.read_bytes()
+        scenario = json.loads(gzip.decompress(content) if path.suffix == ".gz" else content)
+    except (OSError, EOFError, ValueError, zlib.error) as error:
+        raise InputError(f"{path}: cannot be read ({error}); give a scenario as .json or .json.gz") from error
+    try:
+        return _make_scene(scenario)
     except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
         raise InputError(
             f"{path}: not a ScenarioNet scenario of nuScenes ({error!r}); give an unchanged copy"
         ) from error
 
 
-def _read_json(path: Path) -> Any:
-    try:
-        content = path.read_bytes()
-        return json.loads(gzip.decompress(content) if path.suffix == ".gz" else content)
-    except (OSError, EOFError, ValueError, zlib.error) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give a scenario as .json or .json.gz") from error
-
-
-def _make_scene(content: Any) -> Scene:
-    seconds = np.array(content["metadata"]["ts"], dtype=np.float64)
+def _make_scene(scenario: Any) -> Scene:
+    seconds = np.array(scenario["metadata"]["ts"], dtype=np.float64)
     times_us = np.round((seconds - seconds[0]) * 1e6).astype(np.int64)
-    ego_name = content["metadata"]["sdc_id"]
-    driven = content["tracks"][ego_name]["state"]
+    tracks = dict(scenario["tracks"])
+    driven = tracks.pop(scenario["metadata"]["sdc_id"])["state"]
     origin = np.array(driven["position"], dtype=np.float64)[0, :2]
     x, y, yaw = _motion(driven, origin).T
     ego = Trajectory(times_us, planar_pose(x, y, yaw))
-    lanes, areas = _read_lanes(content["map_features"], origin)
+    lanes, areas = _read_lanes(scenario["map_features"], origin)
     swath, beyond = _ego_swath(ego, areas)
     return Scene(
-        name=f"nuscenes_{content['id']}",
+        name=f"nuscenes_{scenario['id']}",
         category="recorded",
         factors=(),
         vehicle=RENAULT_ZOE,
         ego=ego,
-        agents=tuple(
-            _agent(name, track, times_us, origin) for name, track in content["tracks"].items() if name != ego_name
-        ),
+        agents=tuple(_agent(name, track, times_us, origin) for name, track in tracks.items()),
         lanes=tuple(lanes),
         road_edges=edges([*areas, *swath]),
         drivable=outlines([*areas, *swath]),
@@ -127,17 +121,13 @@ def _agent(name: str, track: dict[str, Any], times_us: NDArray[np.int64], origin
     )
     x, y, yaw = _motion(state, origin)[valid].T
     poses = np.column_stack([x, y, np.full_like(x, 0.5 * height), yaw])
-    return Agent(name, _label(track["metadata"]["type"]), length, width, height, times_us[valid], poses)
-
-
-def _label(kind: str) -> str:
-    """The label of the longest known beginning of a nuScenes category such as `vehicle.bus.rigid`."""
-    words = kind.split(".")
-    for count in range(len(words), 0, -1):
-        label = _LABELS.get(".".join(words[:count]))
-        if label:
-            return label
-    raise ValueError(f"category {kind} is not known")
+    # The longest known beginning of a category such as `vehicle.bus.rigid`.
+    words = track["metadata"]["type"].split(".")
+    labels = [_LABELS.get(".".join(words[:count])) for count in range(len(words), 0, -1)]
+    label = next(filter(None, labels), None)
+    if label is None:
+        raise ValueError(f"category {'.'.join(words)} is not known")
+    return Agent(name, label, length, width, height, times_us[valid], poses)
 
 
 def _read_lanes(features: dict[str, Any], origin: Array) -> tuple[list[Lane], list[shapely.Polygon]]:

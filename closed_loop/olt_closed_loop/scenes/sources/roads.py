@@ -6,6 +6,7 @@ import numpy as np
 import shapely
 from shapely.geometry.base import BaseGeometry
 
+from olt_closed_loop.scenes.polylines import arc_lengths, heading_at, length_of, resample, without_repeats, wrap
 from olt_closed_loop.scenes.scene import Lane
 from olt_generator.poses import Array
 
@@ -32,30 +33,6 @@ def lane_around(name: str, center: Array, half_width: float) -> Lane:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     to_left = half_width * np.column_stack([-direction[:, 1], direction[:, 0], np.zeros(len(center))])
     return Lane(name, center, center + to_left, center - to_left)
-
-
-def resample(line: Array, count: int) -> Array:
-    """`count` points (count, d) evenly along a polyline (n, d); a line of one point is repeated."""
-    arc = arc_lengths(line)
-    at = np.linspace(0.0, arc[-1], count)
-    return np.stack([np.interp(at, arc, column) for column in line.T], axis=-1)
-
-
-def arc_lengths(line: Array) -> Array:
-    """Distance (n,) of each point of a polyline (n, d) along it, in the plane, metres."""
-    steps = np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(steps)])
-
-
-def length_of(line: Array) -> float:
-    """Length of a polyline (n, d) in the plane, metres."""
-    return float(arc_lengths(line)[-1])
-
-
-def without_repeats(line: Array) -> Array:
-    """A polyline (n, d) without points that repeat the one before them in the plane."""
-    moved = np.linalg.norm(np.diff(line[:, :2], axis=0), axis=1) > 1e-6
-    return line[np.concatenate([[True], moved])]
 
 
 def outlines(areas: Sequence[BaseGeometry]) -> tuple[Array, ...]:
@@ -102,7 +79,11 @@ def route_along(path: Array, yaw: float, lanes: Sequence[Lane]) -> Array:
         yaw: recorded heading at the last of them.
         lanes: lanes of the map.
     """
-    recorded = _thinned(path)
+    kept = [path[0]]
+    for point in path[1:]:
+        if np.linalg.norm(point[:2] - kept[-1][:2]) >= _ROUTE_SPACING:
+            kept.append(point)
+    recorded = np.stack(kept)
     beyond = _lanes_ahead(path[-1], yaw, lanes)
     line = without_repeats(np.concatenate([recorded, beyond])) if len(beyond) else recorded
     heading, missing = yaw, ROUTE_BEYOND
@@ -112,27 +93,6 @@ def route_along(path: Array, yaw: float, lanes: Sequence[Lane]) -> Array:
         return line
     end = line[-1] + missing * np.array([np.cos(heading), np.sin(heading), 0.0])
     return np.concatenate([line, end[None]])
-
-
-def heading_at(line: Array, distance: float) -> float:
-    """Heading of a polyline (n, d), n >= 2, at a distance along it."""
-    line = without_repeats(line)
-    index = int(np.clip(np.searchsorted(arc_lengths(line), distance, side="right") - 1, 0, len(line) - 2))
-    step = line[index + 1, :2] - line[index, :2]
-    return float(np.arctan2(step[1], step[0]))
-
-
-def wrap(angle: Array) -> Array:
-    """Angles in -pi to pi."""
-    return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
-
-
-def _thinned(path: Array) -> Array:
-    kept = [path[0]]
-    for point in path[1:]:
-        if np.linalg.norm(point[:2] - kept[-1][:2]) >= _ROUTE_SPACING:
-            kept.append(point)
-    return np.stack(kept)
 
 
 def _lanes_ahead(position: Array, yaw: float, lanes: Sequence[Lane]) -> Array:
@@ -145,7 +105,11 @@ def _lanes_ahead(position: Array, yaw: float, lanes: Sequence[Lane]) -> Array:
         seen.add(lane.id)
         points = np.concatenate([points, lane.center[arc_lengths(lane.center) >= start]])
         length, start = length_of(points) if len(points) else 0.0, 0.0
-        lane = _straightest(lane, [by_id[name] for name in lane.successors if name in by_id])
+        heading = heading_at(lane.center, length_of(lane.center))
+        following = [by_id[name] for name in lane.successors if name in by_id]
+        lane = min(
+            following, key=lambda other: abs(wrap(np.array(heading_at(other.center, 0.0) - heading))), default=None
+        )
     return points[arc_lengths(points) <= ROUTE_BEYOND] if len(points) else points
 
 
@@ -159,8 +123,3 @@ def _lane_at(position: Array, yaw: float, lanes: Sequence[Lane]) -> tuple[Lane |
         if distance < nearest and abs(wrap(np.array(heading_at(lane.center, at) - yaw))) < _LANE_TURN:
             best, nearest, along = lane, distance, at
     return best, along
-
-
-def _straightest(lane: Lane, successors: Sequence[Lane]) -> Lane | None:
-    heading = heading_at(lane.center, length_of(lane.center))
-    return min(successors, key=lambda other: abs(wrap(np.array(heading_at(other.center, 0.0) - heading))), default=None)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
 from olt_generator.distance.background import FAR_DISTANCE, background_distance, road_distance
-from olt_generator.distance.metric_alignment import Alignment
-from olt_generator.distance.own_vehicle import find_own_vehicle
+from olt_generator.distance.ego_vehicle import find_ego_vehicle
+from olt_generator.distance.metric_alignment import AffineAlignment
 from olt_generator.distance.surfaces import SurfaceFinder, Surfaces
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -47,11 +47,11 @@ class DistanceEstimate:
     """Distance along the rays of the m frames of a clip that were asked for.
 
     Attributes:
-        distance: (m, H, W) float32 metres along each pixel's ray, NaN on the own vehicle. Never inf: sky is not told
+        distance: (m, H, W) float32 metres along each pixel's ray, NaN on the ego vehicle. Never inf: sky is not told
             from other far things.
         origin: (m, H, W) uint8, an `DistanceOrigin` per pixel.
         confidence: (m, H, W) float32, 0 to 1: about the share of such pixels whose distance is right within a tenth.
-            0 where only the assumption of a background speaks for the distance, and on the own vehicle.
+            0 where only the assumption of a background speaks for the distance, and on the ego vehicle.
         moving: (m, H, W) bool, pixels of moving objects, as far as they are noticed.
         alignment: how a network's depth was made metric; None for distances by geometry alone.
     """
@@ -60,7 +60,7 @@ class DistanceEstimate:
     origin: NDArray[np.uint8]
     confidence: NDArray[np.float32]
     moving: NDArray[np.bool_]
-    alignment: Alignment | None = None
+    alignment: AffineAlignment | None = None
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def estimate_distance(
     trajectory: Trajectory,
     T_rig_camera: Array,
     on_progress: Progress = silent,
-    shown: Sequence[int] | NDArray[np.integer] | None = None,
+    frame_indices: Sequence[int] | NDArray[np.integer] | None = None,
     settings: SweepSettings | None = None,
 ) -> DistanceEstimate:
     """Estimate the distance of every pixel of a clip.
@@ -105,7 +105,7 @@ def estimate_distance(
         trajectory: n rig poses, one per frame.
         T_rig_camera: (4, 4) pose of the camera in the rig; its height above the road scales the plane.
         on_progress: told the share of frames that are done.
-        shown: numbers (m,) of the frames whose distance is wanted; the others only help with them. None: all.
+        frame_indices: numbers (m,) of the frames whose distance is wanted; the others only help with them. None: all.
         settings: how much work goes into it.
 
     Raises:
@@ -113,36 +113,26 @@ def estimate_distance(
             the camera is not above the road.
     """
     check_clip(frames, camera, trajectory)
-    wanted = choose_shown(shown, len(frames))
+    wanted = check_frame_indices(frame_indices, len(frames))
     settings = settings or SweepSettings()
     T_world_camera = trajectory.T_world_rig @ T_rig_camera
     road = road_distance(camera, T_rig_camera)
-    vehicle = find_own_vehicle(frames, camera, T_rig_camera, T_world_camera[:, :3, 3], road)
-    small = _reduced(camera, settings.width)
+    vehicle = find_ego_vehicle(frames, camera, T_rig_camera, T_world_camera[:, :3, 3], road)
+    factor = min(1.0, settings.width / camera.width)
+    small = camera.resized(round(factor * camera.width), round(factor * camera.height))
     images = [cv2.resize(frame, (small.width, small.height), interpolation=cv2.INTER_AREA) for frame in frames]
     finder = SurfaceFinder(images, small, T_world_camera, T_rig_camera, settings.planes, settings.neighbours)
     small_background = background_distance(small, T_rig_camera)
-    estimate = _empty_estimate(len(wanted), camera)
+    shape = (len(wanted), camera.height, camera.width)
+    estimate = DistanceEstimate(
+        np.empty(shape, np.float32), np.empty(shape, np.uint8), np.empty(shape, np.float32), np.empty(shape, np.bool_)
+    )
     for place, index in enumerate(wanted):
         _insert(estimate, place, finder.find(int(index)), small_background, road)
         on_progress((place + 1) / len(wanted))
-    _leave_out(estimate, vehicle)
+    estimate.distance[:, vehicle], estimate.origin[:, vehicle] = np.nan, DistanceOrigin.VEHICLE
+    estimate.confidence[:, vehicle], estimate.moving[:, vehicle] = 0.0, False
     return estimate
-
-
-def _reduced(camera: Camera, width: int) -> Camera:
-    factor = min(1.0, width / camera.width)
-    return camera.resized(round(factor * camera.width), round(factor * camera.height))
-
-
-def _empty_estimate(count: int, camera: Camera) -> DistanceEstimate:
-    shape = (count, camera.height, camera.width)
-    return DistanceEstimate(
-        distance=np.empty(shape, np.float32),
-        origin=np.empty(shape, np.uint8),
-        confidence=np.empty(shape, np.float32),
-        moving=np.empty(shape, np.bool_),
-    )
 
 
 def _insert(
@@ -178,23 +168,16 @@ def _insert(
     estimate.moving[place] = moving > 0
 
 
-def _leave_out(estimate: DistanceEstimate, vehicle: NDArray[np.bool_]) -> None:
-    estimate.distance[:, vehicle] = np.nan
-    estimate.origin[:, vehicle] = DistanceOrigin.VEHICLE
-    estimate.confidence[:, vehicle] = 0.0
-    estimate.moving[:, vehicle] = False
-
-
-def choose_shown(shown: Sequence[int] | NDArray[np.integer] | None, count: int) -> NDArray[np.int64]:
-    """Numbers (m,) of the frames that are wanted out of `count`; all where `shown` is None.
+def check_frame_indices(frame_indices: Sequence[int] | NDArray[np.integer] | None, count: int) -> NDArray[np.int64]:
+    """Numbers (m,) of the frames that are wanted out of `count`; all where `frame_indices` is None.
 
     Raises:
         InputError: a number is not that of a frame.
     """
-    wanted = np.arange(count) if shown is None else np.asarray(shown, np.int64)
+    wanted = np.arange(count) if frame_indices is None else np.asarray(frame_indices, np.int64)
     outside = (wanted < 0) | (wanted >= count)
     if outside.any():
-        raise InputError(f"shown: there is no frame {wanted[outside][0]} in a clip of {count}; count from 0")
+        raise InputError(f"frame_indices: there is no frame {wanted[outside][0]} in a clip of {count}; count from 0")
     return wanted
 
 

@@ -1,7 +1,6 @@
 """Depth Anything V2 (Yang et al., 2024) from a local folder, frame by frame, made metric by the clip's geometry."""
 
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
 from olt_generator.distance.depth import DistanceEstimate
-from olt_generator.distance.depth_source import Shown, make_metric
+from olt_generator.distance.depth_source import FrameIndices, make_metric
 from olt_generator.distance.model_folder import check_model_folder, load_network
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -37,7 +36,13 @@ class DepthAnything:
 
     def __init__(self, folder: Path, device: str = "cpu", shorter_side: int = SHORTER_SIDE) -> None:
         check_model_folder(folder, ("config.json", "model.safetensors"))
-        self._model = _load(folder, device)
+        try:
+            from transformers import DepthAnythingForDepthEstimation
+        except ImportError as error:
+            raise InputError("Depth Anything needs transformers; pip install 'olt-generator[learned]'") from error
+        self._model = load_network(DepthAnythingForDepthEstimation, folder, device)
+        if self._model.config.depth_estimation_type != "relative":
+            raise InputError(f"{folder}: a network of metric depth; give one of relative depth, such as V2-Small")
         self._device, self._shorter_side = device, shorter_side
 
     def estimate(
@@ -47,39 +52,25 @@ class DepthAnything:
         trajectory: Trajectory,
         T_rig_camera: Array,
         on_progress: Progress = silent,
-        shown: Shown = None,
+        frame_indices: FrameIndices = None,
     ) -> DistanceEstimate:
         """See `DepthSource.estimate`."""
 
         def relative(wanted: NDArray[np.int64]) -> list[NDArray[np.float32]]:
             return [self.relative_inverse_depth(frames[index]) for index in wanted]
 
-        return make_metric(relative, frames, camera, trajectory, T_rig_camera, on_progress, shown)
+        return make_metric(relative, frames, camera, trajectory, T_rig_camera, on_progress, frame_indices)
 
     def relative_inverse_depth(self, frame: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The network's map (h, w) of an image (H, W, 3); nearer is larger."""
         import torch
 
-        resized = cv2.resize(frame, self._size(frame), interpolation=cv2.INTER_CUBIC).astype(np.float32)
+        # What the network sees is whole patches.
+        patch = self._model.config.patch_size
+        factor = self._shorter_side / min(frame.shape[:2])
+        height, width = (max(patch, round(factor * side / patch) * patch) for side in frame.shape[:2])
+        resized = cv2.resize(frame, (width, height), interpolation=cv2.INTER_CUBIC).astype(np.float32)
         pixels = ((resized / 255.0 - MEAN) / SPREAD).transpose(2, 0, 1)[None].astype(np.float32)
         with torch.inference_mode():
             output = self._model(pixel_values=torch.from_numpy(pixels).to(self._device))
         return output.predicted_depth[0].float().cpu().numpy()
-
-    def _size(self, frame: NDArray[np.uint8]) -> tuple[int, int]:
-        """Width and height in whole patches."""
-        patch = self._model.config.patch_size
-        factor = self._shorter_side / min(frame.shape[:2])
-        height, width = (max(patch, round(factor * side / patch) * patch) for side in frame.shape[:2])
-        return width, height
-
-
-def _load(folder: Path, device: str) -> Any:
-    try:
-        from transformers import DepthAnythingForDepthEstimation
-    except ImportError as error:
-        raise InputError("Depth Anything needs transformers; pip install 'openlongtail[generator]'") from error
-    model = load_network(DepthAnythingForDepthEstimation, folder, device)
-    if model.config.depth_estimation_type != "relative":
-        raise InputError(f"{folder}: a network of metric depth; give one of relative depth, such as V2-Small")
-    return model

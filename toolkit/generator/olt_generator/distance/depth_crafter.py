@@ -7,6 +7,7 @@ overlap they are blended.
 
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import cv2
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
 from olt_generator.distance.depth import DistanceEstimate
-from olt_generator.distance.depth_source import Shown, make_metric
+from olt_generator.distance.depth_source import FrameIndices, make_metric
 from olt_generator.distance.model_folder import check_model_folder, load_network
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -97,36 +98,34 @@ class DepthCrafter:
         trajectory: Trajectory,
         T_rig_camera: Array,
         on_progress: Progress = silent,
-        shown: Shown = None,
+        frame_indices: FrameIndices = None,
     ) -> DistanceEstimate:
-        """See `DepthSource.estimate`; the network sees all frames, whichever are shown."""
+        """See `DepthSource.estimate`; the network sees all frames, whichever are asked for."""
 
         def relative(wanted: NDArray[np.int64]) -> list[NDArray[np.float32]]:
             return list(self.relative_inverse_depth(frames)[wanted])
 
-        return make_metric(relative, frames, camera, trajectory, T_rig_camera, on_progress, shown)
+        return make_metric(relative, frames, camera, trajectory, T_rig_camera, on_progress, frame_indices)
 
     def relative_inverse_depth(self, frames: NDArray[np.uint8]) -> NDArray[np.float32]:
         """The network's inverse depth (n, h, w) of frames (n, H, W, 3), 0 to 1 over the clip; nearer is larger."""
         import torch
 
-        generator = torch.Generator().manual_seed(derive_seed("DepthCrafter", self._seed))
-        with torch.inference_mode():
-            video = self._video(frames)
-            embeddings = self._embed(video)
-            noise = torch.randn(video.shape, generator=generator).to(self._device)
-            conditions = self._encode(video + FRAME_NOISE * noise)
-            depth = self._decode(self._denoise(conditions, embeddings, generator))
-        low, high = depth.min(), depth.max()
-        return ((depth - low) / max(high - low, 1e-6)).astype(np.float32)
-
-    def _video(self, frames: NDArray[np.uint8]) -> "Tensor":
-        """Frames (n, 3, h, w), -1 to 1."""
-        import torch
-
         size = (self._settings.width, self._settings.height)
         resized = np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
-        return torch.from_numpy(resized.transpose(0, 3, 1, 2)).to(self._device).float() / 127.5 - 1.0
+        generator = torch.Generator().manual_seed(derive_seed("DepthCrafter", self._seed))
+        vae = self._networks.vae
+        with torch.inference_mode():
+            video = torch.from_numpy(resized.transpose(0, 3, 1, 2)).to(self._device).float() / 127.5 - 1.0
+            embeddings = self._embed(video)
+            noisy = video + FRAME_NOISE * torch.randn(video.shape, generator=generator).to(self._device)
+            # Latents (n, c, h / 8, w / 8); the depth is the mean of three channels.
+            conditions = torch.cat([vae.encode(chunk).latent_dist.mode() for chunk in noisy.split(CHUNK)])
+            latents = self._denoise(conditions, embeddings, generator) / vae.config.scaling_factor
+            decoded = [vae.decode(chunk, num_frames=len(chunk)).sample for chunk in latents.split(CHUNK)]
+        depth = torch.cat([0.5 * part.clamp(-1.0, 1.0).mean(dim=1) + 0.5 for part in decoded]).float().cpu().numpy()
+        low, high = depth.min(), depth.max()
+        return ((depth - low) / max(high - low, 1e-6)).astype(np.float32)
 
     def _embed(self, video: "Tensor") -> "Tensor":
         """Embeddings (n, c) of frames (n, 3, h, w), one each."""
@@ -137,21 +136,6 @@ class DepthCrafter:
         mean, spread = (video.new_tensor(values)[:, None, None] for values in (CLIP_MEAN, CLIP_SPREAD))
         pixels = ((0.5 * small + 0.5) - mean) / spread
         return torch.cat([self._networks.image_encoder(chunk).image_embeds for chunk in pixels.split(CHUNK)])
-
-    def _encode(self, video: "Tensor") -> "Tensor":
-        """Latents (n, c, h / 8, w / 8) of frames (n, 3, h, w)."""
-        import torch
-
-        return torch.cat([self._networks.vae.encode(chunk).latent_dist.mode() for chunk in video.split(CHUNK)])
-
-    def _decode(self, latents: "Tensor") -> NDArray[np.float32]:
-        """Inverse depth (n, h, w), 0 to 1, of latents (n, c, h / 8, w / 8): the mean of three channels."""
-        vae = self._networks.vae
-        parts = [
-            vae.decode(chunk / vae.config.scaling_factor, num_frames=len(chunk)).sample.clamp(-1.0, 1.0).mean(dim=1)
-            for chunk in latents.split(CHUNK)
-        ]
-        return np.concatenate([(0.5 * part + 0.5).float().cpu().numpy() for part in parts])
 
     def _denoise(self, conditions: "Tensor", embeddings: "Tensor", generator: Any) -> "Tensor":
         """Latents (n, c, h, w) of the depth of the whole clip, window by window."""
@@ -188,15 +172,8 @@ class DepthCrafter:
         return latents
 
 
-@dataclass(frozen=True)
-class _Networks:
-    unet: Any
-    vae: Any
-    image_encoder: Any
-    scheduler: Any
-
-
-def _load(folder: Path, device: str) -> _Networks:
+def _load(folder: Path, device: str) -> SimpleNamespace:
+    """The networks `unet`, `vae` and `image_encoder`, and the `scheduler`."""
     try:
         from diffusers.models.autoencoders.autoencoder_kl_temporal_decoder import AutoencoderKLTemporalDecoder
         from diffusers.models.transformers.transformer_temporal import TransformerSpatioTemporalModel
@@ -205,17 +182,17 @@ def _load(folder: Path, device: str) -> _Networks:
         from transformers import CLIPVisionModelWithProjection
     except ImportError as error:
         raise InputError(
-            "DepthCrafter needs diffusers and transformers; pip install 'openlongtail[generator]'"
+            "DepthCrafter needs diffusers and transformers; pip install 'olt-generator[learned]'"
         ) from error
     unet = load_network(UNetSpatioTemporalConditionModel, folder / "unet", device)
     for module in unet.modules():
         if isinstance(module, TransformerSpatioTemporalModel):
             module.register_forward_pre_hook(_attend_to_own_embedding, with_kwargs=True)
-    return _Networks(
-        unet,
-        load_network(AutoencoderKLTemporalDecoder, folder / "vae", device),
-        load_network(CLIPVisionModelWithProjection, folder / "image_encoder", device),
-        EulerDiscreteScheduler.from_pretrained(folder / "scheduler", local_files_only=True),
+    return SimpleNamespace(
+        unet=unet,
+        vae=load_network(AutoencoderKLTemporalDecoder, folder / "vae", device),
+        image_encoder=load_network(CLIPVisionModelWithProjection, folder / "image_encoder", device),
+        scheduler=EulerDiscreteScheduler.from_pretrained(folder / "scheduler", local_files_only=True),
     )
 
 

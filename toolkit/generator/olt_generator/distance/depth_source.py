@@ -14,10 +14,10 @@ from olt_generator.distance.depth import (
     DistanceEstimate,
     DistanceOrigin,
     SweepSettings,
-    choose_shown,
+    check_frame_indices,
     estimate_distance,
 )
-from olt_generator.distance.metric_alignment import align, apply_alignment
+from olt_generator.distance.metric_alignment import align_affine
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
@@ -28,7 +28,7 @@ FARTHEST_ANCHOR = 60.0
 # Cosine of the angle to the optical axis below which depth along that axis says nothing about distance.
 LEAST_COSINE = 0.05
 
-Shown = Sequence[int] | NDArray[np.integer] | None
+FrameIndices = Sequence[int] | NDArray[np.integer] | None
 
 
 class DepthSource(Protocol):
@@ -41,9 +41,9 @@ class DepthSource(Protocol):
         trajectory: Trajectory,
         T_rig_camera: Array,
         on_progress: Progress = silent,
-        shown: Shown = None,
+        frame_indices: FrameIndices = None,
     ) -> DistanceEstimate:
-        """Distances of the frames that are shown; arguments and errors are those of `depth.estimate_distance`."""
+        """Distances of the frames that are asked for; arguments and errors are those of `depth.estimate_distance`."""
         ...
 
 
@@ -60,10 +60,10 @@ class GeometricDepth:
         trajectory: Trajectory,
         T_rig_camera: Array,
         on_progress: Progress = silent,
-        shown: Shown = None,
+        frame_indices: FrameIndices = None,
     ) -> DistanceEstimate:
         """See `DepthSource.estimate`."""
-        return estimate_distance(frames, camera, trajectory, T_rig_camera, on_progress, shown, self.settings)
+        return estimate_distance(frames, camera, trajectory, T_rig_camera, on_progress, frame_indices, self.settings)
 
 
 def make_metric(
@@ -73,22 +73,22 @@ def make_metric(
     trajectory: Trajectory,
     T_rig_camera: Array,
     on_progress: Progress,
-    shown: Shown,
+    frame_indices: FrameIndices,
 ) -> DistanceEstimate:
     """Distances from a network's inverse depth, with the scale and shift that fit road and parallax of the same clip.
 
     Args:
         relative: gives the network's maps, each (h, w), of the frames with the given numbers (m,); nearer is larger.
-        frames, camera, trajectory, T_rig_camera, on_progress, shown: see `depth.estimate_distance`.
+        frames, camera, trajectory, T_rig_camera, on_progress, frame_indices: see `depth.estimate_distance`.
 
     Returns:
-        The network's distances, with the moving objects of the geometry and its own vehicle left out. The confidence
+        The network's distances, with the moving objects of the geometry and its ego vehicle left out. The confidence
         is the share of the anchors that the fit meets within a tenth.
 
     Raises:
-        InputError: as `depth.estimate_distance` and `metric_alignment.align`.
+        InputError: as `depth.estimate_distance` and `metric_alignment.align_affine`.
     """
-    wanted = choose_shown(shown, len(frames))
+    wanted = check_frame_indices(frame_indices, len(frames))
     known = estimate_distance(frames, camera, trajectory, T_rig_camera, lambda share: on_progress(0.5 * share), wanted)
     size = (camera.width, camera.height)
     values = np.stack([cv2.resize(each, size) for each in relative(wanted)]).astype(np.float32)
@@ -96,8 +96,8 @@ def make_metric(
     anchors = (known.confidence >= ANCHOR_CONFIDENCE) & (known.distance < FARTHEST_ANCHOR) & (cosine > LEAST_COSINE)
     anchors &= ~known.moving
     inverse_depth = 1.0 / (known.distance * cosine)[anchors].astype(np.float64)
-    alignment = align(values[anchors].astype(np.float64), inverse_depth)
-    distance = np.minimum(apply_alignment(values, alignment, FAR_DISTANCE) / cosine, np.float32(FAR_DISTANCE))
+    alignment = align_affine(values[anchors].astype(np.float64), inverse_depth)
+    distance = np.minimum(alignment.metric_depth(values, FAR_DISTANCE) / cosine, np.float32(FAR_DISTANCE))
     vehicle = known.origin == DistanceOrigin.VEHICLE
     on_progress(1.0)
     return DistanceEstimate(

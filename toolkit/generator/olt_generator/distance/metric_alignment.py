@@ -17,7 +17,7 @@ TOLERANCE = 0.1
 
 
 @dataclass(frozen=True)
-class Alignment:
+class AffineAlignment:
     """Inverse depth in 1/m is `scale` times the network's value plus `shift`, for a whole clip.
 
     Attributes:
@@ -31,8 +31,13 @@ class Alignment:
     residual: float
     agreement: float
 
+    def metric_depth(self, relative: NDArray[np.float32], farthest: float) -> NDArray[np.float32]:
+        """Depth (...) in metres along the optical axis from a network's values (...), at most `farthest`."""
+        inverse = np.maximum(self.scale * relative + self.shift, 1.0 / farthest)
+        return (1.0 / inverse).astype(np.float32)
 
-def align(relative: Array, inverse_depth: Array) -> Alignment:
+
+def align_affine(relative: Array, inverse_depth: Array) -> AffineAlignment:
     """Fit values of a network (k,) to known inverse depths (k,) in 1/m, with few or no regard to outliers.
 
     Relative errors are what counts, so that far anchors weigh as much as near ones.
@@ -57,10 +62,5 @@ def align(relative: Array, inverse_depth: Array) -> Alignment:
     error = np.abs(design @ solution - 1.0)
     if not solution[0] > 0.0:
         raise InputError("the network's values do not grow towards the camera; they are no relative inverse depth")
-    return Alignment(float(solution[0]), float(solution[1]), float(np.median(error)), float(np.mean(error < TOLERANCE)))
-
-
-def apply_alignment(relative: NDArray[np.float32], alignment: Alignment, farthest: float) -> NDArray[np.float32]:
-    """Depth (...) in metres along the optical axis from a network's values (...), at most `farthest`."""
-    inverse = np.maximum(alignment.scale * relative + alignment.shift, 1.0 / farthest)
-    return (1.0 / inverse).astype(np.float32)
+    scale, shift = solution.tolist()
+    return AffineAlignment(scale, shift, float(np.median(error)), float(np.mean(error < TOLERANCE)))

@@ -136,7 +136,13 @@ class PlaneSweep:
         costs[0] -= np.minimum(costs[0], bonus)
         best, label = _least(costs)
         step = np.log(self._distances[0] / self._distances[1])
-        distance = self._distances[np.maximum(label, 1) - 1] * np.exp(-step * _sub_label(costs, label))
+        # Between the labels beside it the least cost lies where a parabola through the three costs has it.
+        inner = np.clip(label, 2, len(costs) - 2)[None].astype(np.intp)
+        before, here, after = (np.take_along_axis(costs, inner + k, axis=0)[0].astype(np.float32) for k in (-1, 0, 1))
+        bend = before - 2.0 * here + after
+        offset = np.divide(before - after, 2.0 * bend, out=np.zeros_like(bend), where=bend > 0.0)
+        offset = np.where(inner[0] == label, np.clip(offset, -0.5, 0.5), 0.0).astype(np.float32)
+        distance = self._distances[np.maximum(label, 1) - 1] * np.exp(-step * offset)
         background = self._background[top:bottom]
         return Match(
             distance=np.where(label == 0, background, np.minimum(distance, background)).astype(np.float32),
@@ -188,20 +194,23 @@ class PlaneSweep:
         self, index: int, judges: list[int], points: Array, cell: int, top: int, costs: list[NDArray[np.uint16]]
     ) -> None:
         """Fill k costs (rows, w), each from row `top` on, for surfaces at k sets of `points` of a grid."""
-        tables = [self._tables(index, judge, points) for judge in judges]
+        grids = []
+        for judge in judges:
+            T_judge_frame = invert(self._T_world_camera[judge]) @ self._T_world_camera[index]
+            pixels, _ = self._camera.project(transform(T_judge_frame, points.reshape(-1, 3)))
+            grids.append(pixels.astype(np.float32).reshape(*points.shape[:-1], 2))
         for surface, cost in enumerate(costs):
             picture = self._pictures[index][top : top + len(cost)]
-            parts = [
-                _difference(picture, self._pictures[judge], _enlarge(table[surface], cell, picture.shape))
-                for judge, table in zip(judges, tables, strict=True)
+            (difference, unseen), *others = [
+                _difference(picture, self._pictures[judge], grid[surface], cell)
+                for judge, grid in zip(judges, grids, strict=True)
             ]
-            cost[:] = parts[0][0] if len(parts) == 1 else _mean_where_seen(*parts)
-
-    def _tables(self, index: int, judge: int, points: Array) -> NDArray[np.float32]:
-        """Pixels (k, rows, columns, 2) of frame `judge` that show `points` (k, rows, columns, 3) of frame `index`."""
-        T_judge_frame = invert(self._T_world_camera[judge]) @ self._T_world_camera[index]
-        pixels, _ = self._camera.project(transform(T_judge_frame, points.reshape(-1, 3)))
-        return pixels.astype(np.float32).reshape(*points.shape[:-1], 2)
+            for other, other_unseen in others:
+                # The mean of both; the one of them that is seen where the other is not.
+                np.copyto(difference, other, where=unseen)
+                np.copyto(other, difference, where=other_unseen)
+                difference = (difference >> 1) + (other >> 1)
+            cost[:] = difference
 
 
 def _grey_levels(cost: NDArray[np.uint16]) -> NDArray[np.float32]:
@@ -214,31 +223,20 @@ def _suitable_baseline(distance: Array | NDArray[np.float32]) -> NDArray[np.int6
 
 
 def _difference(
-    picture: NDArray[np.uint8], other: NDArray[np.uint8], table: NDArray[np.float32]
+    picture: NDArray[np.uint8], other: NDArray[np.uint8], grid: NDArray[np.float32], cell: int
 ) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
-    """Summed differences (h, w) between a picture and another one at the pixels of a table, and where it is unseen."""
+    """Summed differences (h, w) between a picture and what another one shows of it, and where that is unseen.
+
+    The pixels of the other one are given on the grid (rows, columns, 2) of a `_grid_camera` and interpolated.
+    """
+    places = cv2.resize(grid, (grid.shape[1] * cell, grid.shape[0] * cell), interpolation=cv2.INTER_LINEAR)
+    table = places[cell : cell + picture.shape[0], cell : cell + picture.shape[1]]
     # Zero is what no normalised picture contains.
     found = np.asarray(cv2.remap(other, table, None, cv2.INTER_LINEAR, borderValue=0), np.uint8)  # pyright: ignore
     unseen = found == 0
     difference = np.minimum(cv2.absdiff(found, picture), LARGEST_DIFFERENCE)
     difference[unseen] = NEUTRAL_DIFFERENCE
     return np.asarray(cv2.boxFilter(difference, cv2.CV_16U, WINDOW, normalize=False), np.uint16), unseen
-
-
-def _mean_where_seen(
-    one: tuple[NDArray[np.uint16], NDArray[np.bool_]], other: tuple[NDArray[np.uint16], NDArray[np.bool_]]
-) -> NDArray[np.uint16]:
-    """Mean of two differences; the one of them that is seen where the other is not."""
-    (first, first_unseen), (second, second_unseen) = one, other
-    np.copyto(first, second, where=first_unseen)
-    np.copyto(second, first, where=second_unseen)
-    return np.asarray((first >> 1) + (second >> 1), np.uint16)
-
-
-def _enlarge(grid: NDArray[np.float32], cell: int, shape: tuple[int, ...]) -> NDArray[np.float32]:
-    """Interpolate values (rows, columns, 2) of a `_grid_camera` to the pixels of its camera."""
-    full = cv2.resize(grid, (grid.shape[1] * cell, grid.shape[0] * cell), interpolation=cv2.INTER_LINEAR)
-    return np.asarray(full[cell : cell + shape[0], cell : cell + shape[1]], np.float32)
 
 
 def normalize_contrast(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -282,12 +280,3 @@ def _runner_up(costs: NDArray[np.uint16], label: NDArray[np.uint8]) -> NDArray[n
         elsewhere = np.abs(signed - index) > 2
         np.minimum(runner_up, cost, out=runner_up, where=elsewhere)
     return runner_up
-
-
-def _sub_label(costs: NDArray[np.uint16], label: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Where between the labels beside it the least cost lies, -0.5 to 0.5, by a parabola through the three costs."""
-    inner = np.clip(label, 2, len(costs) - 2)[None].astype(np.intp)
-    before, here, after = (np.take_along_axis(costs, inner + step, axis=0)[0].astype(np.float32) for step in (-1, 0, 1))
-    bend = before - 2.0 * here + after
-    offset = np.divide(before - after, 2.0 * bend, out=np.zeros_like(bend), where=bend > 0.0)
-    return np.where(inner[0] == label, np.clip(offset, -0.5, 0.5), 0.0).astype(np.float32)

@@ -14,22 +14,22 @@ STEPS = 16
 # Counts that every colour has from the start, as share of all pixels: a colour seen nowhere is not sky.
 PRIOR_SKY, PRIOR_OTHER = 2e-6, 1e-5
 
-Lesson = tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_]]
-"""A picture (h, w, 3), and where (h, w) it certainly shows the far and where it certainly does not."""
+LabelledImage = tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_]]
+"""An image (h, w, 3), and where (h, w) it certainly shows the far and where it certainly does not."""
 
 
 class SkyColours:
     """How often each colour was sky.
 
     Args:
-        lessons: pictures with what is known about them.
+        examples: images with what is known about them.
     """
 
-    def __init__(self, lessons: Iterable[Lesson]) -> None:
+    def __init__(self, examples: Iterable[LabelledImage]) -> None:
         sky = np.zeros(STEPS**3)
         other = np.zeros(STEPS**3)
         pixels = 0
-        for image, is_far, is_near in lessons:
+        for image, is_far, is_near in examples:
             code = _colour_code(image)
             sky += np.bincount(code[is_far], minlength=STEPS**3)
             other += np.bincount(code[is_near], minlength=STEPS**3)

@@ -7,7 +7,6 @@ where its foot is.
 """
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import cv2
@@ -16,13 +15,13 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
 from olt_generator.distance.background import FAR_DISTANCE, background_distance, road_distance
+from olt_generator.distance.ground_contact import contact_distance
 from olt_generator.distance.plane_sweep import Match, PlaneSweep, local_contrast
-from olt_generator.distance.sky import Lesson, SkyColours
-from olt_generator.distance.standing import foot_distance
+from olt_generator.distance.sky import LabelledImage, SkyColours
 from olt_generator.poses import Array
 
 # Frames, spread over the clip, that teach the colours of the sky.
-MOST_LESSONS = 3
+MOST_EXAMPLES = 3
 
 # Grey levels of contrast without which a pixel has nothing to compare, and the window over which it is taken.
 LEAST_CONTRAST = 2.0
@@ -64,7 +63,7 @@ LEAST_RATIO = 1.12
 # well by itself. Farther feet are too close to the horizon to be told.
 FLOATING = 1.6
 STILL_ADVANTAGE, STILL_MISMATCH = 6.0, 15.0
-FARTHEST_FOOT = 40.0
+FARTHEST_CONTACT = 40.0
 
 
 @dataclass(frozen=True)
@@ -111,13 +110,14 @@ class SurfaceFinder:
         self._road = road_distance(camera, T_rig_camera)
         self._background = background_distance(camera, T_rig_camera)
         self._above = self._road >= FAR_DISTANCE
-        self._sky = SkyColours(self._lessons())
+        self._sky = SkyColours(self._examples())
 
     def find(self, index: int) -> Surfaces:
         """The surfaces of frame `index`; all background, unknown, where the camera hardly moved."""
         mismatch = self._sweep.background_mismatch(index)
         if mismatch is None:
-            return _unknown(self._above.shape)
+            ones, zeros = np.ones(self._above.shape, np.float32), np.zeros(self._above.shape, np.float32)
+            return Surfaces(ones, zeros, zeros > 0.0, zeros > 0.0)
         textured = self._textured[index]
         sky = np.where(self._above, self._sky.probability(self._images[index]), np.float32(0.0))
         certain = (sky > CERTAIN_SKY) | (~self._above & textured & (mismatch < CERTAIN_ROAD_MISMATCH))
@@ -131,10 +131,10 @@ class SurfaceFinder:
         ratio, moving = self._stand_on_road(ratio, still & textured & ~self._above)
         return Surfaces(ratio, knowledge, near & ~certain & (evidence > MEASURED), moving)
 
-    def _lessons(self) -> Iterator[Lesson]:
+    def _examples(self) -> Iterator[LabelledImage]:
         """What parallax says about the colours of some frames; frames in which it says nothing are left out."""
         count = len(self._images)
-        for index in np.unique(np.linspace(0, count - 1, min(count, MOST_LESSONS)).round().astype(int)):
+        for index in np.unique(np.linspace(0, count - 1, min(count, MOST_EXAMPLES)).round().astype(int)):
             match = self._sweep.match(index, 0, self._camera.height)
             if match is None:
                 continue
@@ -152,8 +152,13 @@ class SurfaceFinder:
         """Logarithm of the ratio, its evidence, and what keeps its place in the picture (h, w); 0 in rows not swept."""
         log_ratio, evidence = np.zeros(explained.shape, np.float32), np.zeros(explained.shape, np.float32)
         still = np.zeros(explained.shape, np.bool_)
-        rows = _open_rows(explained)
-        match = self._sweep.match(index, rows.start, rows.stop) if rows.stop > rows.start else None
+        open_rows = np.flatnonzero((~explained).mean(axis=1) > OPEN_SHARE)
+        if len(open_rows) == 0:
+            return log_ratio, evidence, still
+        # Some rows around them, too, and in steps, so that few sizes occur.
+        top, bottom = (open_rows[0] // ROW_STEP - 1) * ROW_STEP, (open_rows[-1] // ROW_STEP + 2) * ROW_STEP
+        rows = slice(max(0, int(top)), min(len(explained), int(bottom)))
+        match = self._sweep.match(index, rows.start, rows.stop)
         if match is not None:
             log_ratio[rows] = np.log(self._background[rows] / match.distance)
             evidence[rows] = _evidence(match, self._textured[index][rows])
@@ -167,9 +172,9 @@ class SurfaceFinder:
         """The ratio (h, w) with what moves put where its foot is, and what moves (h, w)."""
         goes_along = _without_specks(still, 3)
         stands = (ratio > 1.0) | goes_along
-        foot = foot_distance(stands, self._road, self._camera, self._T_rig_camera)
-        floats = (ratio > 1.0) & (FLOATING * self._background / ratio < foot) & (foot < FARTHEST_FOOT)
-        moving = (goes_along & (foot < FARTHEST_FOOT)) | _without_specks(floats, 5)
+        foot = contact_distance(stands, self._road, self._camera, self._T_rig_camera)
+        floats = (ratio > 1.0) & (FLOATING * self._background / ratio < foot) & (foot < FARTHEST_CONTACT)
+        moving = (goes_along & (foot < FARTHEST_CONTACT)) | _without_specks(floats, 5)
         return np.where(moving, np.maximum(self._background / foot, 1.0), ratio).astype(np.float32), moving
 
 
@@ -178,44 +183,24 @@ def _without_specks(mask: NDArray[np.bool_], size: int) -> NDArray[np.bool_]:
     return cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_OPEN, np.ones((size, size), np.uint8)) > 0
 
 
-def _unknown(shape: tuple[int, ...]) -> Surfaces:
-    nothing = np.zeros(shape, np.bool_)
-    return Surfaces(np.ones(shape, np.float32), np.zeros(shape, np.float32), nothing, nothing)
-
-
 def _evidence(match: Match, textured: NDArray[np.bool_]) -> NDArray[np.float32]:
     """How clearly (rows, w) the best distance is the best, 0 to 1; 0 where there is no texture to compare."""
     advantage = np.clip((match.runner_up - match.mismatch - MARGIN) / FULL_ADVANTAGE, 0.0, 1.0)
     return (textured * advantage * np.clip(1.0 - match.mismatch / WORST_MATCH, 0.0, 1.0)).astype(np.float32)
 
 
-def _open_rows(explained: NDArray[np.bool_]) -> slice:
-    """The rows with pixels that are not explained (h, w), and some around them; in steps, so that few sizes occur."""
-    rows = np.flatnonzero((~explained).mean(axis=1) > OPEN_SHARE)
-    if len(rows) == 0:
-        return slice(0, 0)
-    top, bottom = (rows[0] // ROW_STEP - 1) * ROW_STEP, (rows[-1] // ROW_STEP + 2) * ROW_STEP
-    return slice(max(0, int(top)), min(len(explained), int(bottom)))
-
-
 def _spread(
     image: NDArray[np.uint8], log_ratio: NDArray[np.float32], weight: NDArray[np.float32]
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """The ratio (h, w) as weighted mean over each pixel's surroundings up to the edges of the image, and its weight."""
-    with _one_thread():
-        smoother = cv2.ximgproc.createFastGlobalSmootherFilter(image, SPREAD, EDGE)
-        knowledge = np.asarray(smoother.filter(weight), np.float32)
-        ratio = np.exp(smoother.filter(weight * log_ratio) / (knowledge + np.float32(TRACE)))
-    is_background = ratio < LEAST_RATIO
-    return np.where(is_background, np.float32(1.0), ratio), knowledge
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """One thread for OpenCV: how several share the rows shows in the last bits of the smoother."""
+    # One thread: how several share the rows shows in the last bits of the smoother.
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        yield
+        smoother = cv2.ximgproc.createFastGlobalSmootherFilter(image, SPREAD, EDGE)
+        knowledge = np.asarray(smoother.filter(weight), np.float32)
+        ratio = np.exp(smoother.filter(weight * log_ratio) / (knowledge + np.float32(TRACE)))
     finally:
         cv2.setNumThreads(threads)
+    is_background = ratio < LEAST_RATIO
+    return np.where(is_background, np.float32(1.0), ratio), knowledge

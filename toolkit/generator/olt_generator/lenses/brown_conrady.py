@@ -1,11 +1,11 @@
 """The Brown-Conrady camera: perspective with radial and tangential distortion, OpenCV's default model."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from olt_generator.lenses.camera_model import CameraModel, Mask, inside_image
+from olt_generator.lenses.camera_model import FocalCamera, Mask, inside_image
 from olt_generator.lenses.lens_curves import Polynomial, derivative, evaluate, invert_rising, smallest_positive_root
 from olt_generator.lenses.pinhole import NEAREST_DEPTH, WIDEST_FIELD_OF_VIEW
 from olt_generator.poses import Array
@@ -19,7 +19,7 @@ _MISSED = 1e-11
 
 
 @dataclass(frozen=True)
-class BrownConradyCamera(CameraModel):
+class BrownConradyCamera(FocalCamera):
     """A perspective camera whose lens bends straight lines.
 
     With x, y on the image plane at depth 1 and s = x^2 + y^2 the distorted point is (OpenCV, calib3d)
@@ -51,11 +51,6 @@ class BrownConradyCamera(CameraModel):
     k5: float = 0.0
     k6: float = 0.0
 
-    @property
-    def pixels_per_radian(self) -> tuple[float, float]:
-        """See `Camera.pixels_per_radian`."""
-        return self.fx, self.fy
-
     def project(self, points_camera: Array) -> tuple[Array, Mask]:
         """See `Camera.project`; the range ends where the lens would fold."""
         z = points_camera[..., 2]
@@ -81,13 +76,6 @@ class BrownConradyCamera(CameraModel):
         ray = np.stack([x, y, np.ones_like(x)], axis=-1)
         return np.where(reached[..., None], ray / np.linalg.norm(ray, axis=-1, keepdims=True), np.nan)
 
-    def redrawn(
-        self, width: int, height: int, scale: tuple[float, float], centre: tuple[float, float]
-    ) -> "BrownConradyCamera":
-        """See `Camera.redrawn`."""
-        fx, fy = self.fx * scale[0], self.fy * scale[1]
-        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=centre[0], cy=centre[1])
-
     @property
     def _gain_polynomials(self) -> tuple[Polynomial, Polynomial]:
         """Numerator and denominator of g."""
@@ -103,10 +91,6 @@ class BrownConradyCamera(CameraModel):
         turn, pole = (smallest_positive_root(tuple(part.coef.tolist())) for part in (slope, denominator))
         return min(float(np.sqrt(min(turn, pole))), float(np.tan(0.5 * WIDEST_FIELD_OF_VIEW)))
 
-    def _gain(self, s: Array) -> Array:
-        numerator, denominator = self._gain_polynomials
-        return evaluate(numerator, s) / evaluate(denominator, s)
-
     def _gain_and_slope(self, s: Array) -> tuple[Array, Array]:
         """g(s) and its derivative."""
         numerator, denominator = self._gain_polynomials
@@ -116,7 +100,8 @@ class BrownConradyCamera(CameraModel):
 
     def _distort(self, x: Array, y: Array) -> tuple[Array, Array]:
         s, xy = x * x + y * y, x * y
-        gain = self._gain(s)
+        numerator, denominator = self._gain_polynomials
+        gain = evaluate(numerator, s) / evaluate(denominator, s)
         return (
             x * gain + 2.0 * self.p1 * xy + self.p2 * (s + 2.0 * x * x),
             y * gain + self.p1 * (s + 2.0 * y * y) + 2.0 * self.p2 * xy,

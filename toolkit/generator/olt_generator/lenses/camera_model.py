@@ -5,8 +5,9 @@ row i and column j is sampled at exactly (j, i). Camera axes are x right, y down
 """
 
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from functools import lru_cache
-from typing import Protocol, Self, TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,46 +18,37 @@ Mask = NDArray[np.bool_]
 C = TypeVar("C", bound="Camera")
 
 
-class Camera(Protocol):
-    """What every camera model answers; all models are frozen and hashable."""
+class Camera(ABC):
+    """What every camera model answers; all models are frozen and hashable.
+
+    Attributes:
+        width, height: image size in pixels.
+        cx, cy: column and row in pixels at which the optical axis meets the image.
+    """
+
+    width: int
+    height: int
+    cx: float
+    cy: float
 
     @property
-    def width(self) -> int:
-        """Image width in pixels."""
-        ...
-
-    @property
-    def height(self) -> int:
-        """Image height in pixels."""
-        ...
-
-    @property
-    def cx(self) -> float:
-        """Column in pixels at which the optical axis meets the image."""
-        ...
-
-    @property
-    def cy(self) -> float:
-        """Row in pixels at which the optical axis meets the image."""
-        ...
-
-    @property
+    @abstractmethod
     def pixels_per_radian(self) -> tuple[float, float]:
         """Magnification on the optical axis, along rows of pixels (to the right) and along columns (down)."""
-        ...
 
+    @abstractmethod
     def project(self, points_camera: Array) -> tuple[Array, Mask]:
         """Pixels (..., 2) of points (..., 3) and whether each lies in the model's range and inside the image.
 
         Points behind the camera, beyond the model's range, at the camera itself, or not finite are not seen; their
         pixels mean nothing and may be NaN.
         """
-        ...
 
+    @abstractmethod
     def rays(self, pixels: Array) -> Array:
         """Unit rays (..., 3) through pixels (..., 2); NaN where the model's range does not reach."""
-        ...
 
+    @abstractmethod
     def redrawn(self, width: int, height: int, scale: tuple[float, float], centre: tuple[float, float]) -> Self:
         """The same lens on an image of another size.
 
@@ -65,37 +57,36 @@ class Camera(Protocol):
             scale: pixels to the right and down for each pixel of this camera.
             centre: where the optical axis meets the image, (u, v).
         """
-        ...
 
     def resized(self, width: int, height: int) -> Self:
         """The camera of the same view in an image of another size."""
-        ...
-
-    def cropped(self, left: int, top: int, width: int, height: int) -> Self:
-        """The camera of the image part that starts at column `left` and row `top`; it may reach outside."""
-        ...
-
-
-class CameraModel(ABC):
-    """Resizing and cropping, which are the same for every lens."""
-
-    width: int
-    height: int
-    cx: float
-    cy: float
-
-    @abstractmethod
-    def redrawn(self, width: int, height: int, scale: tuple[float, float], centre: tuple[float, float]) -> Self:
-        """See `Camera.redrawn`."""
-
-    def resized(self, width: int, height: int) -> Self:
-        """See `Camera.resized`."""
         sx, sy = width / self.width, height / self.height
         return self.redrawn(width, height, (sx, sy), ((self.cx + 0.5) * sx - 0.5, (self.cy + 0.5) * sy - 0.5))
 
     def cropped(self, left: int, top: int, width: int, height: int) -> Self:
-        """See `Camera.cropped`."""
+        """The camera of the image part that starts at column `left` and row `top`; it may reach outside."""
         return self.redrawn(width, height, (1.0, 1.0), (self.cx - left, self.cy - top))
+
+
+class FocalCamera(Camera):
+    """A camera with a focal length (pixels) in each direction.
+
+    Attributes:
+        fx, fy: focal lengths in pixels.
+    """
+
+    fx: float
+    fy: float
+
+    @property
+    def pixels_per_radian(self) -> tuple[float, float]:
+        """See `Camera.pixels_per_radian`."""
+        return self.fx, self.fy
+
+    def redrawn(self, width: int, height: int, scale: tuple[float, float], centre: tuple[float, float]) -> Self:
+        """See `Camera.redrawn`."""
+        fx, fy = self.fx * scale[0], self.fy * scale[1]
+        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=centre[0], cy=centre[1])  # pyright: ignore
 
 
 def fit_camera(camera: C, width: int, height: int) -> C:

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from olt_generator.errors import InputError
-from olt_generator.lenses.camera_model import CameraModel, Mask, inside_image
+from olt_generator.lenses.camera_model import Camera, Mask, inside_image
 from olt_generator.lenses.lens_curves import (
     Polynomial,
     curve_of,
@@ -25,7 +25,7 @@ _FIT_NODES = 400
 
 
 @dataclass(frozen=True)
-class FthetaCamera(CameraModel):
+class FthetaCamera(Camera):
     """A fisheye camera whose image radius is a polynomial of the angle from the optical axis.
 
     Calibrations come with a polynomial for each direction, and the two undo each other to a hundredth of a pixel or
@@ -108,7 +108,12 @@ class FthetaCamera(CameraModel):
             across = np.sqrt(x * x + y * y)
             angle = np.arctan2(across, z)
             # On the axis the direction is undefined and the radius is 0: any divisor serves.
-            scale = self._radius(angle) / np.where(across > 0.0, across, 1.0)
+            if self.primary == "forward":
+                radius = evaluate(self.fw_poly, angle)
+            else:
+                start = evaluate(self.fw_poly, angle)
+                radius = invert_rising(curve_of(self.bw_poly), angle, start, self._limits[1])
+            scale = radius / np.where(across > 0.0, across, 1.0)
             pixels[..., 0] = self.cx + scale * x
             pixels[..., 1] = self.cy + scale * y / self.aspect
         in_range = (angle <= self._limits[0]) & ((across > 0.0) | (z > 0.0))
@@ -119,7 +124,10 @@ class FthetaCamera(CameraModel):
         x = pixels[..., 0] - self.cx
         y = (pixels[..., 1] - self.cy) * self.aspect
         radius = np.hypot(x, y)
-        angle = self._angle(np.where(radius <= self._limits[1], radius, np.nan))
+        inside = np.where(radius <= self._limits[1], radius, np.nan)
+        angle = evaluate(self.bw_poly, inside)
+        if self.primary == "forward":
+            angle = invert_rising(curve_of(self.fw_poly), inside, angle, self._limits[0])
         scale = np.sin(angle) / np.where(radius > 0.0, radius, 1.0)
         return np.stack([scale * x, scale * y, np.cos(angle)], axis=-1)
 
@@ -159,23 +167,7 @@ class FthetaCamera(CameraModel):
             return angle, float(evaluate(self.fw_poly, np.array(angle)))
         # The radius of a point a little beyond the end is not needed exactly: it is out of range by its angle.
         turn = smallest_positive_root(derivative(self.bw_poly))
-        highest = turn if np.isfinite(turn) else _bracket(self.bw_poly, angle)
+        highest = turn if np.isfinite(turn) else angle / self.bw_poly[1]
+        while evaluate(self.bw_poly, np.array(highest)) < angle:
+            highest *= 2.0
         return angle, float(invert_rising(curve_of(self.bw_poly), np.array(angle), np.array(highest), highest))
-
-    def _radius(self, angle: Array) -> Array:
-        if self.primary == "forward":
-            return evaluate(self.fw_poly, angle)
-        return invert_rising(curve_of(self.bw_poly), angle, evaluate(self.fw_poly, angle), self._limits[1])
-
-    def _angle(self, radius: Array) -> Array:
-        if self.primary == "backward":
-            return evaluate(self.bw_poly, radius)
-        return invert_rising(curve_of(self.fw_poly), radius, evaluate(self.bw_poly, radius), self._limits[0])
-
-
-def _bracket(polynomial: Polynomial, value: float) -> float:
-    """Somewhere beyond the place where a polynomial that rises for ever reaches a value."""
-    upper = value / polynomial[1]
-    while evaluate(polynomial, np.array(upper)) < value:
-        upper *= 2.0
-    return upper

@@ -1,12 +1,12 @@
 """The Kannala-Brandt fisheye camera, as OpenCV's fisheye module and most calibration tools use it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from olt_generator.errors import InputError
-from olt_generator.lenses.camera_model import CameraModel, Mask, inside_image
+from olt_generator.lenses.camera_model import FocalCamera, Mask, inside_image
 from olt_generator.lenses.lens_curves import (
     Polynomial,
     curve_of,
@@ -19,7 +19,7 @@ from olt_generator.poses import Array
 
 
 @dataclass(frozen=True)
-class KannalaBrandtCamera(CameraModel):
+class KannalaBrandtCamera(FocalCamera):
     """A fisheye camera: the image radius is f (a + k1 a^3 + k2 a^5 + k3 a^7 + k4 a^9) at angle a from the axis.
 
     Kannala and Brandt, "A generic camera model and calibration method for conventional, wide-angle, and fish-eye
@@ -57,11 +57,6 @@ class KannalaBrandtCamera(CameraModel):
                 f"to {np.degrees(self.max_angle):.1f}; give a smaller max_angle or other coefficients"
             )
 
-    @property
-    def pixels_per_radian(self) -> tuple[float, float]:
-        """See `Camera.pixels_per_radian`."""
-        return self.fx, self.fy
-
     def project(self, points_camera: Array) -> tuple[Array, Mask]:
         """See `Camera.project`; the range is `max_angle` and where the polynomial rises."""
         x, y, z = points_camera[..., 0], points_camera[..., 1], points_camera[..., 2]
@@ -85,13 +80,6 @@ class KannalaBrandtCamera(CameraModel):
         angle = invert_rising(curve_of(self._polynomial), inside, inside, max_angle)
         scale = np.sin(angle) / np.where(radius > 0.0, radius, 1.0)
         return np.stack([scale * x, scale * y, np.cos(angle)], axis=-1)
-
-    def redrawn(
-        self, width: int, height: int, scale: tuple[float, float], centre: tuple[float, float]
-    ) -> "KannalaBrandtCamera":
-        """See `Camera.redrawn`."""
-        fx, fy = self.fx * scale[0], self.fy * scale[1]
-        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=centre[0], cy=centre[1])
 
     @property
     def _polynomial(self) -> Polynomial:

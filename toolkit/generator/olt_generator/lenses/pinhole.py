@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from olt_generator.errors import InputError
-from olt_generator.lenses.camera_model import CameraModel, Mask, inside_image
+from olt_generator.lenses.camera_model import FocalCamera, Mask, inside_image
 from olt_generator.poses import Array
 
 # Depth in metres from which a point lies in front of a camera whose image is flat.
@@ -15,7 +15,7 @@ WIDEST_FIELD_OF_VIEW = np.radians(175.0)
 
 
 @dataclass(frozen=True)
-class PinholeCamera(CameraModel):
+class PinholeCamera(FocalCamera):
     """An ideal perspective camera.
 
     Attributes:
@@ -46,11 +46,6 @@ class PinholeCamera(CameraModel):
         focal = 0.5 * width / np.tan(0.5 * horizontal_fov)
         return cls(width, height, focal, focal, 0.5 * (width - 1), 0.5 * (height - 1))
 
-    @property
-    def pixels_per_radian(self) -> tuple[float, float]:
-        """See `Camera.pixels_per_radian`."""
-        return self.fx, self.fy
-
     def project(self, points_camera: Array) -> tuple[Array, Mask]:
         """See `Camera.project`."""
         z = points_camera[..., 2]
@@ -68,9 +63,3 @@ class PinholeCamera(CameraModel):
         y = (pixels[..., 1] - self.cy) / self.fy
         ray = np.stack([x, y, np.ones_like(x)], axis=-1)
         return ray / np.linalg.norm(ray, axis=-1, keepdims=True)
-
-    def redrawn(
-        self, width: int, height: int, scale: tuple[float, float], centre: tuple[float, float]
-    ) -> "PinholeCamera":
-        """See `Camera.redrawn`."""
-        return PinholeCamera(width, height, self.fx * scale[0], self.fy * scale[1], *centre)

@@ -71,7 +71,7 @@ class Remapper:
         pixels, seen = _source_pixels(source, self._sampled, R_source_target, shift)
         self.seen = seen.reshape(target.height, samples, target.width, samples).all(axis=(1, 3))
         complete = self.seen.repeat(samples, axis=0).repeat(samples, axis=1)
-        levels = np.minimum(_level_of(_shrinkage(pixels)), int(np.log2(min(source.width, source.height))))
+        levels = np.minimum(_mip_levels(pixels), int(np.log2(min(source.width, source.height))))
         self._levels: list[int] = np.unique(levels[complete]).tolist()
         table = np.full((*complete.shape, 2), _NOWHERE, np.float32)
         top = 0
@@ -139,14 +139,10 @@ def _source_pixels(
     return source.project(pixel_rays(target) @ R_source_target.T + np.asarray(shift))
 
 
-def _shrinkage(pixels: Array) -> Array:
-    """Side (h, w) in source pixels of the square as large as a target pixel, from where (h, w, 2) neighbours lie."""
+def _mip_levels(pixels: Array) -> NDArray[np.int64]:
+    """How often (h, w) the source is halved; 0 where it is enlarged or the neighbours (h, w, 2) are unknown."""
     down, right = (np.gradient(pixels, axis=axis) for axis in (0, 1))
-    area = np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0])
-    return np.sqrt(area)
-
-
-def _level_of(shrinkage: Array) -> NDArray[np.int64]:
-    """How often (h, w) the source is halved; 0 where it is enlarged or the neighbours are unknown."""
-    known = np.nan_to_num(_LEVEL_SWITCH * shrinkage, nan=1.0, posinf=1.0)
+    # Side in source pixels of the square as large as a target pixel.
+    side = np.sqrt(np.abs(right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]))
+    known = np.nan_to_num(_LEVEL_SWITCH * side, nan=1.0, posinf=1.0)
     return np.rint(np.log2(np.maximum(known, 1.0))).astype(np.int64)

@@ -49,13 +49,13 @@ class I3dFeatures:
         """
         if clips.shape[1] < MIN_FRAMES:
             raise InputError(f"FVD: clips of {clips.shape[1]} frames; the network needs at least {MIN_FRAMES}")
+        features = []
         with torch.inference_mode():
-            return np.concatenate([self._features(clip) for clip in clips])
-
-    def _features(self, clip: NDArray[np.uint8]) -> Array:
-        x = torch.from_numpy(np.ascontiguousarray(clip)).to(self._device).permute(0, 3, 1, 2) / 127.5 - 1.0
-        x = functional.interpolate(x, (INPUT_SIDE, INPUT_SIDE), mode="bilinear", align_corners=False)
-        return _scores(self._weights, x.permute(1, 0, 2, 3)[None]).double().cpu().numpy()
+            for clip in clips:
+                x = torch.from_numpy(np.ascontiguousarray(clip)).to(self._device).permute(0, 3, 1, 2) / 127.5 - 1.0
+                x = functional.interpolate(x, (INPUT_SIDE, INPUT_SIDE), mode="bilinear", align_corners=False)
+                features.append(_scores(self._weights, x.permute(1, 0, 2, 3)[None]).double().cpu().numpy())
+        return np.concatenate(features)
 
 
 def _scores(weights: Weights, x: Tensor) -> Tensor:

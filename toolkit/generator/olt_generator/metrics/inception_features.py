@@ -17,6 +17,24 @@ from olt_generator.poses import Array
 
 INPUT_SIDE = 299
 _NORM_EPSILON = 0.001
+# Layers that move by two pixels, and those that are not padded.
+_HALVING = {
+    *("Conv2d_1a_3x3", "Mixed_6a.branch3x3", "Mixed_6a.branch3x3dbl_3", "Mixed_7a.branch3x3_2"),
+    "Mixed_7a.branch7x7x3_4",
+}
+_UNPADDED = _HALVING | {"Conv2d_2a_3x3", "Conv2d_4a_3x3"}
+# The branches of each block: what is done one after the other, layers or pooling.
+_MIXED_5 = ("1x1", "5x5_1 5x5_2", "3x3dbl_1 3x3dbl_2 3x3dbl_3", "mean _pool")
+_MIXED_6 = ("1x1", "7x7_1 7x7_2 7x7_3", "7x7dbl_1 7x7dbl_2 7x7dbl_3 7x7dbl_4 7x7dbl_5", "mean _pool")
+_MIXED_7 = ("1x1", "3x3_1 3x3_2a", "3x3_1 3x3_2b", "3x3dbl_1 3x3dbl_2 3x3dbl_3a", "3x3dbl_1 3x3dbl_2 3x3dbl_3b")
+_BLOCKS = (
+    *((f"Mixed_5{letter}", _MIXED_5) for letter in "bcd"),
+    ("Mixed_6a", ("3x3", "3x3dbl_1 3x3dbl_2 3x3dbl_3", "halve")),
+    *((f"Mixed_6{letter}", _MIXED_6) for letter in "bcde"),
+    ("Mixed_7a", ("3x3_1 3x3_2", "7x7x3_1 7x7x3_2 7x7x3_3 7x7x3_4", "halve")),
+    ("Mixed_7b", (*_MIXED_7, "mean _pool")),
+    ("Mixed_7c", (*_MIXED_7, "max _pool")),
+)
 
 
 class InceptionFeatures:
@@ -42,105 +60,45 @@ class InceptionFeatures:
         Raises:
             InputError: the weights are those of another network.
         """
+        features = []
         with torch.inference_mode():
-            return np.concatenate([self._features(image) for image in images])
-
-    def _features(self, image: NDArray[np.uint8]) -> Array:
-        x = torch.from_numpy(np.ascontiguousarray(image)).to(self._device).permute(2, 0, 1)[None] / 255.0
-        x = functional.interpolate(x, (INPUT_SIDE, INPUT_SIDE), mode="bilinear", align_corners=False)
-        return _pooled(_Layers(self._weights), 2.0 * x - 1.0).double().cpu().numpy()
-
-
-class _Layers:
-    """Convolution, normalisation and rectification with the tensors of one name."""
-
-    def __init__(self, weights: Weights) -> None:
-        self._weights = weights
-
-    def __call__(self, x: Tensor, name: str, stride: int = 1, pad: bool = True) -> Tensor:
-        kernel = self._weights[f"{name}.conv.weight"]
-        padding = (kernel.shape[2] // 2, kernel.shape[3] // 2) if pad else (0, 0)
-        x = functional.conv2d(x, kernel, None, stride, padding)
-        mean, variance, scale, shift = (
-            self._weights[f"{name}.bn.{part}"] for part in ("running_mean", "running_var", "weight", "bias")
-        )
-        return functional.relu(functional.batch_norm(x, mean, variance, scale, shift, eps=_NORM_EPSILON))
-
-    def chain(self, x: Tensor, *names: str) -> Tensor:
-        """Layers one after the other."""
-        for name in names:
-            x = self(x, name)
-        return x
+            for image in images:
+                x = torch.from_numpy(np.ascontiguousarray(image)).to(self._device).permute(2, 0, 1)[None] / 255.0
+                x = functional.interpolate(x, (INPUT_SIDE, INPUT_SIDE), mode="bilinear", align_corners=False)
+                features.append(_pooled(self._weights, 2.0 * x - 1.0).double().cpu().numpy())
+        return np.concatenate(features)
 
 
-def _pooled(layer: _Layers, x: Tensor) -> Tensor:
-    x = layer(x, "Conv2d_1a_3x3", stride=2, pad=False)
-    x = layer(layer(x, "Conv2d_2a_3x3", pad=False), "Conv2d_2b_3x3")
-    x = layer(functional.max_pool2d(x, 3, 2), "Conv2d_3b_1x1")
-    x = functional.max_pool2d(layer(x, "Conv2d_4a_3x3", pad=False), 3, 2)
-    for name in ("Mixed_5b", "Mixed_5c", "Mixed_5d"):
-        x = _mixed_5(layer, x, name)
-    x = _reduce_6(layer, x, "Mixed_6a")
-    for name in ("Mixed_6b", "Mixed_6c", "Mixed_6d", "Mixed_6e"):
-        x = _mixed_6(layer, x, name)
-    x = _reduce_7(layer, x, "Mixed_7a")
-    x = _mixed_7(layer, x, "Mixed_7b", _mean_of_neighbours(x))
-    x = _mixed_7(layer, x, "Mixed_7c", functional.max_pool2d(x, 3, 1, padding=1))
+def _pooled(weights: Weights, x: Tensor) -> Tensor:
+    x = _layer(weights, x, "Conv2d_1a_3x3")
+    x = _layer(weights, _layer(weights, x, "Conv2d_2a_3x3"), "Conv2d_2b_3x3")
+    x = _layer(weights, functional.max_pool2d(x, 3, 2), "Conv2d_3b_1x1")
+    x = functional.max_pool2d(_layer(weights, x, "Conv2d_4a_3x3"), 3, 2)
+    for name, branches in _BLOCKS:
+        x = torch.cat([_branch(weights, x, name, branch) for branch in branches], dim=1)
     return x.mean(dim=(2, 3))
 
 
-def _mixed_5(layer: _Layers, x: Tensor, name: str) -> Tensor:
-    return _joined(
-        layer(x, f"{name}.branch1x1"),
-        layer.chain(x, f"{name}.branch5x5_1", f"{name}.branch5x5_2"),
-        layer.chain(x, *(f"{name}.branch3x3dbl_{step}" for step in (1, 2, 3))),
-        layer(_mean_of_neighbours(x), f"{name}.branch_pool"),
+def _branch(weights: Weights, x: Tensor, name: str, branch: str) -> Tensor:
+    """Layers one after the other."""
+    for step in branch.split():
+        if step == "mean":
+            x = functional.avg_pool2d(x, 3, 1, padding=1, count_include_pad=False)
+        elif step == "max":
+            x = functional.max_pool2d(x, 3, 1, padding=1)
+        elif step == "halve":
+            x = functional.max_pool2d(x, 3, 2)
+        else:
+            x = _layer(weights, x, f"{name}.branch{step}")
+    return x
+
+
+def _layer(weights: Weights, x: Tensor, name: str) -> Tensor:
+    """Convolution, normalisation and rectification with the tensors of one name."""
+    kernel = weights[f"{name}.conv.weight"]
+    padding = (0, 0) if name in _UNPADDED else (kernel.shape[2] // 2, kernel.shape[3] // 2)
+    x = functional.conv2d(x, kernel, None, 2 if name in _HALVING else 1, padding)
+    mean, variance, scale, shift = (
+        weights[f"{name}.bn.{part}"] for part in ("running_mean", "running_var", "weight", "bias")
     )
-
-
-def _reduce_6(layer: _Layers, x: Tensor, name: str) -> Tensor:
-    double = layer.chain(x, f"{name}.branch3x3dbl_1", f"{name}.branch3x3dbl_2")
-    return _joined(
-        layer(x, f"{name}.branch3x3", stride=2, pad=False),
-        layer(double, f"{name}.branch3x3dbl_3", stride=2, pad=False),
-        functional.max_pool2d(x, 3, 2),
-    )
-
-
-def _mixed_6(layer: _Layers, x: Tensor, name: str) -> Tensor:
-    return _joined(
-        layer(x, f"{name}.branch1x1"),
-        layer.chain(x, *(f"{name}.branch7x7_{step}" for step in (1, 2, 3))),
-        layer.chain(x, *(f"{name}.branch7x7dbl_{step}" for step in (1, 2, 3, 4, 5))),
-        layer(_mean_of_neighbours(x), f"{name}.branch_pool"),
-    )
-
-
-def _reduce_7(layer: _Layers, x: Tensor, name: str) -> Tensor:
-    wide = layer.chain(x, *(f"{name}.branch7x7x3_{step}" for step in (1, 2, 3)))
-    return _joined(
-        layer(layer(x, f"{name}.branch3x3_1"), f"{name}.branch3x3_2", stride=2, pad=False),
-        layer(wide, f"{name}.branch7x7x3_4", stride=2, pad=False),
-        functional.max_pool2d(x, 3, 2),
-    )
-
-
-def _mixed_7(layer: _Layers, x: Tensor, name: str, pooled: Tensor) -> Tensor:
-    single = layer(x, f"{name}.branch3x3_1")
-    double = layer.chain(x, f"{name}.branch3x3dbl_1", f"{name}.branch3x3dbl_2")
-    return _joined(
-        layer(x, f"{name}.branch1x1"),
-        layer(single, f"{name}.branch3x3_2a"),
-        layer(single, f"{name}.branch3x3_2b"),
-        layer(double, f"{name}.branch3x3dbl_3a"),
-        layer(double, f"{name}.branch3x3dbl_3b"),
-        layer(pooled, f"{name}.branch_pool"),
-    )
-
-
-def _mean_of_neighbours(x: Tensor) -> Tensor:
-    return functional.avg_pool2d(x, 3, 1, padding=1, count_include_pad=False)
-
-
-def _joined(*branches: Tensor) -> Tensor:
-    return torch.cat(branches, dim=1)
+    return functional.relu(functional.batch_norm(x, mean, variance, scale, shift, eps=_NORM_EPSILON))

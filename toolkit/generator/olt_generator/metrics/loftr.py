@@ -4,7 +4,6 @@ from pathlib import Path
 
 import cv2
 import torch
-from kornia.feature import LoFTR
 
 from olt_generator.errors import InputError
 from olt_generator.metrics.matchers import Image, Matches
@@ -25,10 +24,14 @@ class LoftrMatcher:
         device: where torch runs the network.
 
     Raises:
-        InputError: the file is missing or holds another network.
+        InputError: kornia is not installed, or the file is missing or holds another network.
     """
 
     def __init__(self, weights: Path, device: str = "cpu") -> None:
+        try:
+            from kornia.feature import LoFTR
+        except ImportError as error:
+            raise InputError("LoFTR needs kornia; pip install 'olt-generator[learned]'") from error
         self.name = f"LoFTR ({weights.name}), confidence {MIN_CONFIDENCE}"
         self._device = device
         network = LoFTR(pretrained=None)

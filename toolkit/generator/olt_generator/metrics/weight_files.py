@@ -43,26 +43,19 @@ def read_weights(path: Path, device: str = "cpu") -> Weights:
     """
     if not path.is_file():
         raise InputError(f"{path}: no such weights file; download it and give its path")
-    tensors = _read_safetensors(path) if path.suffix == ".safetensors" else _read_state_dictionary(path)
-    return Weights(path, {name: tensor.to(device).float() for name, tensor in tensors.items()})
-
-
-def _read_safetensors(path: Path) -> dict[str, Tensor]:
     try:
-        return load_file(path)
+        if path.suffix == ".safetensors":
+            tensors = load_file(path)
+        else:
+            tensors = torch.load(path, map_location="cpu", weights_only=True)
     except SafetensorError as error:
         raise InputError(f"{path}: not a readable safetensors file ({error}); copy or download it again") from error
-
-
-def _read_state_dictionary(path: Path) -> dict[str, Tensor]:
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError) as error:
         raise InputError(
             f"{path}: not a file of plain tensors; save it as safetensors or a state dictionary"
         ) from error
-    if isinstance(content, dict) and "state_dict" in content:
-        content = content["state_dict"]
-    if not isinstance(content, dict) or not all(isinstance(value, torch.Tensor) for value in content.values()):
+    if isinstance(tensors, dict) and "state_dict" in tensors:
+        tensors = tensors["state_dict"]
+    if not isinstance(tensors, dict) or not all(isinstance(value, Tensor) for value in tensors.values()):
         raise InputError(f"{path}: holds something else than a dictionary of tensors; save the state dictionary alone")
-    return content
+    return Weights(path, {name: tensor.to(device).float() for name, tensor in tensors.items()})

@@ -17,15 +17,15 @@ from olt_generator.poses import Array, invert, make_pose
 from olt_generator.twists import cross_matrix, rotation_from_vector, vector_from_rotation
 
 CONVERGED = 1e-5
-# Distances from the first camera in which tracks are believed: nearer than 1 m is the own vehicle, farther than
+# Distances from the first camera in which tracks are believed: nearer than 1 m is the ego vehicle, farther than
 # 10 km is as good as infinitely far.
-NEARNESS_RANGE = (1e-4, 1.0)
+INVERSE_DISTANCE_RANGE = (1e-4, 1.0)
 # A prior of 1/m keeps points without parallax solvable and says nothing about all others.
-NEARNESS_SIGMA = 1.0
+INVERSE_DISTANCE_SIGMA = 1.0
 
 
 @dataclass(frozen=True)
-class Tracks:
+class FeatureTracks:
     """Observations of points from several keyframes.
 
     Attributes:
@@ -60,7 +60,7 @@ class StepPriors:
     across_sigma: Array
 
 
-def adjust_poses(poses: Array, tracks: Tracks, ray_sigma: float, priors: StepPriors, rounds: int) -> Array:
+def adjust_poses(poses: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors, rounds: int) -> Array:
     """Refine keyframe poses.
 
     Args:
@@ -73,27 +73,24 @@ def adjust_poses(poses: Array, tracks: Tracks, ray_sigma: float, priors: StepPri
     Returns:
         Refined poses (n, 4, 4).
     """
-    nearness = _triangulate(poses, tracks)
-    for _ in range(rounds):
-        step, nearness_step = _gauss_newton_step(poses, nearness, tracks, ray_sigma, priors)
-        poses = _moved(poses, step)
-        nearness = np.clip(nearness + nearness_step, *NEARNESS_RANGE)
-        if np.abs(step).max() < CONVERGED:
-            break
-    return poses
-
-
-def _triangulate(poses: Array, tracks: Tracks) -> Array:
-    """One over the distance (points,) at which each anchor ray passes closest to the other rays, 1/m."""
+    # Triangulation: the inverse distance (points,) at which each anchor ray passes closest to the other rays, 1/m.
     turned, baseline = _seen_from(poses, tracks)
     parallax, shift = np.cross(tracks.ray, turned), np.cross(tracks.ray, baseline)
     points = len(tracks.anchor)
     against = np.bincount(tracks.point, (parallax * shift).sum(axis=1), points)
     shifts = np.bincount(tracks.point, (shift**2).sum(axis=1), points)
-    return np.clip(-against / np.maximum(shifts, 1e-12), *NEARNESS_RANGE)
+    inverse_distance = np.clip(-against / np.maximum(shifts, 1e-12), *INVERSE_DISTANCE_RANGE)
+    for _ in range(rounds):
+        step, change = _gauss_newton_step(poses, inverse_distance, tracks, ray_sigma, priors)
+        turned = poses[:, :3, :3] @ rotation_from_vector(step[:, :3])
+        poses = make_pose(turned, poses[:, :3, 3] + step[:, 3:])
+        inverse_distance = np.clip(inverse_distance + change, *INVERSE_DISTANCE_RANGE)
+        if np.abs(step).max() < CONVERGED:
+            break
+    return poses
 
 
-def _seen_from(poses: Array, tracks: Tracks) -> tuple[Array, Array]:
+def _seen_from(poses: Array, tracks: FeatureTracks) -> tuple[Array, Array]:
     """Anchor ray (m, 3) and displacement to the anchor camera (m, 3), both in the axes of the observing camera."""
     anchor = tracks.anchor[tracks.point]
     to_camera = np.swapaxes(poses[tracks.frame, :3, :3], -1, -2)
@@ -103,44 +100,51 @@ def _seen_from(poses: Array, tracks: Tracks) -> tuple[Array, Array]:
 
 
 def _gauss_newton_step(
-    poses: Array, nearness: Array, tracks: Tracks, ray_sigma: float, priors: StepPriors
+    poses: Array, inverse_distance: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors
 ) -> tuple[Array, Array]:
-    """Changes of the poses (n, 6), rotation in the camera's axes and position in the world's, and of nearness."""
-    residual, by_frame, by_anchor, by_nearness = _linearise(poses, nearness, tracks, ray_sigma)
+    """Changes (n, 6) of the poses, rotation in camera and position in world axes, and (points,) of inverse distance."""
+    residual, by_frame, by_anchor, by_distance = _linearise(poses, inverse_distance, tracks, ray_sigma)
     # Geman-McClure: what moves by itself, and what was lost by its track, has no say.
     weight = 1.0 / (1.0 + (residual**2).sum(axis=1))
     scaled = weight[:, None]
-    residual, by_nearness = residual * scaled, by_nearness * scaled
-    J = _pose_jacobian(by_frame * scaled[..., None], by_anchor * scaled[..., None], tracks, len(poses))
-    points = len(tracks.anchor)
-    N = csr_array(
-        (by_nearness.ravel(), (np.arange(residual.size), np.repeat(tracks.point, 2))), (residual.size, points)
-    )
+    residual, by_distance = residual * scaled, by_distance * scaled
+    points, rows = len(tracks.anchor), np.arange(residual.size)
+    blocks = np.stack([by_frame, by_anchor]) * scaled[..., None]
+    starts = 6 * np.stack([tracks.frame, tracks.anchor[tracks.point]])
+    J = _sparse(blocks, rows.reshape(-1, 2, 1), starts[:, :, None, None] + np.arange(6), 6 * len(poses))
+    N = csr_array((by_distance.ravel(), (rows, np.repeat(tracks.point, 2))), (residual.size, points))
     prior_residual, P = _prior_equations(poses, priors)
 
-    information = np.bincount(tracks.point, (by_nearness**2).sum(axis=1), points) + NEARNESS_SIGMA**-2
+    information = np.bincount(tracks.point, (by_distance**2).sum(axis=1), points) + INVERSE_DISTANCE_SIGMA**-2
     mixed = csr_array(J.T @ N)
     reduced = J.T @ J + P.T @ P - (mixed / information) @ mixed.T
-    nearness_gradient = N.T @ residual.ravel()
-    gradient = J.T @ residual.ravel() + P.T @ prior_residual - mixed @ (nearness_gradient / information)
+    distance_gradient = N.T @ residual.ravel()
+    gradient = J.T @ residual.ravel() + P.T @ prior_residual - mixed @ (distance_gradient / information)
     # The first pose is the frame in which the others are told.
     step = np.zeros(6 * len(poses))
     step[6:] = -splu(csc_array(reduced)[6:, 6:]).solve(gradient[6:])
-    return step.reshape(-1, 6), -(nearness_gradient + mixed.T @ step) / information
+    return step.reshape(-1, 6), -(distance_gradient + mixed.T @ step) / information
 
 
-def _linearise(poses: Array, nearness: Array, tracks: Tracks, ray_sigma: float) -> tuple[Array, Array, Array, Array]:
-    """Residuals (m, 2) in sigmas and their derivatives by both poses (m, 2, 6) and the nearness (m, 2).
+def _linearise(
+    poses: Array, inverse_distance: Array, tracks: FeatureTracks, ray_sigma: float
+) -> tuple[Array, Array, Array, Array]:
+    """Residuals (m, 2) in sigmas and their derivatives by both poses (m, 2, 6) and the inverse distance (m, 2).
 
-    A point at nearness s along the ray r of camera a lies, seen from camera k, along p = R_k' (R_a r + s (c_a - c_k)).
-    The residual is p / |p| in the plane that touches the unit sphere at the observed ray.
+    A point at inverse distance s along the ray r of camera a lies, seen from camera k, along
+    p = R_k' (R_a r + s (c_a - c_k)). The residual is p / |p| in the plane that touches the unit sphere at the
+    observed ray.
     """
     turned, baseline = _seen_from(poses, tracks)
-    s = nearness[tracks.point][:, None]
+    s = inverse_distance[tracks.point][:, None]
     p = turned + s * baseline
     length = np.linalg.norm(p, axis=1, keepdims=True)
     u = p / length
-    plane = _tangents(tracks.ray)
+    # Two unit vectors (m, 2, 3) at right angles to each observed ray and to each other.
+    away = np.where(np.abs(tracks.ray[:, :1]) < 0.7, np.eye(3)[:1], np.eye(3)[1:2])
+    first = np.cross(tracks.ray, away).astype(np.float64)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    plane = np.stack([first, _apply(cross_matrix(tracks.ray), first)], axis=1)
     residual = np.einsum("mij,mj->mi", plane, u) / ray_sigma
     across = (plane - np.einsum("mij,mj->mi", plane, u)[..., None] * u[:, None, :]) / (length * ray_sigma)[..., None]
     to_camera = np.swapaxes(poses[tracks.frame, :3, :3], -1, -2)
@@ -152,58 +156,34 @@ def _linearise(poses: Array, nearness: Array, tracks: Tracks, ray_sigma: float) 
     return residual, by_frame, by_anchor, np.einsum("mij,mj->mi", across, baseline)
 
 
-def _pose_jacobian(by_frame: Array, by_anchor: Array, tracks: Tracks, frames: int) -> csr_array:
-    rows = np.broadcast_to(np.arange(2 * len(by_frame)).reshape(-1, 2, 1), by_frame.shape)
-    first = np.stack([tracks.frame, tracks.anchor[tracks.point]])[:, :, None, None] * 6
-    columns = np.broadcast_to(first + np.arange(6), (2, *by_frame.shape))
-    values = np.stack([by_frame, by_anchor])
-    rows = np.broadcast_to(rows, values.shape)
-    shape = (2 * len(by_frame), 6 * frames)
-    return coo_array((values.ravel(), (rows.ravel(), columns.ravel())), shape).tocsr()
-
-
 def _prior_equations(poses: Array, priors: StepPriors) -> tuple[Array, csr_array]:
     """Residuals (6 (n - 1),) of the steps in sigmas, and their derivatives by the poses."""
-    steps = len(priors.T_key_next)
-    R_key = poses[:-1, :3, :3]
-    found = invert(poses[:-1]) @ poses[1:]
-    expected = priors.T_key_next
+    expected, found = priors.T_key_next, invert(poses[:-1]) @ poses[1:]
     turn = vector_from_rotation(np.swapaxes(expected[:, :3, :3], -1, -2) @ found[:, :3, :3])
-    weigh = _displacement_weights(expected[:, :3, 3], priors)
+    # Matrices (n - 1, 3, 3) that turn a displacement's error into sigmas, along and across.
+    length = np.linalg.norm(expected[:, :3, 3], axis=1, keepdims=True)
+    along = expected[:, :3, 3] / np.maximum(length, 1e-12)
+    outer = along[:, :, None] * along[:, None, :]
+    weigh = outer / priors.along_sigma[:, None, None] + (np.eye(3) - outer) / priors.across_sigma[:, None, None]
     missed = _apply(weigh, found[:, :3, 3] - expected[:, :3, 3])
     residual = np.concatenate([turn / priors.rotation_sigma[:, None], missed], axis=1)
 
+    steps = len(expected)
     blocks = np.zeros((steps, 6, 12))
     blocks[:, :3, :3] = -np.swapaxes(found[:, :3, :3], -1, -2) / priors.rotation_sigma[:, None, None]
     blocks[:, :3, 6:9] = np.eye(3) / priors.rotation_sigma[:, None, None]
     blocks[:, 3:, :3] = weigh @ cross_matrix(found[:, :3, 3])
-    blocks[:, 3:, 9:] = weigh @ np.swapaxes(R_key, -1, -2)
+    blocks[:, 3:, 9:] = weigh @ np.swapaxes(poses[:-1, :3, :3], -1, -2)
     blocks[:, 3:, 3:6] = -blocks[:, 3:, 9:]
-    rows = np.broadcast_to(np.arange(6 * steps).reshape(steps, 6, 1), blocks.shape)
-    columns = np.broadcast_to((6 * np.arange(steps))[:, None, None] + np.arange(12), blocks.shape)
-    shape = (6 * steps, 6 * len(poses))
-    return residual.ravel(), coo_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape).tocsr()
+    rows = np.arange(6 * steps).reshape(steps, 6, 1)
+    columns = (6 * np.arange(steps))[:, None, None] + np.arange(12)
+    return residual.ravel(), _sparse(blocks, rows, columns, 6 * len(poses))
 
 
-def _displacement_weights(displacement: Array, priors: StepPriors) -> Array:
-    """Matrices (k, 3, 3) that turn a displacement's error into sigmas, along and across."""
-    length = np.linalg.norm(displacement, axis=1, keepdims=True)
-    along = displacement / np.maximum(length, 1e-12)
-    outer = along[:, :, None] * along[:, None, :]
-    return outer / priors.along_sigma[:, None, None] + (np.eye(3) - outer) / priors.across_sigma[:, None, None]
-
-
-def _moved(poses: Array, step: Array) -> Array:
-    turned = poses[:, :3, :3] @ rotation_from_vector(step[:, :3])
-    return make_pose(turned, poses[:, :3, 3] + step[:, 3:])
-
-
-def _tangents(rays: Array) -> Array:
-    """Two unit vectors (m, 2, 3) at right angles to each ray (m, 3) and to each other."""
-    away = np.where(np.abs(rays[:, :1]) < 0.7, np.eye(3)[:1], np.eye(3)[1:2])
-    first = np.cross(rays, away).astype(np.float64)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    return np.stack([first, _apply(cross_matrix(rays), first)], axis=1)
+def _sparse(blocks: Array, rows: NDArray[np.int64], columns: NDArray[np.int64], width: int) -> csr_array:
+    """The matrix (residuals, width) with these blocks; rows and columns are broadcast to them."""
+    at = tuple(np.broadcast_to(index, blocks.shape).ravel() for index in (rows, columns))
+    return coo_array((blocks.ravel(), at), (int(rows.max(initial=-1)) + 1, width)).tocsr()
 
 
 def _apply(matrices: Array, vectors: Array) -> Array:

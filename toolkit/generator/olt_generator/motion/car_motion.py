@@ -54,10 +54,6 @@ class CarMotion:
             angular_acceleration_density=self.angular_acceleration_density[sequences],
         )
 
-    def slip_decay(self, seconds: Array) -> Array:
-        """Share of the velocity sideways that is left after time steps of any shape."""
-        return np.exp(-seconds / self.slip_seconds)
-
     def process_noise(self, seconds: Array) -> Array:
         """Covariances (n, b, 13, 13) of what the noise adds over steps (n, b) in body axes."""
         noise = np.zeros((*seconds.shape, STATES, STATES))
@@ -120,8 +116,10 @@ def linearise(motion: BodyMotion, seconds: Array, car: CarMotion) -> tuple[Array
         seconds: (n - 1, b) time steps.
         car: the prior.
     """
-    decay = car.slip_decay(seconds)
-    way = _velocity_integrals(seconds, decay, car.slip_seconds)
+    decay = np.exp(-seconds / car.slip_seconds)
+    # Ways (n - 1, b, 3) that a unit velocity along each axis goes.
+    slipped = car.slip_seconds * (1.0 - decay)
+    way = np.stack([seconds, slipped, slipped], axis=-1)
     twist = np.zeros((*seconds.shape, 6))
     twist[..., :3] = motion.velocity[:-1] * way
     twist[..., 0] += 0.5 * motion.acceleration[:-1] * seconds**2
@@ -148,12 +146,6 @@ def linearise(motion: BodyMotion, seconds: Array, car: CarMotion) -> tuple[Array
     offsets[..., TURN_RATE] = motion.turn_rate[:-1] - motion.turn_rate[1:]
     offsets[..., ACCELERATION] = motion.acceleration[:-1] - motion.acceleration[1:]
     return transitions, offsets
-
-
-def _velocity_integrals(seconds: Array, decay: Array, slip_seconds: float) -> Array:
-    """Ways (n, b, 3) that a unit velocity along each axis goes in time steps (n, b)."""
-    slipped = slip_seconds * (1.0 - decay)
-    return np.stack([seconds, slipped, slipped], axis=-1)
 
 
 def _set_block(matrices: Array, states: list[int], block: Array) -> None:

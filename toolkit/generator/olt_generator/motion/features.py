@@ -103,7 +103,7 @@ def track_from_keyframes(
     Args:
         grays: the video.
         keyframes: indices of frames, the first and the last of the video among them.
-        hidden: (H, W) pixels that show what the camera carries along; points that get there are dropped.
+        hidden: (H, W) pixels that move with the camera (`static_mask`); points that get there are dropped.
         per_cell: points that are followed in every cell of the image.
         window: keyframes over which a point is followed at most, because errors of following add up.
     """

@@ -35,7 +35,7 @@ CORNERS_PER_CELL = 4
 # A window that turns less, as the middle candidate sees it, says next to nothing.
 MIN_TURN = np.radians(1.5)
 # Points that stay while the camera turns belong to the vehicle.
-CARRIED_PIXELS = 1.0
+STATIC_PIXELS = 1.0
 TRACK_SIGMA_PIXELS = 0.3
 # The windows must agree to this share of the estimate.
 WIDEST_SPREAD = 0.15
@@ -64,12 +64,8 @@ class FieldOfViewEstimate:
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class _Window:
-    """The same points (n, 2) at both ends of a window, in pixels of the working size."""
-
-    first: Array
-    last: Array
+_Window = tuple[Array, Array]
+"""The same points (n, 2) at both ends of a window, in pixels of the working size."""
 
 
 def estimate_field_of_view(
@@ -92,7 +88,7 @@ def estimate_field_of_view(
             f"{MIN_WINDOWS} are needed"
         )
         return FieldOfViewEstimate(None, None, len(windows), reason)
-    costs = np.array([_window_costs(window, cameras) for window in windows])
+    costs = np.array([_costs(window, cameras) for window in windows])
     random = make_generator("field of view")
     draws = random.integers(0, len(windows), (RESAMPLES, len(windows)))
     low, high = np.percentile([_lowest(costs[draw].sum(axis=0)) for draw in draws], [5.0, 95.0])
@@ -121,8 +117,13 @@ def _turning_windows(grays: Sequence[NDArray[np.uint8]], camera: Camera) -> list
     length = round(WINDOW_SECONDS / FRAME_SECONDS)
     turning = []
     for start in range(0, len(grays) - length, length):
-        window = _follow(grays[start : start + length + 1])
-        if len(window.first) < MIN_POINTS:
+        first = last = detect_corners(grays[start], CORNERS_PER_CELL)
+        for previous, current in pairwise(grays[start : start + length + 1]):
+            last, found = track_corners(previous, current, last)
+            first, last = first[found], last[found]
+        moved = np.linalg.norm(last - first, axis=1) > STATIC_PIXELS
+        window = first[moved].astype(np.float64), last[moved].astype(np.float64)
+        if np.count_nonzero(moved) < MIN_POINTS:
             continue
         motion = _first_motion(window, camera)
         turn = 0.0 if motion is None else Rotation.from_matrix(motion[0]).magnitude()
@@ -132,23 +133,14 @@ def _turning_windows(grays: Sequence[NDArray[np.uint8]], camera: Camera) -> list
     return [window for _, window in turning[:MAX_WINDOWS]]
 
 
-def _follow(grays: Sequence[NDArray[np.uint8]]) -> _Window:
-    first = last = detect_corners(grays[0], CORNERS_PER_CELL)
-    for previous, current in pairwise(grays):
-        last, found = track_corners(previous, current, last)
-        first, last = first[found], last[found]
-    moved = np.linalg.norm(last - first, axis=1) > CARRIED_PIXELS
-    return _Window(first[moved].astype(np.float64), last[moved].astype(np.float64))
-
-
 def _first_motion(window: _Window, camera: Camera) -> tuple[Array, Array] | None:
     """R_last_first (3, 3) and the translation (3,) of p_last = R p_first + t."""
     sigma = 2.0 * TRACK_SIGMA_PIXELS / camera.pixels_per_radian[0]
-    motion = estimate_motion(camera.rays(window.first), camera.rays(window.last), sigma)
+    motion = estimate_motion(camera.rays(window[0]), camera.rays(window[1]), sigma)
     return None if motion is None else (motion.R_b_a, -motion.R_b_a @ motion.direction_a)
 
 
-def _window_costs(window: _Window, cameras: Sequence[Camera]) -> Array:
+def _costs(window: _Window, cameras: Sequence[Camera]) -> Array:
     """Cost (k,) of the motion that explains a window best, for every camera.
 
     Starts from the middle camera and goes to both ends, each time from the motion of the neighbour.
@@ -171,8 +163,8 @@ def _fit_motion(window: _Window, camera: Camera, R: Array, t: Array) -> tuple[Ar
     With c = R a the epipolar product e = b . (t x c) has the derivatives (t . c) b - (b . c) t by a rotation after R,
     and c x b by t.
     """
-    a, a_right, a_down = _rays_and_slopes(camera, window.first)
-    b, b_right, b_down = _rays_and_slopes(camera, window.last)
+    a, a_right, a_down = _rays_and_slopes(camera, window[0])
+    b, b_right, b_down = _rays_and_slopes(camera, window[1])
     for _ in range(_MAX_REFINEMENTS):
         c = a @ R.T
         distance, length = _sampson(t, b, c, (a_right @ R.T, a_down @ R.T), (b_right, b_down))

@@ -101,7 +101,13 @@ def smooth_poses(measured: MeasuredPoses, start: Array, car: CarMotion) -> Smoot
         part, held = measured.select(stops), standing[:, stops]
         stopped = _iterate(part, motion.select(stops), held, car.select(stops), convex=0)
         stopped, covariances[:, stops] = _finish(part, stopped, held, car.select(stops))
-        motion = motion.replaced(stops, _hold(stopped, held))
+        # The last rounding errors are taken out of the standstills.
+        poses, still = stopped.poses.copy(), ~held[..., None]
+        for sequence in range(len(stops)):
+            for first, last in _runs(held[:, sequence]):
+                poses[first : last + 1, sequence] = poses[first, sequence]
+        rates = stopped.velocity * still, stopped.turn_rate * still, stopped.acceleration * still[..., 0]
+        motion = motion.replaced(stops, BodyMotion(poses, *rates))
     outliers = np.min(_weights(measured, motion, convex=False), axis=-1) < OUTLIER_WEIGHT
     return SmoothedPoses(motion, covariances, outliers, standing)
 
@@ -122,15 +128,11 @@ def find_standstills(measured: MeasuredPoses, motion: BodyMotion, covariances: A
             spread = np.linalg.norm(places - places.mean(axis=0), axis=1)
             stays = np.all(spread < STANDSTILL_GATE * sigmas[span, sequence, :3].max(axis=1))
             if stays and times[last] - times[first] >= STANDSTILL_SECONDS:
-                standing[:length, sequence] |= _inner(times, first, last)
+                # Margins are where the run does not reach the end of the sequence.
+                before = STANDSTILL_MARGIN_SECONDS if first > 0 else 0.0
+                behind = STANDSTILL_MARGIN_SECONDS if last < length - 1 else 0.0
+                standing[:length, sequence] |= (times >= times[first] + before) & (times <= times[last] - behind)
     return standing
-
-
-def _inner(times: Array, first: int, last: int) -> Flags:
-    """Times (n,) of a run without its margins, which it has where it does not reach the end of the sequence."""
-    margin_before = STANDSTILL_MARGIN_SECONDS if first > 0 else 0.0
-    margin_behind = STANDSTILL_MARGIN_SECONDS if last < len(times) - 1 else 0.0
-    return (times >= times[first] + margin_before) & (times <= times[last] - margin_behind)
 
 
 def _iterate(measured: MeasuredPoses, motion: BodyMotion, standing: Flags, car: CarMotion, convex: int) -> BodyMotion:
@@ -204,16 +206,6 @@ def _weights(measured: MeasuredPoses, motion: BodyMotion, convex: bool) -> Array
     scaled = (_residuals(measured, motion) / measured.sigmas).reshape(*motion.poses.shape[:2], 2, 3)
     weight = GATE / np.maximum(np.sqrt(np.sum(scaled**2, axis=-1)), GATE)
     return np.repeat(np.maximum(weight if convex else weight**4, LEAST_WEIGHT), 3, axis=-1)
-
-
-def _hold(motion: BodyMotion, standing: Flags) -> BodyMotion:
-    """The motion with the last rounding errors taken out of its standstills."""
-    poses = motion.poses.copy()
-    for sequence in range(standing.shape[1]):
-        for first, last in _runs(standing[:, sequence]):
-            poses[first : last + 1, sequence] = poses[first, sequence]
-    still = ~standing[..., None]
-    return BodyMotion(poses, motion.velocity * still, motion.turn_rate * still, motion.acceleration * still[..., 0])
 
 
 def _runs(flags: Flags) -> list[tuple[int, int]]:

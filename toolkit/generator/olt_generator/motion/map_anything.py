@@ -56,10 +56,13 @@ class MapAnything:
         model = models.MapAnything.from_pretrained(str(self.weights), local_files_only=True).to(self.device).eval()
         on_progress(0.1)
         rays = torch.from_numpy(pixel_rays(camera).astype(np.float32))
-        views = [{"img": torch.from_numpy(frame), "ray_directions": rays} for frame in frames]
+        views = images.preprocess_inputs([{"img": torch.from_numpy(frame), "ray_directions": rays} for frame in frames])
         with torch.inference_mode():
             predictions = model.infer(
-                [_moved(view, self.device) for view in images.preprocess_inputs(views)],
+                [
+                    {name: value.to(self.device) if hasattr(value, "to") else value for name, value in view.items()}
+                    for view in views
+                ],
                 use_amp=self.device != "cpu",
                 apply_mask=False,
                 mask_edges=False,
@@ -83,11 +86,6 @@ class MapAnything:
                 f"MapAnything: Python package {error.name} is not installed; install mapanything from "
                 "github.com/facebookresearch/map-anything, or use visual odometry"
             ) from error
-
-
-def _moved(view: dict[str, Any], device: str) -> dict[str, Any]:
-    """The view with its tensors on the device."""
-    return {name: value.to(device) if hasattr(value, "to") else value for name, value in view.items()}
 
 
 def _camera_poses(predictions: list[dict[str, Any]]) -> Array:

@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
-from olt_generator.motion.bundle_adjustment import StepPriors, Tracks, adjust_poses
-from olt_generator.motion.carried import BELOW_HORIZON, find_carried
+from olt_generator.motion.bundle_adjustment import FeatureTracks, StepPriors, adjust_poses
 from olt_generator.motion.features import Gray, TrackedPair, track_from_keyframes
-from olt_generator.motion.road_plane import PlaneScale, measure_scale
+from olt_generator.motion.road_plane import measure_scale
 from olt_generator.motion.road_scale import RoadStrip, estimate_speed, road_frame
+from olt_generator.motion.static_mask import BELOW_HORIZON, find_static_mask
 from olt_generator.motion.two_view import TwoViewMotion, estimate_motion
 from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
 from olt_generator.progress import Progress, silent
@@ -110,7 +110,7 @@ def estimate_odometry(
     settings = settings or OdometrySettings()
     grays = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in frames]
     keyframes = choose_keyframes(timestamps_us)
-    hidden = find_carried(grays, keyframes, camera, T_rig_camera)
+    hidden = find_static_mask(grays, keyframes, camera, T_rig_camera)
     steps = []
     for pair in track_from_keyframes(grays, keyframes, hidden, settings.corners_per_cell, settings.window):
         steps.append(_estimate_step(pair, camera, T_rig_camera[2, :3]))
@@ -118,7 +118,14 @@ def estimate_odometry(
     clip = _Clip(grays, timestamps_us, keyframes, steps, camera, T_rig_camera, hidden)
     T_start_key, mounting, scale_sigma = _recover_keyframes(clip, settings)
     on_progress(1.0)
-    T_start_camera = _interpolate(T_start_key, steps, keyframes, timestamps_us)
+    # Positions between the keyframes' run smoothly, rotations are measured.
+    T_start_camera = np.tile(np.eye(4), (len(timestamps_us), 1, 1))
+    rotation_of = dict(zip(keyframes, T_start_key[:, :3, :3], strict=True))
+    for step in steps:
+        measured = rotation_of[step.key] @ step.motion.R_b_a.T
+        T_start_camera[step.current, :3, :3] = rotation_of.get(step.current, measured)
+    path = PchipInterpolator(clip.times[keyframes], T_start_key[:, :3, 3])
+    T_start_camera[:, :3, 3] = path(clip.times)
     stood = {step.key: not step.moves for step in clip.key_steps}
     return Odometry(
         Trajectory(timestamps_us, mounting @ T_start_camera @ invert(mounting)),
@@ -130,7 +137,7 @@ def estimate_odometry(
 
 
 def choose_keyframes(timestamps_us: NDArray[np.int64]) -> list[int]:
-    """Indices of frames about a tenth of a second apart, the first and the last among them."""
+    """Indices of frames about a tenth of a second apart, the first and the last among them, of times (n,)."""
     times = (timestamps_us - timestamps_us[0]) * 1e-6
     steps = max(1, round(times[-1] / KEYFRAME_SECONDS))
     wanted = np.linspace(0.0, times[-1], steps + 1)
@@ -173,39 +180,18 @@ def _estimate_step(pair: TrackedPair, camera: Camera, up: Array) -> _Step:
     rays_key = camera.rays(pair.key_pixels.astype(np.float64))
     rays_current = camera.rays(pair.current_pixels.astype(np.float64))
     used = np.minimum(rays_key[:, 2], rays_current[:, 2]) > np.cos(MAX_RAY_ANGLE)
-    if np.count_nonzero(used) < MIN_POINTS:
-        raise _too_few(pair, np.count_nonzero(used))
-    if _stands(pair.flow[used], rays_key[used], up):
-        still = TwoViewMotion(np.eye(3), np.zeros(3), used)
-        return _Step(pair.key, pair.current, False, still, pair.points[used], rays_key[used], rays_current[used])
-    turn = _turn_on_the_spot(rays_key[used], rays_current[used], up, _radians_per_pixel(camera))
+    key, current, points = rays_key[used], rays_current[used], pair.points[used]
+    if len(points) < MIN_POINTS:
+        raise _too_few(pair, len(points))
+    turn = _turn_at_rest(pair.flow[used], key, current, up, camera)
     if turn is not None:
-        turned = TwoViewMotion(turn, np.zeros(3), used)
-        return _Step(pair.key, pair.current, False, turned, pair.points[used], rays_key[used], rays_current[used])
-    sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(camera)
-    motion = estimate_motion(rays_key[used], rays_current[used], sigma)
+        rest = TwoViewMotion(turn, np.zeros(3), used)
+        return _Step(pair.key, pair.current, False, rest, points, key, current)
+    motion = estimate_motion(key, current, _ray_sigma(camera))
     if motion is None or np.count_nonzero(motion.inliers) < MIN_POINTS:
         raise _too_few(pair, 0 if motion is None else np.count_nonzero(motion.inliers))
-    agrees = np.flatnonzero(used)[motion.inliers]
-    return _Step(pair.key, pair.current, True, motion, pair.points[agrees], rays_key[agrees], rays_current[agrees])
-
-
-def _stands(flow: Array, rays: Array, up: Array) -> bool:
-    """Whether what is near stays in place; clouds and the skyline stay even while the vehicle drives."""
-    near = rays @ up < -np.sin(BELOW_HORIZON)
-    return bool(np.median(flow[near] if near.any() else flow) < STANDSTILL_PIXELS)
-
-
-def _turn_on_the_spot(rays_key: Array, rays_current: Array, up: Array, radians_per_pixel: float) -> Array | None:
-    """The rotation R_current_key (3, 3) if it alone explains where the near points went, otherwise None."""
-    R = Rotation.align_vectors(rays_current, rays_key)[0].as_matrix()
-    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)
-    # What moves by itself tilts the first fit; the second one is made without it.
-    agrees = missed <= 2.0 * np.median(missed)
-    R = Rotation.align_vectors(rays_current[agrees], rays_key[agrees])[0].as_matrix()
-    near = rays_key @ up < -np.sin(BELOW_HORIZON)
-    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)[near if near.any() else slice(None)]
-    return R if np.median(missed) < TURNING_PIXELS * radians_per_pixel else None
+    agrees = motion.inliers
+    return _Step(pair.key, pair.current, True, motion, points[agrees], key[agrees], current[agrees])
 
 
 def _too_few(pair: TrackedPair, count: np.integer | int) -> InputError:
@@ -213,6 +199,29 @@ def _too_few(pair: TrackedPair, count: np.integer | int) -> InputError:
         f"odometry: frame {pair.current} shares only {count} usable points with frame {pair.key}, {MIN_POINTS} are "
         "needed; cut away dark, blurred or blank frames"
     )
+
+
+def _turn_at_rest(flow: Array, rays_key: Array, rays_current: Array, up: Array, camera: Camera) -> Array | None:
+    """The rotation R_current_key (3, 3) if the vehicle gets nowhere: none or a turn on the spot; otherwise None.
+
+    What is near decides; clouds and the skyline stay in place even while the vehicle drives.
+    """
+    below = rays_key @ up < -np.sin(BELOW_HORIZON)
+    near = below if below.any() else slice(None)
+    if np.median(flow[near]) < STANDSTILL_PIXELS:
+        return np.eye(3)
+    R = Rotation.align_vectors(rays_current, rays_key)[0].as_matrix()
+    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)
+    # What moves by itself tilts the first fit; the second one is made without it.
+    agrees = missed <= 2.0 * np.median(missed)
+    R = Rotation.align_vectors(rays_current[agrees], rays_key[agrees])[0].as_matrix()
+    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)[near]
+    return R if np.median(missed) < TURNING_PIXELS * _radians_per_pixel(camera) else None
+
+
+def _ray_sigma(camera: Camera) -> float:
+    """Angular noise of a tracked ray, radians."""
+    return TRACK_SIGMA_PIXELS * _radians_per_pixel(camera)
 
 
 def _radians_per_pixel(camera: Camera) -> float:
@@ -240,9 +249,9 @@ class _Clip:
         return [step for step in self.steps if step.current in ends]
 
     @property
-    def key_times(self) -> Array:
-        """Seconds of the keyframes since the first one."""
-        return (self.timestamps_us[self.keyframes] - self.timestamps_us[0]) * 1e-6
+    def times(self) -> Array:
+        """Seconds of the frames since the first one."""
+        return (self.timestamps_us - self.timestamps_us[0]) * 1e-6
 
 
 def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, Array, float | None]:
@@ -251,10 +260,13 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, 
     if not moves.any():
         turns = make_pose([step.motion.R_b_a.T for step in clip.key_steps], np.zeros(3))
         return _chain(turns), clip.T_rig_camera, None
-    driven = _measure_speed(clip, moves) * np.diff(clip.key_times)
+    times = clip.times[clip.keyframes]
+    driven = _measure_speed(clip, moves) * np.diff(times)
     T_key_next = _adjust(clip, driven, settings.rounds)
-    mounting = _align_mounting(T_key_next, driven / np.diff(clip.key_times), clip.T_rig_camera)
-    scale = _measure_scale(clip, _chain(T_key_next), driven, mounting)
+    mounting = _align_mounting(T_key_next, driven / np.diff(times), clip.T_rig_camera)
+    strip = _lay_strip(clip, mounting[0, :3], mounting, SCALE_STRIP_HEIGHTS)
+    grays = [clip.grays[index] for index in clip.keyframes]
+    scale = measure_scale(grays, times, _chain(T_key_next), driven, strip, mounting[2, :3])
     T_key_next[:, :3, 3] *= scale.factor[:, None]
     return _chain(T_key_next), mounting, scale.sigma
 
@@ -262,22 +274,23 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, 
 def _measure_speed(clip: _Clip, moves: NDArray[np.bool_]) -> Array:
     """Rough speed (k,) over the steps between keyframes, m/s."""
     steps = clip.key_steps
-    directions = np.array([step.motion.direction_a * _sense(step) for step in steps])[moves]
+    forward = [step.motion.direction_a[2] >= 0.0 for step in steps]
+    directions = np.array(
+        [step.motion.direction_a * (1.0 if ahead else -1.0) for step, ahead in zip(steps, forward, strict=True)]
+    )[moves]
     travel = np.median(directions, axis=0)
     travel /= np.linalg.norm(travel)
     strip, up = _lay_strip(clip, travel, clip.T_rig_camera, SPEED_STRIP_HEIGHTS), clip.T_rig_camera[2, :3]
     scores = np.full((len(steps), strip.shifts), -1.0)
     for index in np.flatnonzero(moves).tolist():
-        first, second, motion = _in_driving_order(steps[index])
-        step_axes = road_frame(travel, up, motion.direction_a)
-        scores[index] = strip.match(clip.grays[first], clip.grays[second], step_axes, motion.R_b_a)
-    return estimate_speed(scores, np.diff(clip.key_times), moves)
-
-
-def _measure_scale(clip: _Clip, T_start_key: Array, driven: Array, T_rig_camera: Array) -> PlaneScale:
-    strip = _lay_strip(clip, T_rig_camera[0, :3], T_rig_camera, SCALE_STRIP_HEIGHTS)
-    grays = [clip.grays[index] for index in clip.keyframes]
-    return measure_scale(grays, clip.key_times, T_start_key, driven, strip, T_rig_camera[2, :3])
+        step = steps[index]
+        R, direction, frames = step.motion.R_b_a, step.motion.direction_a, (step.key, step.current)
+        if not forward[index]:
+            # The strip is matched in the order in which the camera drives ahead.
+            R, direction, frames = R.T, -R @ direction, frames[::-1]
+        first, second = (clip.grays[frame] for frame in frames)
+        scores[index] = strip.match(first, second, road_frame(travel, up, direction), R)
+    return estimate_speed(scores, np.diff(clip.times[clip.keyframes]), moves)
 
 
 def _lay_strip(clip: _Clip, forward: Array, T_rig_camera: Array, length_heights: float) -> RoadStrip:
@@ -298,25 +311,11 @@ def _adjust(clip: _Clip, driven: Array, rounds: int) -> Array:
         np.where(moves, PRIOR_SPEED_SHARE * driven, 0.0) + STANDING_METRES,
         np.where(moves, PRIOR_DIRECTION * driven, 0.0) + STANDING_METRES,
     )
-    sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(clip.camera)
-    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), sigma, priors, rounds)
+    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), _ray_sigma(clip.camera), priors, rounds)
     return np.where(moves[:, None, None], invert(T_start_key[:-1]) @ T_start_key[1:], expected)
 
 
-def _sense(step: _Step) -> float:
-    """+1 where the camera moves forward, -1 where it moves backward."""
-    return 1.0 if step.motion.direction_a[2] >= 0.0 else -1.0
-
-
-def _in_driving_order(step: _Step) -> tuple[int, int, TwoViewMotion]:
-    """The two frames of a step, ordered such that the camera moves forward from the first to the second."""
-    motion = step.motion
-    if _sense(step) > 0.0:
-        return step.key, step.current, motion
-    return step.current, step.key, TwoViewMotion(motion.R_b_a.T, -motion.R_b_a @ motion.direction_a, motion.inliers)
-
-
-def _collect_tracks(clip: _Clip) -> Tracks:
+def _collect_tracks(clip: _Clip) -> FeatureTracks:
     """What the keyframes have seen of the points that agree with the motion of their steps."""
     steps = clip.key_steps
     number = {frame: index for index, frame in enumerate(clip.keyframes)}
@@ -331,7 +330,7 @@ def _collect_tracks(clip: _Clip) -> Tracks:
     kept = lasting[point]
     number_of = np.cumsum(lasting) - 1
     first = first[lasting]
-    return Tracks(start[first], rays_key[first], number_of[point[kept]], start[kept] + 1, rays_current[kept])
+    return FeatureTracks(start[first], rays_key[first], number_of[point[kept]], start[kept] + 1, rays_current[kept])
 
 
 def _align_mounting(T_key_next: Array, speed: Array, T_rig_camera: Array) -> Array:
@@ -356,17 +355,3 @@ def _chain(T_key_next: Array) -> Array:
     for motion in T_key_next:
         poses.append(poses[-1] @ motion)
     return np.stack(poses)
-
-
-def _interpolate(
-    T_start_key: Array, steps: Sequence[_Step], keyframes: Sequence[int], timestamps_us: NDArray[np.int64]
-) -> Array:
-    """Camera poses (n, 4, 4) of all frames: positions between the keyframes' run smoothly, rotations are measured."""
-    poses = np.tile(np.eye(4), (len(timestamps_us), 1, 1))
-    rotation_of = dict(zip(keyframes, T_start_key[:, :3, :3], strict=True))
-    for step in steps:
-        measured = rotation_of[step.key] @ step.motion.R_b_a.T
-        poses[step.current, :3, :3] = rotation_of.get(step.current, measured)
-    times = (timestamps_us - timestamps_us[0]) * 1e-6
-    poses[:, :3, 3] = PchipInterpolator(times[list(keyframes)], T_start_key[:, :3, 3])(times)
-    return poses

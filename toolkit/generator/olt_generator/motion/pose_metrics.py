@@ -66,18 +66,6 @@ class MetricErrors:
     drift_percent: float | None
     smoothness: Smoothness
 
-    def paper_columns(self) -> dict[str, float | None]:
-        """The row of the paper's table, metric-scale evaluation, by its column names."""
-        return {
-            "ATE": self.ate_m,
-            "RPE-r": self.step_rotation_deg,
-            "RPE-t": self.step_translation_percent,
-            "RotErr": self.rotation_to_first_deg,
-            "Jerk": self.smoothness.squared_jerk,
-            "Acc.Var": self.smoothness.acceleration_variance_m2_s4,
-            "LDJ": self.smoothness.log_dimensionless_jerk,
-        }
-
 
 @dataclass(frozen=True)
 class AlignedErrors:
@@ -98,17 +86,6 @@ class AlignedErrors:
     step_rotation_deg: float
     step_translation_percent: float | None
     smoothness: Smoothness
-
-    def paper_columns(self) -> dict[str, float | None]:
-        """The row of the paper's table, Sim(3)-aligned evaluation, by its column names."""
-        return {
-            "ATE": self.ate_m,
-            "RotAnc": self.rotation_to_first_deg,
-            "RotErr": self.step_rotation_deg,
-            "TrErr": self.step_translation_percent,
-            "Jerk": self.smoothness.squared_jerk,
-            "Acc.Var": self.smoothness.acceleration_variance_m2_s4,
-        }
 
 
 @dataclass(frozen=True)
@@ -142,7 +119,14 @@ def compare_trajectories(estimate: Trajectory, reference: Trajectory) -> PoseErr
         )
     found = Trajectory(times[common], estimate.T_world_rig[common]).in_first_frame()
     true = Trajectory(times[common], reference.interpolate(times[common])).in_first_frame()
-    return PoseErrors(len(found), _metric_errors(found, true), _aligned_errors(found, true))
+    last_error = float(np.linalg.norm(found.positions[-1] - true.positions[-1]))
+    metric = MetricErrors(
+        _root_mean_square(found.positions - true.positions),
+        *_relative_errors(found, true),
+        100.0 * last_error / true.path_length if true.path_length > MIN_STEP_METRES else None,
+        measure_smoothness(found),
+    )
+    return PoseErrors(len(found), metric, _aligned_errors(found, true))
 
 
 def measure_smoothness(trajectory: Trajectory) -> Smoothness:
@@ -178,18 +162,6 @@ def align_similarity(points: Array, reference: Array) -> tuple[float, Array, Arr
     return scale, rotation, centre_reference - scale * rotation @ centre
 
 
-def _metric_errors(found: Trajectory, true: Trajectory) -> MetricErrors:
-    last_error = float(np.linalg.norm(found.positions[-1] - true.positions[-1]))
-    return MetricErrors(
-        _root_mean_square(found.positions - true.positions),
-        _rotation_to_first(found, true),
-        _step_rotation(found, true),
-        _step_translation(found, true),
-        100.0 * last_error / true.path_length if true.path_length > MIN_STEP_METRES else None,
-        measure_smoothness(found),
-    )
-
-
 def _aligned_errors(found: Trajectory, true: Trajectory) -> AlignedErrors | None:
     alignment = align_similarity(found.positions, true.positions)
     if alignment is None:
@@ -198,36 +170,21 @@ def _aligned_errors(found: Trajectory, true: Trajectory) -> AlignedErrors | None
     scaled_poses = found.T_world_rig.copy()
     scaled_poses[:, :3, 3] *= scale
     scaled = Trajectory(found.timestamps_us, scaled_poses)
-    return AlignedErrors(
-        scale,
-        _root_mean_square(scaled.positions @ rotation.T + translation - true.positions),
-        _rotation_to_first(scaled, true),
-        _step_rotation(scaled, true),
-        _step_translation(scaled, true),
-        measure_smoothness(scaled),
-    )
+    missed = scaled.positions @ rotation.T + translation - true.positions
+    return AlignedErrors(scale, _root_mean_square(missed), *_relative_errors(scaled, true), measure_smoothness(scaled))
 
 
-def _rotation_to_first(found: Trajectory, true: Trajectory) -> float:
-    return _mean_angle(found.T_world_rig[1:], true.T_world_rig[1:])
-
-
-def _step_rotation(found: Trajectory, true: Trajectory) -> float:
-    return _mean_angle(_steps(found), _steps(true))
-
-
-def _step_translation(found: Trajectory, true: Trajectory) -> float | None:
-    expected = _steps(true)[:, :3, 3]
-    length = np.linalg.norm(expected, axis=1)
+def _relative_errors(found: Trajectory, true: Trajectory) -> tuple[float, float, float | None]:
+    """Mean errors: of the rotation to the first pose and of each step (degrees), and of its translation (percent)."""
+    steps, true_steps = (invert(each.T_world_rig[:-1]) @ each.T_world_rig[1:] for each in (found, true))
+    length = np.linalg.norm(true_steps[:, :3, 3], axis=1)
     moves = length >= MIN_STEP_METRES
-    if not moves.any():
-        return None
-    error = np.linalg.norm(_steps(found)[:, :3, 3] - expected, axis=1)
-    return 100.0 * float(np.mean(error[moves] / length[moves]))
-
-
-def _steps(trajectory: Trajectory) -> Array:
-    return invert(trajectory.T_world_rig[:-1]) @ trajectory.T_world_rig[1:]
+    error = np.linalg.norm(steps[:, :3, 3] - true_steps[:, :3, 3], axis=1)
+    return (
+        _mean_angle(found.T_world_rig[1:], true.T_world_rig[1:]),
+        _mean_angle(steps, true_steps),
+        100.0 * float(np.mean(error[moves] / length[moves])) if moves.any() else None,
+    )
 
 
 def _mean_angle(found: Array, true: Array) -> float:

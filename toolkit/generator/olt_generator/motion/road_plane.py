@@ -64,11 +64,6 @@ class RoadMatches:
     log_scale: Array
     sigma: Array
 
-    def and_also(self, other: "RoadMatches") -> "RoadMatches":
-        """Both together."""
-        pairs = zip(vars(self).values(), vars(other).values(), strict=True)
-        return RoadMatches(*(np.concatenate(pair) for pair in pairs))
-
 
 @dataclass(frozen=True)
 class PlaneScale:
@@ -101,14 +96,26 @@ def measure_scale(
     moves = np.flatnonzero(driven > 0.0)
     length = np.linalg.norm(np.diff(T_world_camera[:, :3, 3], axis=0), axis=1)[moves]
     lever = np.full(len(moves), 2.0 * strip.middle / strip.height)
-    rough = RoadMatches(moves, lever, np.log(driven[moves] / length), np.full(len(moves), ROUGH_SIGMA))
-    return separate_tilt(rough.and_also(match_road(grays, T_world_camera, strip, up)), times)
+    matched = match_road(grays, T_world_camera, strip, up)
+    matches = RoadMatches(
+        np.concatenate([moves, matched.step]),
+        np.concatenate([lever, matched.lever]),
+        np.concatenate([np.log(driven[moves] / length), matched.log_scale]),
+        np.concatenate([np.full(len(moves), ROUGH_SIGMA), matched.sigma]),
+    )
+    return separate_tilt(matches, times)
 
 
 def match_road(grays: Sequence[Gray], T_world_camera: Array, strip: RoadStrip, up: Array) -> RoadMatches:
-    """Match pieces of road between every keyframe and one some metres on; arguments as of `measure_scale`."""
+    """Match pieces of road between every keyframe and the next one some metres on; arguments as of `measure_scale`."""
     rows: list[tuple[int, float, float, float]] = []
-    for start, end in _choose_pairs(T_world_camera[:, :3, 3], BASELINE_HEIGHTS * strip.height):
+    positions = T_world_camera[:, :3, 3]
+    for start, position in enumerate(positions[:-1]):
+        later = positions[start + 1 : start + 1 + MOST_STEPS_APART]
+        far = np.linalg.norm(later - position, axis=1) >= BASELINE_HEIGHTS * strip.height
+        if not far.any():
+            continue
+        end = start + 1 + int(np.argmax(far))
         T_start_end = invert(T_world_camera[start]) @ T_world_camera[end]
         backward = T_start_end[2, 3] < 0.0
         first, second = (end, start) if backward else (start, end)
@@ -118,15 +125,6 @@ def match_road(grays: Sequence[Gray], T_world_camera: Array, strip: RoadStrip, u
             rows.append((start, (2.0 * distance + shift) / strip.height, float(np.log(shift / driven)), correlation))
     step, lever, log_scale, correlation = np.array(rows).reshape(-1, 4).T
     return RoadMatches(step.astype(np.int64), lever, log_scale, PIECE_SIGMA / np.sqrt(correlation))
-
-
-def _choose_pairs(positions: Array, baseline: float) -> Iterator[tuple[int, int]]:
-    """Every keyframe with the next one at least `baseline` metres away."""
-    for start in range(len(positions) - 1):
-        later = positions[start + 1 : start + 1 + MOST_STEPS_APART]
-        far = np.linalg.norm(later - positions[start], axis=1) >= baseline
-        if far.any():
-            yield start, start + 1 + int(np.argmax(far))
 
 
 def _match_pieces(

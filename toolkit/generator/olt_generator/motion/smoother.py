@@ -7,17 +7,18 @@ memory, which is a few seconds, and are smoothed side by side as other trajector
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import chain, pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.motion.car_motion import POSE, STATES, CarMotion
-from olt_generator.motion.iterated_smoother import STANDSTILL_SPEED, MeasuredPoses, SmoothedPoses, smooth_poses
-from olt_generator.motion.noise_levels import POSITION_GRID, ROTATION_GRID, LevelGrid, estimate_levels
-from olt_generator.motion.stray_poses import replace_strays
+from olt_generator.motion.iterated_smoother import STANDSTILL_SPEED, MeasuredPoses, smooth_poses
+from olt_generator.motion.noise_levels import POSITION_GRID, ROTATION_GRID, estimate_levels
+from olt_generator.motion.outlier_rejection import replace_outliers
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_generator.twists import vector_from_rotation
@@ -113,8 +114,11 @@ class _Window:
         return self.stop - self.start
 
 
-@dataclass(frozen=True)
-class _Levels:
+_Part = tuple[NDArray[Any], ...]
+"""What is kept of a window: poses (k, 4, 4), rates (k, 7), covariances (k, 13, 13), outliers (k,) and standing (k,)."""
+
+
+class _Levels(NamedTuple):
     """Noise levels of a trajectory; see `SmootherSettings`."""
 
     position: float
@@ -138,7 +142,7 @@ def smooth_trajectories(
 ) -> list[SmoothedMotion]:
     """What `smooth_trajectory` gives for each of the trajectories, to the last bit, in less time."""
     settings = settings or SmootherSettings()
-    starts = [replace_strays(trajectory) for trajectory in trajectories]
+    starts = [replace_outliers(trajectory) for trajectory in trajectories]
     levels = _find_levels(trajectories, starts, settings)
     windows = [_cut(index, len(trajectory)) for index, trajectory in enumerate(trajectories)]
     parts: dict[_Window, _Part] = {}
@@ -174,7 +178,12 @@ def _find_levels(
     trajectories: Sequence[Trajectory], starts: Sequence[Array], settings: SmootherSettings
 ) -> list[_Levels]:
     """Noise levels of each trajectory: medians over its stretches of what is not given."""
-    stretches = [_stretches(index, len(trajectory)) for index, trajectory in enumerate(trajectories)]
+    stretches = []
+    for index, trajectory in enumerate(trajectories):
+        length = len(trajectory)
+        count = min(LEVEL_STRETCHES, -(-length // LEVEL_POSES))
+        firsts = np.linspace(0, max(0, length - LEVEL_POSES), count).round().astype(int).tolist()
+        stretches.append([_Window(index, first, min(length, first + LEVEL_POSES)) for first in firsts])
     found: dict[_Window, Array] = {}
     for batch in _batches(chain.from_iterable(stretches)):
         found.update(zip(batch, _estimate_levels(batch, trajectories, starts, settings), strict=True))
@@ -189,48 +198,22 @@ def _find_levels(
     return levels
 
 
-def _stretches(trajectory: int, length: int) -> list[_Window]:
-    count = min(LEVEL_STRETCHES, -(-length // LEVEL_POSES))
-    starts = np.linspace(0, max(0, length - LEVEL_POSES), count).round().astype(int).tolist()
-    return [_Window(trajectory, start, min(length, start + LEVEL_POSES)) for start in starts]
-
-
 def _estimate_levels(
     batch: Sequence[_Window], trajectories: Sequence[Trajectory], starts: Sequence[Array], settings: SmootherSettings
 ) -> Array:
     """Levels (b, 4) of stretches, in the order of `_Levels`."""
     lengths, seconds = np.array([len(stretch) for stretch in batch]), _time_steps(batch, trajectories)
     poses = _gather(batch, starts)
-    grid = _known(POSITION_GRID, settings.position_sigma, settings.jerk_density)
+    grid = POSITION_GRID.where_known(settings.position_sigma, settings.jerk_density)
     position, jerk = estimate_levels(lengths, seconds, poses[..., :3, 3] - poses[0, :, :3, 3], grid)
-    grid = _known(ROTATION_GRID, settings.rotation_sigma, settings.angular_acceleration_density)
-    rotation, turning = estimate_levels(lengths, seconds, _summed_rotations(poses), grid)
-    return np.stack([position, rotation, jerk, turning], axis=-1)
-
-
-def _known(grid: LevelGrid, jitter: float | None, density: float | None) -> LevelGrid:
-    """The grid with what is known as its only value."""
-    jitters = grid.jitters if jitter is None else np.array([jitter])
-    densities = grid.densities if density is None else np.array([density])
-    return replace(grid, jitters=jitters, densities=densities)
-
-
-def _summed_rotations(poses: Array) -> Array:
-    """Sums (n, b, 3) of the rotation vectors from pose to pose: a full turn is as good as none."""
+    # Sums of the rotation vectors from pose to pose: a full turn is as good as none.
+    turns = np.zeros((*poses.shape[:2], 3))
     rotations = poses[..., :3, :3]
     steps = vector_from_rotation(np.swapaxes(rotations[:-1], -1, -2) @ rotations[1:])
-    return np.concatenate([np.zeros((1, *poses.shape[1:2], 3)), np.cumsum(steps, axis=0)])
-
-
-@dataclass(frozen=True)
-class _Part:
-    """What is kept of a window: poses (k, 4, 4), rates (k, 7), covariances (k, 13, 13), and flags (k,)."""
-
-    poses: Array
-    rates: Array
-    covariances: Array
-    outliers: NDArray[np.bool_]
-    standing: NDArray[np.bool_]
+    np.cumsum(steps, axis=0, out=turns[1:])
+    grid = ROTATION_GRID.where_known(settings.rotation_sigma, settings.angular_acceleration_density)
+    rotation, turning = estimate_levels(lengths, seconds, turns, grid)
+    return np.stack([position, rotation, jerk, turning], axis=-1)
 
 
 def _smooth_batch(
@@ -245,56 +228,36 @@ def _smooth_batch(
     origins = start[0, :, :3, 3].copy()
     measured[..., :3, 3] -= origins
     start[..., :3, 3] -= origins
-    own = [levels[window.trajectory] for window in batch]
-    poses = MeasuredPoses(
-        lengths=np.array([len(window) for window in batch]),
-        seconds=_time_steps(batch, trajectories),
-        poses=measured,
-        sigmas=np.array([3 * [level.position] + 3 * [level.rotation] for level in own]),
-    )
-    slip = (settings.slip_sigma, settings.slip_sigma)
-    car = CarMotion(
-        jerk_density=np.array([level.jerk for level in own]),
-        angular_acceleration_density=np.array([level.angular_acceleration for level in own]),
-        slip_sigma=settings.slip_sigma,
-        slip_seconds=settings.slip_seconds,
-        initial_sigmas=np.array(
-            [*_INITIAL_POSE, _INITIAL_SPEED, *slip, *3 * [_INITIAL_TURN_RATE], _INITIAL_ACCELERATION]
-        ),
-    )
+    position, rotation, jerk, turning = np.array([levels[window.trajectory] for window in batch]).T
+    lengths = np.array([len(window) for window in batch])
+    sigmas = np.stack([*3 * [position], *3 * [rotation]], axis=-1)
+    poses = MeasuredPoses(lengths, _time_steps(batch, trajectories), measured, sigmas)
+    rates = (_INITIAL_SPEED, settings.slip_sigma, settings.slip_sigma, *3 * [_INITIAL_TURN_RATE], _INITIAL_ACCELERATION)
+    initial_sigmas = np.array([*_INITIAL_POSE, *rates])
+    car = CarMotion(jerk, turning, settings.slip_sigma, settings.slip_seconds, initial_sigmas)
     smoothed = smooth_poses(poses, start, car)
-    return {window: _keep(window, smoothed, origins[column], column) for column, window in enumerate(batch)}
-
-
-def _keep(window: _Window, smoothed: SmoothedPoses, origin: Array, column: int) -> _Part:
-    kept = slice(window.margins[0], len(window) - window.margins[1])
-    poses = smoothed.motion.poses[kept, column].copy()
-    poses[:, :3, 3] += origin
-    return _Part(
-        poses,
-        smoothed.motion.rates()[kept, column],
-        smoothed.covariances[kept, column],
-        smoothed.outliers[kept, column],
-        smoothed.standing[kept, column],
-    )
+    smoothed.motion.poses[..., :3, 3] += origins
+    arrays = smoothed.motion.poses, smoothed.motion.rates(), smoothed.covariances, smoothed.outliers, smoothed.standing
+    kept = [slice(window.margins[0], len(window) - window.margins[1]) for window in batch]
+    return {window: tuple(array[kept[k], k] for array in arrays) for k, window in enumerate(batch)}
 
 
 def _join(parts: Sequence[_Part], trajectory: Trajectory, levels: _Levels) -> SmoothedMotion:
-    poses, rates = np.concatenate([part.poses for part in parts]), np.concatenate([part.rates for part in parts])
-    covariances = np.concatenate([part.covariances for part in parts])
+    poses, rates, covariances, outliers, standing = (np.concatenate(arrays) for arrays in zip(*parts, strict=True))
     velocity, turn_rate = rates[:, :3], rates[:, 3:6]
     acceleration = np.cross(turn_rate, velocity)
     acceleration[:, 0] += rates[:, 6]
-    R_world_rig = poses[:, :3, :3]
+    R_world_rig, forward_speed = poses[:, :3, :3], velocity[:, 0]
+    moving = np.abs(forward_speed) > STANDSTILL_SPEED
     return SmoothedMotion(
         trajectory=Trajectory(trajectory.timestamps_us, poses),
         velocity=np.matmul(R_world_rig, velocity[..., None])[..., 0],
         acceleration=np.matmul(R_world_rig, acceleration[..., None])[..., 0],
-        curvature=_curvature(turn_rate[:, 2], velocity[:, 0]),
+        curvature=np.where(moving, turn_rate[:, 2] / np.where(moving, forward_speed, 1.0), 0.0),
         covariance=covariances[:, POSE, POSE],
         rate_covariance=covariances[:, POSE.stop : STATES, POSE.stop : STATES],
-        outliers=np.concatenate([part.outliers for part in parts]),
-        standing=np.concatenate([part.standing for part in parts]),
+        outliers=outliers,
+        standing=standing,
         position_sigma=levels.position,
         rotation_sigma=levels.rotation,
     )
@@ -302,10 +265,10 @@ def _join(parts: Sequence[_Part], trajectory: Trajectory, levels: _Levels) -> Sm
 
 def _time_steps(batch: Sequence[_Window], trajectories: Sequence[Trajectory]) -> Array:
     """Seconds (n - 1, b) between the poses of each window; 1 behind its end."""
-    steps = [np.diff(trajectories[part.trajectory].times[part.start : part.stop]) for part in batch]
-    seconds = np.ones((max(len(step) for step in steps), len(batch)))
-    for column, step in enumerate(steps):
-        seconds[: len(step), column] = step
+    seconds = np.ones((max(len(window) for window in batch) - 1, len(batch)))
+    for column, window in enumerate(batch):
+        steps = np.diff(trajectories[window.trajectory].times[window.start : window.stop])
+        seconds[: len(steps), column] = steps
     return seconds
 
 
@@ -318,8 +281,3 @@ def _gather(batch: Sequence[_Window], arrays: Sequence[Array]) -> Array:
         gathered[: len(values), column] = values
         gathered[len(values) :, column] = values[-1]
     return gathered
-
-
-def _curvature(turn_rate: Array, forward_speed: Array) -> Array:
-    moving = np.abs(forward_speed) > STANDSTILL_SPEED
-    return np.where(moving, turn_rate / np.where(moving, forward_speed, 1.0), 0.0)

@@ -48,10 +48,23 @@ def estimate_motion(rays_a: Array, rays_b: Array, sigma: float) -> TwoViewMotion
     guess = _guess_essential(rays_a, rays_b, 2.0 * sigma)
     if guess is None:
         return None
-    R, t = _refine(rays_a, rays_b, *guess, sigma)
+    R, t = guess
+    # Gauss-Newton on three rotation and two direction parameters with Geman-McClure weights.
+    for _ in range(MAX_REFINEMENTS):
+        across = np.linalg.svd(t[None])[2][1:]
+        residual, jacobian = _linearise(rays_a, rays_b, R, t, across)
+        weighted = jacobian * (1.0 / (1.0 + (residual / sigma) ** 2) ** 2)[:, None]
+        step = -np.linalg.pinv(weighted.T @ jacobian) @ (weighted.T @ residual)
+        R, t = Rotation.from_rotvec(step[:3]).as_matrix() @ R, t + step[3:] @ across
+        t /= np.linalg.norm(t)
+        if np.abs(step).max() < CONVERGED_RADIANS:
+            break
     inliers = np.abs(epipolar_sines(rays_a, rays_b, R, t)) < 4.0 * sigma
-    t *= _depth_sign(rays_a[inliers], rays_b[inliers], R, t)
-    return TwoViewMotion(R, -R.T @ t, inliers)
+    # From depth_b b = depth_a R a + t follows depth_a = -(b x R a) . (b x t) / |b x R a|^2. The numerators are added:
+    # near points decide, and what is too far to move has no say.
+    parallax = np.cross(rays_b[inliers], rays_a[inliers] @ R.T)
+    behind = np.sum(parallax * np.cross(rays_b[inliers], t)) > 0.0
+    return TwoViewMotion(R, R.T @ t if behind else -R.T @ t, inliers)
 
 
 def epipolar_sines(rays_a: Array, rays_b: Array, R_b_a: Array, t: Array) -> Array:
@@ -77,21 +90,8 @@ def _guess_essential(rays_a: Array, rays_b: Array, threshold: float) -> tuple[Ar
     return np.asarray(R, dtype=np.float64), np.asarray(t[:, 0], dtype=np.float64)
 
 
-def _refine(rays_a: Array, rays_b: Array, R: Array, t: Array, sigma: float) -> tuple[Array, Array]:
-    """Gauss-Newton on three rotation and two direction parameters with Geman-McClure weights."""
-    for _ in range(MAX_REFINEMENTS):
-        across = np.linalg.svd(t[None])[2][1:]
-        residual, jacobian = _linearize(rays_a, rays_b, R, t, across)
-        weighted = jacobian * (1.0 / (1.0 + (residual / sigma) ** 2) ** 2)[:, None]
-        step = -np.linalg.pinv(weighted.T @ jacobian) @ (weighted.T @ residual)
-        R, t = _moved(R, t, across, step)
-        if np.abs(step).max() < CONVERGED_RADIANS:
-            break
-    return R, t
-
-
-def _linearize(rays_a: Array, rays_b: Array, R: Array, t: Array, across: Array) -> tuple[Array, Array]:
-    """Epipolar sines (n,) and how they change (n, 5) with the steps that `_moved` takes.
+def _linearise(rays_a: Array, rays_b: Array, R: Array, t: Array, across: Array) -> tuple[Array, Array]:
+    """Epipolar sines (n,) and how they change (n, 5) with a turn after R and a step of t `across` it.
 
     With p = R a, n = t x p and s = b . n / |n|, ds = g . dn for g = (b - s n / |n|) / |n|. A turn moves n by
     t x (turn x p), so that ds = turn . (p x (g x t)); a step of t moves it by step x p, so that ds = step . (p x g).
@@ -104,18 +104,3 @@ def _linearize(rays_a: Array, rays_b: Array, R: Array, t: Array, across: Array) 
     slope = (rays_b - sines[:, None] * normals) / length
     by_turn, by_step = np.cross(turned, slope @ cross_t), np.cross(turned, slope) @ across.T
     return sines, np.concatenate([by_turn, by_step], axis=1, dtype=np.float64)
-
-
-def _moved(R: Array, t: Array, across: Array, step: Array) -> tuple[Array, Array]:
-    t = t + step[3:] @ across
-    return Rotation.from_rotvec(step[:3]).as_matrix() @ R, t / np.linalg.norm(t)
-
-
-def _depth_sign(rays_a: Array, rays_b: Array, R_b_a: Array, t: Array) -> float:
-    """+1 where the points lie in front of the camera for translation t, -1 where they do for -t.
-
-    From depth_b b = depth_a R a + t follows depth_a = -(b x R a) . (b x t) / |b x R a|^2. The numerators are added:
-    near points decide, and what is too far to move has no say.
-    """
-    parallax = np.cross(rays_b, rays_a @ R_b_a.T)
-    return 1.0 if np.sum(parallax * np.cross(rays_b, t)) <= 0.0 else -1.0

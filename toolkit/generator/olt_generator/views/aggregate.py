@@ -31,7 +31,7 @@ _NOTHING = np.int64(2**63 - 1)
 
 
 @dataclass(frozen=True)
-class Source:
+class SourceFrame:
     """One frame to gather from.
 
     Attributes:
@@ -61,7 +61,7 @@ class Gathered:
     far: NDArray[np.bool_]
 
 
-def gather(sources: Sequence[Source], camera: Camera, target: Camera, radius: int = 1) -> Gathered:
+def gather(sources: Sequence[SourceFrame], camera: Camera, target: Camera, radius: int = 1) -> Gathered:
     """Gather what `sources`, at least one frame of `camera`, show of the view of `target`.
 
     Every source pixel covers (2 radius + 1)^2 target pixels. Arguments as in `olt_generator.views.splat.splat`.
@@ -75,19 +75,15 @@ def gather(sources: Sequence[Source], camera: Camera, target: Camera, radius: in
             key |= _level(finite.take(landing.source), _FINENESS_STEP) << _FINENESS_BIT
             key |= (number << _SOURCE_BIT) | landing.source
             np.minimum.at(closest, (landing.row + radius) * width + landing.column + radius, key)
-    return _look_up(spread_nearest(closest.reshape(height, width), radius), sources)
+    winner = spread_nearest(closest.reshape(height, width), radius)
+    landed = winner != _NOTHING
+    number = np.where(landed, winner >> _SOURCE_BIT & 0xFF, len(sources))
+    colours = np.concatenate([*(source.image.reshape(-1, 3) for source in sources), np.zeros((1, 3), np.uint8)])
+    index = np.where(landed, number * sources[0].distance.size + (winner & 0x7FFFFFFF), len(colours) - 1)
+    far_level = _level(np.array([0.5 * _INFINITY], np.float32), SURFACE_TOLERANCE)
+    return Gathered(colours.take(index, axis=0), number, landed & (winner >> _DISTANCE_BIT > far_level))
 
 
 def _level(distance: NDArray[np.float32], step: float) -> NDArray[np.int64]:
     """Distance of at least `NEAREST` on a logarithmic scale with the given relative step."""
     return (np.log(distance / np.float32(NEAREST)) * np.float32(1.0 / np.log1p(step))).astype(np.int64)
-
-
-def _look_up(winner: NDArray[np.int64], sources: Sequence[Source]) -> Gathered:
-    landed = winner != _NOTHING
-    pixels = sources[0].distance.size
-    number = np.where(landed, winner >> _SOURCE_BIT & 0xFF, len(sources))
-    colours = np.concatenate([*(source.image.reshape(-1, 3) for source in sources), np.zeros((1, 3), np.uint8)])
-    index = np.where(landed, number * pixels + (winner & 0x7FFFFFFF), len(colours) - 1)
-    far_level = _level(np.array([0.5 * _INFINITY], np.float32), SURFACE_TOLERANCE)
-    return Gathered(colours.take(index, axis=0), number, landed & (winner >> _DISTANCE_BIT > far_level))

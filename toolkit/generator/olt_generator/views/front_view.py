@@ -19,7 +19,7 @@ class FrontView:
 
     Attributes:
         frames: (n, H, W, 3) uint8.
-        distance: (n, H, W) metres along the rays, inf for sky, NaN where nothing is known (the own vehicle).
+        distance: (n, H, W) metres along the rays, inf for sky, NaN where nothing is known (the ego vehicle).
         trajectory: n rig poses, one per frame.
         camera: front camera at the size of `frames`.
         T_rig_camera: (4, 4) its mounting.

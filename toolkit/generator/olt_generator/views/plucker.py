@@ -56,7 +56,13 @@ def plucker_rays(camera: Camera, T_anchor_camera: Array) -> NDArray[np.float32]:
     direction = token_rays(camera) @ np.swapaxes(T_anchor_camera[:, None, :3, :3], -1, -2)
     moment = np.cross(T_anchor_camera[:, None, None, :3, 3], direction) / MOMENT_SCALE
     features = np.moveaxis(np.concatenate([direction, moment], axis=-1), -1, 0)
-    _check_range(features)
+    largest = float(np.abs(features).max())
+    if not largest < LARGEST_FEATURE:
+        moment_index = int(np.argmax(~(np.abs(features).max(axis=(0, 2, 3)) < LARGEST_FEATURE)))
+        raise InputError(
+            f"Pluecker rays: a feature of {largest:.4g} at moment {moment_index}; {LARGEST_FEATURE:.0f} means that the "
+            f"camera is {LARGEST_FEATURE * MOMENT_SCALE / 1e3:.0f} km from the anchor; check the poses or cut the clip"
+        )
     return features.astype(np.float32)
 
 
@@ -76,14 +82,3 @@ def token_rays(camera: Camera) -> Array:
     if not np.isfinite(rays).all():
         raise InputError("the lens model does not reach all tokens; give a wider max_angle or a smaller image")
     return rays
-
-
-def _check_range(features: Array) -> None:
-    """Refuse what the generator would refuse."""
-    largest = float(np.abs(features).max())
-    if not largest < LARGEST_FEATURE:
-        moment = int(np.argmax(~(np.abs(features).max(axis=(0, 2, 3)) < LARGEST_FEATURE)))
-        raise InputError(
-            f"Pluecker rays: a feature of {largest:.4g} at moment {moment}; {LARGEST_FEATURE:.0f} means that the "
-            f"camera is {LARGEST_FEATURE * MOMENT_SCALE / 1e3:.0f} km from the anchor; check the poses or cut the clip"
-        )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera, pixel_rays
 from olt_generator.poses import Array
-from olt_generator.views.aggregate import Source
+from olt_generator.views.aggregate import SourceFrame
 
 # Metres along the ray from which on road is dense enough to be splatted.
 _FARTHEST = 40.0
@@ -35,7 +35,7 @@ class RoadView:
         # In the axes of the target, in which the sources tell where they stand.
         self._points = rays[self._road] * (T_rig_target[2, 3] / descent[self._road])[:, None]
 
-    def look_up(self, sources: Sequence[Source]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
+    def look_up(self, sources: Sequence[SourceFrame]) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """Image (h, w, 3), black where no source shows road, and where one does (h, w); the nearest source wins."""
         nearest = np.full(len(self._points), np.inf)
         colours = np.zeros((len(self._points), 3), np.uint8)
@@ -44,12 +44,16 @@ class RoadView:
             better = distance < nearest[point]
             point = point[better]
             nearest[point] = distance[better]
-            colours[point] = _sample(source.image, column[better], row[better])
+            # OpenCV takes no maps of more than 32,767 rows, so the list is folded into a picture.
+            maps = np.zeros((2, -(-len(point) // _FOLD) or 1, _FOLD), np.float32)
+            maps.reshape(2, -1)[:, : len(point)] = column[better], row[better]
+            found = cv2.remap(source.image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+            colours[point] = np.asarray(found, np.uint8).reshape(-1, 3)[: len(point)]
         image, seen = np.zeros((*self._road.shape, 3), np.uint8), np.zeros(self._road.shape, np.bool_)
         image[self._road], seen[self._road] = colours, np.isfinite(nearest)
         return image, seen
 
-    def _find(self, source: Source) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32], Array]:
+    def _find(self, source: SourceFrame) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32], Array]:
         """Numbers (k,) of the points that a source shows, at which columns and rows (k,), and from how far (k,)."""
         rotation, translation = source.T_target_camera[:3, :3], source.T_target_camera[:3, 3]
         points = (self._points - translation) @ rotation
@@ -62,14 +66,3 @@ class RoadView:
         with np.errstate(invalid="ignore"):
             agrees = np.abs(surface - distance) < _TOLERANCE * distance
         return point[agrees], column[agrees], row[agrees], distance[agrees]
-
-
-def _sample(image: NDArray[np.uint8], column: NDArray[np.float32], row: NDArray[np.float32]) -> NDArray[np.uint8]:
-    """Colours (k, 3) of an image at columns and rows (k,)."""
-    # OpenCV takes no maps of more than 32,767 rows, so the list is folded into a picture.
-    lines = -(-len(column) // _FOLD) or 1
-    maps = np.zeros((2, lines * _FOLD), np.float32)
-    maps[:, : len(column)] = column, row
-    places = maps.reshape(2, lines, _FOLD)
-    found = cv2.remap(image, places[0], places[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found, np.uint8).reshape(-1, 3)[: len(column)]

@@ -34,13 +34,27 @@ class SourceChooser:
         """At most `most` frames of `front` are chosen for the camera `target` mounted at `T_rig_target` (4, 4)."""
         self._front = front
         self._most = most
-        self._probes_rig, self._probe_distance = _probes(target, T_rig_target)
+        # Points (m, 3) in the rig that the target may see, and their distances (m,) from it.
+        u, v = (
+            (np.arange(count) + 0.5) * side / count - 0.5
+            for count, side in ((_PROBE_COLUMNS, target.width), (_PROBE_ROWS, target.height))
+        )
+        rays = target.rays(np.stack(np.meshgrid(u, v), axis=-1)).reshape(-1, 3)
+        points = transform(T_rig_target, (rays * _PROBE_DISTANCES[:, None, None]).reshape(-1, 3))
+        above_ground = points[:, 2] > _UNDERGROUND
+        self._probes_rig = points[above_ground]
+        self._probe_distance = np.repeat(_PROBE_DISTANCES, len(rays))[above_ground]
 
     def choose(self, index: int, given: tuple[int, ...] = ()) -> tuple[int, ...]:
         """Frames for the view at frame `index`, without that frame: the `given` ones, then the most useful first."""
         chosen = list(given)
         candidates = self._candidates(index)
-        sharpness = self._sharpness(index, np.array([index, *given, *candidates]))
+        # How finely each of k frames shows each of m points (k, m): 1 as fine as the target could, 0 not at all.
+        frames = np.array([index, *given, *candidates])
+        T_camera_rig = invert(self._front.camera_poses[frames]) @ self._front.trajectory.T_world_rig[index]
+        points = transform(T_camera_rig, self._probes_rig)
+        inside = self._front.camera.project(points)[1]
+        sharpness = inside * np.minimum(self._probe_distance / np.linalg.norm(points, axis=-1), 1.0)
         seen, offered = sharpness[: 1 + len(given)].max(axis=0), sharpness[1 + len(given) :]
         while len(chosen) < self._most and candidates:
             gain = np.maximum(offered - seen, 0.0).mean(axis=1)
@@ -59,25 +73,6 @@ class SourceChooser:
         within = wanted[(wanted >= offered[0]) & (wanted <= offered[-1])]
         frames = set(sources[np.searchsorted(offered, within)].tolist()) - {index}
         return sorted(frames, key=lambda frame: (abs(frame - index), frame))
-
-    def _sharpness(self, index: int, frames: NDArray[np.int64]) -> Array:
-        """How finely each of k frames shows each of m points (k, m): 1 as fine as the target could, 0 not at all."""
-        T_camera_rig = invert(self._front.camera_poses[frames]) @ self._front.trajectory.T_world_rig[index]
-        points = transform(T_camera_rig, self._probes_rig)
-        inside = self._front.camera.project(points)[1]
-        return inside * np.minimum(self._probe_distance / np.linalg.norm(points, axis=-1), 1.0)
-
-
-def _probes(target: Camera, T_rig_target: Array) -> tuple[Array, Array]:
-    """Points (m, 3) in the rig that the target may see, and their distances (m,) from it."""
-    u, v = (
-        (np.arange(count) + 0.5) * side / count - 0.5
-        for count, side in ((_PROBE_COLUMNS, target.width), (_PROBE_ROWS, target.height))
-    )
-    rays = target.rays(np.stack(np.meshgrid(u, v), axis=-1)).reshape(-1, 3)
-    points = transform(T_rig_target, (rays * _PROBE_DISTANCES[:, None, None]).reshape(-1, 3))
-    above_ground = points[:, 2] > _UNDERGROUND
-    return points[above_ground], np.repeat(_PROBE_DISTANCES, len(rays))[above_ground]
 
 
 def may_be_seen(

@@ -56,20 +56,6 @@ class Landing:
     distance: NDArray[np.float32]
 
 
-@dataclass(frozen=True)
-class Surface:
-    """What another camera would see, by reference to the source image.
-
-    Attributes:
-        distance: (h, w) float32 metres from the target, inf where nothing lands.
-        source: (h, w) int64 index of the pixel in the flattened source image, the number of its pixels where nothing
-            lands.
-    """
-
-    distance: NDArray[np.float32]
-    source: NDArray[np.int64]
-
-
 def splat(
     image: NDArray[np.uint8],
     distance: NDArray[np.float32],
@@ -100,21 +86,6 @@ def splat(
     """
     if image.shape != (source.height, source.width, 3):
         raise InputError(_size_mismatch("image", image.shape, source))
-    surface = nearest_surface(distance, source, target, T_target_source, radius, nearest, farthest)
-    colours = np.concatenate([image.reshape(-1, 3), np.zeros((1, 3), np.uint8)])
-    return Warp(colours.take(surface.source, axis=0), surface.source < distance.size, surface.distance)
-
-
-def nearest_surface(
-    distance: NDArray[np.float32],
-    source: Camera,
-    target: Camera,
-    T_target_source: Array,
-    radius: int = 1,
-    nearest: float = NEAREST,
-    farthest: float = FARTHEST,
-) -> Surface:
-    """The source pixel that each target pixel sees; arguments, order and errors are those of `splat`."""
     width, height = target.width + 2 * radius, target.height + 2 * radius
     # One integer sorts by distance, then by source pixel: the bits of positive floats sort like their values. The
     # empty key stands for a pixel after the last, at infinity behind all others.
@@ -123,7 +94,10 @@ def nearest_surface(
         pixel = (landing.row + radius) * width + landing.column + radius
         np.minimum.at(closest, pixel, _sortable(landing.distance, landing.source))
     winner = spread_nearest(closest.reshape(height, width), radius)
-    return Surface((winner >> 32).astype(np.int32).view(np.float32), winner & 0xFFFFFFFF)
+    index = winner & 0xFFFFFFFF
+    colours = np.concatenate([image.reshape(-1, 3), np.zeros((1, 3), np.uint8)])
+    surface_distance = (winner >> 32).astype(np.int32).view(np.float32)
+    return Warp(colours.take(index, axis=0), index < distance.size, surface_distance)
 
 
 def splat_reference(

@@ -7,6 +7,7 @@ saw at other moments, of things that stand still, and then smooth colours.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from olt_generator.cameras import Camera
 from olt_generator.distance.depth import FAR_DISTANCE
 from olt_generator.poses import Array, invert
 from olt_generator.progress import Progress, silent
-from olt_generator.views.aggregate import Source, gather
+from olt_generator.views.aggregate import SourceFrame, gather
 from olt_generator.views.brightness import brightened, relative_brightness
 from olt_generator.views.fill import fill_holes
 from olt_generator.views.front_view import FrontView
@@ -109,8 +110,7 @@ def synthesize_view(
     return SynthesizedView(images, origin, tuple(drawn_on))
 
 
-@dataclass(frozen=True)
-class _Layer:
+class _Layer(NamedTuple):
     """Part of one image: colours (h, w, 3), where they are known (h, w), and where that is far away (h, w)."""
 
     image: NDArray[np.uint8]
@@ -134,42 +134,35 @@ class _Synthesis:
 
     def other_frames(self, index: int) -> tuple[int, ...]:
         """The other frames that the image of a frame is made from."""
-        return self._chooser.choose(index, self._looked_back_to(index))
-
-    def _looked_back_to(self, index: int) -> tuple[int, ...]:
-        if self._settings.lookback is None:
-            return ()
-        return tuple({self._front.look_back(index, self._settings.lookback)} - {index})
+        lookback = self._settings.lookback
+        looked_back_to = () if lookback is None else tuple({self._front.look_back(index, lookback)} - {index})
+        return self._chooser.choose(index, looked_back_to)
 
     def make(self, index: int, others: tuple[int, ...]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """The image (h, w, 3) of one frame, and a `PixelOrigin` for each of its pixels (h, w)."""
-        known = self._warp_same_frame(index)
+        front = self._front
+        distance = front.distance[index]
+        within_reach = np.minimum(distance, np.float32(FAR_DISTANCE))
+        T_target_camera = self._T_target_rig @ front.T_rig_camera
+        warp = splat(front.frames[index], within_reach, front.camera, self._same_frame_target, T_target_camera)
+        is_far = warp.distance > 0.9 * FAR_DISTANCE
+        known = _averaged_down(warp.image, warp.visible, is_far, SUPERSAMPLING)
         origin = np.where(known.visible, PixelOrigin.SAME_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
         if others:
             sources = [self._source(index, other) for other in others]
-            other = _laid_over(self._gather(sources), self._look_up_road(sources))
+            gathered = gather(sources, front.camera, self._other_frames_target)
+            visible = gathered.source < len(sources)
+            warped = _averaged_down(gathered.image, visible, gathered.far, OTHER_FRAMES_SUPERSAMPLING)
+            image, visible = self._road.look_up(sources)
+            other = _laid_over(warped, _Layer(image, visible, np.zeros_like(visible)))
             origin[other.visible & ~known.visible] = PixelOrigin.OTHER_FRAME
             known = _laid_over(known, other)
-        return self._fill(index, known), origin
-
-    def _warp_same_frame(self, index: int) -> _Layer:
-        within_reach = np.minimum(self._front.distance[index], np.float32(FAR_DISTANCE))
-        T_target_camera = self._T_target_rig @ self._front.T_rig_camera
-        warp = splat(
-            self._front.frames[index], within_reach, self._front.camera, self._same_frame_target, T_target_camera
+        background = self._panorama.background(
+            *known, front.frames[index], ~np.isnan(distance), distance >= FAR_DISTANCE
         )
-        return _averaged_down(warp.image, warp.visible, warp.distance > 0.9 * FAR_DISTANCE, SUPERSAMPLING)
+        return fill_holes(known.image, known.visible, background), origin
 
-    def _look_up_road(self, sources: Sequence[Source]) -> _Layer:
-        image, visible = self._road.look_up(sources)
-        return _Layer(image, visible, np.zeros_like(visible))
-
-    def _gather(self, sources: Sequence[Source]) -> _Layer:
-        gathered = gather(sources, self._front.camera, self._other_frames_target)
-        visible = gathered.source < len(sources)
-        return _averaged_down(gathered.image, visible, gathered.far, OTHER_FRAMES_SUPERSAMPLING)
-
-    def _source(self, index: int, other: int) -> Source:
+    def _source(self, index: int, other: int) -> SourceFrame:
         """What may be taken from another frame."""
         front = self._front
         T_target_world = self._T_target_rig @ invert(front.trajectory.T_world_rig[index])
@@ -182,19 +175,7 @@ class _Synthesis:
         if front.confidence is not None:
             usable &= front.confidence[other] >= self._settings.least_confidence
         image = brightened(front.frames[other], relative_brightness(front, index, other))
-        return Source(image, np.where(usable, distance, np.float32(np.nan)), T_target_camera)
-
-    def _fill(self, index: int, layer: _Layer) -> NDArray[np.uint8]:
-        distance = self._front.distance[index]
-        background = self._panorama.background(
-            layer.image,
-            layer.visible,
-            layer.far,
-            self._front.frames[index],
-            ~np.isnan(distance),
-            distance >= FAR_DISTANCE,
-        )
-        return fill_holes(layer.image, layer.visible, background)
+        return SourceFrame(image, np.where(usable, distance, np.float32(np.nan)), T_target_camera)
 
 
 def _laid_over(front: _Layer, behind: _Layer) -> _Layer:

@@ -38,10 +38,17 @@ def tele_camera(front: Front, width: int, height: int, field_of_view: float = TE
         raise InputError(f"the lens of the front camera does not reach {np.degrees(0.5 * field_of_view):.0f} degrees")
     first, last = edges[:, 0].tolist()
     scale = width / (last - first)
-    right, down = front.pixels_per_radian
+    across_pixels, down_pixels = front.pixels_per_radian
     centre = ((front.cx - first) * scale - 0.5, 0.5 * (height - 1))
-    tele = front.redrawn(width, height, (scale, scale * right / down), centre)
-    _check_inside(tele, front, field_of_view)
+    tele = front.redrawn(width, height, (scale, scale * across_pixels / down_pixels), centre)
+    corners = np.array([[-0.5, -0.5, 1.0], [width - 0.5, height - 0.5, 1.0]])
+    (left, top), (right, bottom) = (corners @ _to_front(tele, front).T).tolist()
+    if left < -0.5 or top < -0.5 or right > front.width - 0.5 or bottom > front.height - 0.5:
+        raise InputError(
+            f"the front camera of {front.width} x {front.height} pixels does not see all of the "
+            f"{np.degrees(field_of_view):.0f} degree tele view: it needs columns {left:.0f} to {right:.0f} and rows "
+            f"{top:.0f} to {bottom:.0f}; use a wider front image"
+        )
     return tele
 
 
@@ -63,17 +70,6 @@ def crop_tele(frames: NDArray[np.uint8], front: Front, tele: Front) -> NDArray[n
             frame, tele_to_front, (tele.width, tele.height), tele_frame, flags, borderMode=cv2.BORDER_REPLICATE
         )
     return tele_frames
-
-
-def _check_inside(tele: Camera, front: Camera, field_of_view: float) -> None:
-    corners = np.array([[-0.5, -0.5, 1.0], [tele.width - 0.5, tele.height - 0.5, 1.0]])
-    (left, top), (right, bottom) = (corners @ _to_front(tele, front).T).tolist()
-    if left < -0.5 or top < -0.5 or right > front.width - 0.5 or bottom > front.height - 0.5:
-        raise InputError(
-            f"the front camera of {front.width} x {front.height} pixels does not see all of the "
-            f"{np.degrees(field_of_view):.0f} degree tele view: it needs columns {left:.0f} to {right:.0f} and rows "
-            f"{top:.0f} to {bottom:.0f}; use a wider front image"
-        )
 
 
 def _to_front(tele: Camera, front: Camera) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Pixels that show what the vehicle carries along instead of the road."""
+"""The static mask: pixels that show what moves with the vehicle instead of the road."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -20,7 +20,7 @@ DETAIL_PIXELS = 15
 BELOW_HORIZON = np.radians(5.0)
 
 
-def find_carried(
+def find_static_mask(
     grays: Sequence[Gray], keyframes: Sequence[int], camera: Camera, T_rig_camera: Array
 ) -> NDArray[np.bool_]:
     """Pixels (H, W) below the horizon whose detail stays while the scene moves.
@@ -34,7 +34,14 @@ def find_carried(
         camera: the camera.
         T_rig_camera: (4, 4) its mounting.
     """
-    moving = [grays[key] for key, later in _spread(list(pairwise(keyframes))) if _moves(grays[key], grays[later])]
+    pairs = list(pairwise(keyframes))
+    moving = []
+    for key, later in pairs[:: -(-len(pairs) // MOST_FRAMES)]:
+        corners = detect_corners(grays[key], 1)
+        moved, found = track_corners(grays[key], grays[later], corners)
+        flow = np.linalg.norm(moved - corners, axis=1)[found]
+        if len(flow) > 0 and np.percentile(flow, 75) > MOVING_PIXELS:
+            moving.append(grays[key])
     if len(moving) < LEAST_FRAMES:
         return np.zeros((camera.height, camera.width), dtype=np.bool_)
     total, squares = np.zeros((2, camera.height, camera.width), dtype=np.float32)
@@ -47,14 +54,3 @@ def find_carried(
     stays = 2.0 * total**2 > len(moving) * squares
     stays = cv2.dilate(stays.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     return stays & (pixel_rays(camera) @ T_rig_camera[2, :3] < -np.sin(BELOW_HORIZON))
-
-
-def _spread(pairs: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    return pairs[:: -(-len(pairs) // MOST_FRAMES)]
-
-
-def _moves(gray: Gray, later: Gray) -> bool:
-    corners = detect_corners(gray, 1)
-    moved, found = track_corners(gray, later, corners)
-    flow = np.linalg.norm(moved - corners, axis=1)[found]
-    return len(flow) > 0 and bool(np.percentile(flow, 75) > MOVING_PIXELS)

@@ -14,7 +14,7 @@ Value = TypeVar("Value", bound=np.generic)
 
 
 @dataclass(frozen=True)
-class View:
+class CameraRays:
     """The rays of a camera in blocks of size x size pixels, b blocks of p pixels in all.
 
     Attributes:
@@ -46,8 +46,8 @@ class View:
 
 
 @lru_cache(maxsize=32)
-def view_of(camera: Camera) -> View:
-    """The view of a camera; cached, because it does not depend on where the camera is."""
+def camera_rays(camera: Camera) -> CameraRays:
+    """The rays of a camera; cached, because it does not depend on where the camera is."""
     size = 16 if camera.width * camera.height > 40_000 else 8
     rays = pixel_rays(camera)
     steps = np.linalg.norm(np.diff(rays, axis=1, append=2.0 * rays[:, -1:] - rays[:, -2:-1]), axis=-1)
@@ -56,7 +56,7 @@ def view_of(camera: Camera) -> View:
     middle /= np.linalg.norm(middle, axis=-1, keepdims=True)
     cosine = np.einsum("bpc,bc->bp", blocks, middle).min(axis=1)
     spread = np.sqrt(np.maximum(1.0 - cosine**2, 0.0)) / cosine
-    return View(
+    return CameraRays(
         rays=np.ascontiguousarray(np.moveaxis(blocks, -1, 0), dtype=np.float32),
         angles=_blocks(steps, size).astype(np.float32),
         middle=np.ascontiguousarray(middle.T, dtype=np.float32),

@@ -7,18 +7,18 @@ from hypothesis import strategies as st
 from olt_generator.cameras import FthetaCamera, PinholeCamera
 from olt_generator.poses import camera_pose_in_rig, invert, make_pose, pose_from_quaternion
 from olt_generator.seeds import make_generator
-from olt_generator.views.aggregate import SURFACE_TOLERANCE, Gathered, Source, gather
+from olt_generator.views.aggregate import SURFACE_TOLERANCE, Gathered, SourceFrame, gather
 
 FRONT = PinholeCamera.from_field_of_view(24, 16, float(np.radians(80.0)))
 WIDE = FthetaCamera.equidistant(24, 16, 11.0, 9.0, 14.0)
 STILL = np.eye(4)
 
 
-def flat(colour: int, distance: float, T_target_camera: np.ndarray = STILL) -> Source:
-    return Source(np.full((16, 24, 3), colour, np.uint8), np.full((16, 24), distance, np.float32), T_target_camera)
+def flat(colour: int, distance: float, T_target_camera: np.ndarray = STILL) -> SourceFrame:
+    return SourceFrame(np.full((16, 24, 3), colour, np.uint8), np.full((16, 24), distance, np.float32), T_target_camera)
 
 
-def gather_plainly(sources: list[Source], camera, target, radius: int) -> tuple[np.ndarray, np.ndarray]:
+def gather_plainly(sources: list[SourceFrame], camera, target, radius: int) -> tuple[np.ndarray, np.ndarray]:
     """Image and source, one point after the other, by the same rule in words."""
     image = np.zeros((target.height, target.width, 3), np.uint8)
     source = np.full((target.height, target.width), len(sources))
@@ -58,7 +58,7 @@ def test_equals_a_plain_loop_but_for_rounding(seed, target, radius):
         odd = np.array([np.nan, np.inf, 0.0, -2.0, 0.4], np.float32)
         distance = np.where(random.random((16, 24)) < 0.2, random.choice(odd, (16, 24)), distance)
         T = pose_from_quaternion([*random.normal(0.0, 0.2, 3), 1.0], random.normal(0.0, 1.0, 3))
-        sources.append(Source(random.integers(0, 256, (16, 24, 3)).astype(np.uint8), distance, T))
+        sources.append(SourceFrame(random.integers(0, 256, (16, 24, 3)).astype(np.uint8), distance, T))
     gathered = gather(sources, FRONT, target, radius)
     image, source = gather_plainly(sources, FRONT, target, radius)
     # Single precision may move a point that lies on the edge of a pixel or of a level.
@@ -80,9 +80,9 @@ def test_of_one_surface_the_frame_nearest_to_it_wins():
     """Two frames 4 m apart on the axis see the same wall, 5 and 9 m away."""
     camera = PinholeCamera.from_field_of_view(24, 16, float(np.radians(30.0)))
     at_wall = np.array(5.0 / camera.rays(np.stack(np.meshgrid(range(24), range(16)), -1).astype(float))[..., 2])
-    near = Source(np.full((16, 24, 3), 200, np.uint8), at_wall.astype(np.float32), STILL)
+    near = SourceFrame(np.full((16, 24, 3), 200, np.uint8), at_wall.astype(np.float32), STILL)
     back = make_pose(np.eye(3), [0.0, 0.0, -4.0])
-    far = Source(np.full((16, 24, 3), 90, np.uint8), (at_wall * 9.0 / 5.0 * 1.005).astype(np.float32), back)
+    far = SourceFrame(np.full((16, 24, 3), 90, np.uint8), (at_wall * 9.0 / 5.0 * 1.005).astype(np.float32), back)
     assert colours(gather([far, near], camera, camera)) == {200}
 
 
@@ -92,12 +92,12 @@ def test_of_equal_frames_the_first_wins():
 
 def test_what_is_infinitely_far_is_turned_and_not_moved():
     image = make_generator("sky").integers(0, 256, (16, 24, 3)).astype(np.uint8)
-    moved = Source(image, np.full((16, 24), np.inf, np.float32), make_pose(np.eye(3), [5.0, -2.0, 30.0]))
+    moved = SourceFrame(image, np.full((16, 24), np.inf, np.float32), make_pose(np.eye(3), [5.0, -2.0, 30.0]))
     gathered = gather([moved], FRONT, FRONT, radius=0)
     assert np.array_equal(gathered.image, image)
     assert gathered.far.all()
     aside = invert(camera_pose_in_rig([0, 0, 0], 0.0, 0.0, np.pi / 2)) @ camera_pose_in_rig([0, 0, 0], 0.0, 0.0, 0.0)
-    assert not (gather([Source(image, moved.distance, aside)], FRONT, FRONT).source == 0).any()
+    assert not (gather([SourceFrame(image, moved.distance, aside)], FRONT, FRONT).source == 0).any()
 
 
 def test_nothing_lands_of_what_must_not_be_taken():

@@ -6,7 +6,7 @@ import pytest
 from olt_generator.cameras import PinholeCamera, pixel_rays
 from olt_generator.distance.depth import road_distance
 from olt_generator.poses import camera_pose_in_rig, invert, planar_pose, transform
-from olt_generator.views.aggregate import Source
+from olt_generator.views.aggregate import SourceFrame
 from olt_generator.views.road_view import RoadView
 
 FRONT = PinholeCamera.from_field_of_view(320, 180, np.radians(90.0))
@@ -30,7 +30,7 @@ def source(x):
     """What the front camera shows from `x` metres ahead of the rig."""
     T_world_camera = planar_pose(x, 0.0, 0.0) @ T_RIG_FRONT
     image = stripes(FRONT, T_world_camera, T_RIG_FRONT)
-    return Source(image, road_distance(FRONT, T_RIG_FRONT), invert(T_RIG_SIDE) @ T_world_camera)
+    return SourceFrame(image, road_distance(FRONT, T_RIG_FRONT), invert(T_RIG_SIDE) @ T_world_camera)
 
 
 TRUTH = stripes(SIDE, T_RIG_SIDE, T_RIG_SIDE)
@@ -56,7 +56,7 @@ def test_road_at_the_very_edge_of_a_frame_is_read_from_its_last_pixels():
     edge = PinholeCamera(8, 8, 4.0, 4.0, 3.5, 3.5)
     down = camera_pose_in_rig([0.0, 0.0, 1.0], 0.0, np.pi / 2, 0.0)
     target = PinholeCamera(8, 8, 4.0, 4.0, 3.5, 3.0 + 1e-9)
-    whole = Source(np.full((8, 8, 3), 7, np.uint8), road_distance(edge, down), np.eye(4))
+    whole = SourceFrame(np.full((8, 8, 3), 7, np.uint8), road_distance(edge, down), np.eye(4))
     image, seen = RoadView(edge, target, down).look_up([whole])
     assert seen.any()
     assert (image[seen] == 7).all()
@@ -64,7 +64,7 @@ def test_road_at_the_very_edge_of_a_frame_is_read_from_its_last_pixels():
 
 def test_the_nearest_frame_wins_in_any_order():
     near, far = source(-6.0), source(-14.0)
-    far = Source(np.full_like(far.image, 255), far.distance, far.T_target_camera)
+    far = SourceFrame(np.full_like(far.image, 255), far.distance, far.T_target_camera)
     view = RoadView(FRONT, SIDE, T_RIG_SIDE)
     first, second = view.look_up([near, far]), view.look_up([far, near])
     assert np.array_equal(first[0], second[0])
@@ -74,14 +74,14 @@ def test_the_nearest_frame_wins_in_any_order():
 
 def test_road_behind_something_is_not_taken():
     open_road = source(-8.0)
-    hidden = Source(open_road.image, 0.7 * open_road.distance, open_road.T_target_camera)
+    hidden = SourceFrame(open_road.image, 0.7 * open_road.distance, open_road.T_target_camera)
     assert not RoadView(FRONT, SIDE, T_RIG_SIDE).look_up([hidden])[1].any()
 
 
 @pytest.mark.parametrize("distance", [np.nan, np.inf, 0.0, -1.0])
 def test_what_is_not_known_is_not_taken(distance):
     unknown = source(-8.0)
-    unknown = Source(unknown.image, np.full_like(unknown.distance, distance), unknown.T_target_camera)
+    unknown = SourceFrame(unknown.image, np.full_like(unknown.distance, distance), unknown.T_target_camera)
     assert not RoadView(FRONT, SIDE, T_RIG_SIDE).look_up([unknown])[1].any()
 
 

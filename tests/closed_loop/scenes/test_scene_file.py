@@ -1,4 +1,4 @@
-"""Scenes as USD stages: nothing is lost, looks stay unloaded, damage is named."""
+"""Scene files: nothing is lost, looks stay unloaded, damage is named."""
 
 from dataclasses import replace
 from pathlib import Path

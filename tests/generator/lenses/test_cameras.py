@@ -298,3 +298,19 @@ def test_remap_table_points_at_the_same_ray():
     in_source = source.rays(table.astype(np.float64)) @ R_source_target
     assert np.abs(in_source - pixel_rays(target))[seen].max() < 1e-6
     assert np.all(table[~seen] < -1000.0)
+
+
+def test_a_lens_with_tangential_distortion_ends_where_it_folds():
+    """Seen is where the pixels, followed by differences, keep their orientation, and only there."""
+    lens = BrownConradyCamera(4000, 4000, 300.0, 300.0, 1999.5, 1999.5, p1=0.12, p2=-0.05)
+    x, y = np.meshgrid(np.linspace(-1.5, 1.5, 61), np.linspace(-1.5, 1.5, 61))
+
+    def pixels(dx, dy):
+        return lens.project(np.stack([x + dx, y + dy, np.ones_like(x)], axis=-1))[0]
+
+    right, down = (pixels(*step) - pixels(*(-value for value in step)) for step in ((1e-6, 0.0), (0.0, 1e-6)))
+    area = right[..., 0] * down[..., 1] - right[..., 1] * down[..., 0]
+    decided = np.abs(area) > 1e-3 * area.max()
+    assert ((area < 0.0) & decided).any()
+    seen = lens.project(np.stack([x, y, np.ones_like(x)], axis=-1))[1]
+    np.testing.assert_array_equal(seen[decided], (area > 0.0)[decided])

@@ -15,7 +15,7 @@ from olt_generator.distance.depth import (
     estimate_distance,
     road_distance,
 )
-from olt_generator.distance.own_vehicle import find_own_vehicle
+from olt_generator.distance.ego_vehicle import find_ego_vehicle
 from olt_generator.distance.plane_sweep import BASELINES, choose_partners
 from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose, transform
@@ -99,12 +99,12 @@ def confidence_levels(confidence: np.ndarray) -> list[np.ndarray]:
 
 
 def test_only_the_frames_that_are_shown_are_estimated(frames, estimate):
-    shown = estimate_distance(frames, CAMERA, DRIVE, T_RIG_CAMERA, shown=[7, 2])
+    shown = estimate_distance(frames, CAMERA, DRIVE, T_RIG_CAMERA, frame_indices=[7, 2])
     assert shown.distance.shape == (2, 240, 416)
     for part in ("distance", "origin", "confidence", "moving"):
         assert np.array_equal(getattr(shown, part), getattr(estimate, part)[[7, 2]])
     with pytest.raises(InputError, match="no frame 10"):
-        estimate_distance(frames, CAMERA, DRIVE, T_RIG_CAMERA, shown=[10])
+        estimate_distance(frames, CAMERA, DRIVE, T_RIG_CAMERA, frame_indices=[10])
 
 
 def test_standstill_leaves_road_and_far(frames):
@@ -172,7 +172,7 @@ def test_a_van_that_goes_ahead_is_noticed_and_stands_on_the_road():
     poses = planar_pose(1.2 * index, 0.0, 0.0)
     drawn = [draw_van_ahead(pose) for pose in poses]
     frames = np.stack([image for image, _, _ in drawn])
-    estimate = estimate_distance(frames, CAMERA, Trajectory(100_000 * index, poses), T_RIG_CAMERA, shown=[4])
+    estimate = estimate_distance(frames, CAMERA, Trajectory(100_000 * index, poses), T_RIG_CAMERA, frame_indices=[4])
     _, truth, van = drawn[4]
     assert estimate.moving[0][van].mean() > 0.5
     assert estimate.moving[0][~van].mean() < 0.05
@@ -242,14 +242,14 @@ def test_the_bonnet_is_found_and_not_warped(long_drive):
 def test_road_is_not_taken_for_a_bonnet(long_drive):
     frames, camera, trajectory = long_drive
     road = road_distance(camera, T_RIG_CAMERA)
-    assert not find_own_vehicle(frames, camera, T_RIG_CAMERA, trajectory.positions, road).any()
+    assert not find_ego_vehicle(frames, camera, T_RIG_CAMERA, trajectory.positions, road).any()
 
 
 def test_a_clip_that_stands_has_no_bonnet(long_drive):
     frames, camera, trajectory = long_drive
     painted, _ = with_bonnet(frames)
     road = road_distance(camera, T_RIG_CAMERA)
-    assert not find_own_vehicle(painted, camera, T_RIG_CAMERA, 0.0 * trajectory.positions, road).any()
+    assert not find_ego_vehicle(painted, camera, T_RIG_CAMERA, 0.0 * trajectory.positions, road).any()
 
 
 def test_road_distance_ends_on_the_road():

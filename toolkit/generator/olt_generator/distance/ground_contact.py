@@ -1,4 +1,4 @@
-"""What stands on the road has the distance of the road at its foot, whether it moves or not."""
+"""Ground contact: what stands on the road has the distance of the road at its foot, whether it moves or not."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,7 +7,7 @@ from olt_generator.cameras import Camera, pixel_rays
 from olt_generator.poses import Array
 
 
-def foot_distance(
+def contact_distance(
     is_object: NDArray[np.bool_], road: NDArray[np.float32], camera: Camera, T_rig_camera: Array
 ) -> NDArray[np.float32]:
     """Distance (h, w) along the rays of upright objects, by the road where the lowest pixel of each column stands.

@@ -10,7 +10,7 @@ from olt_generator.distance.depth import DistanceOrigin
 from olt_generator.distance.depth_anything import DepthAnything
 from olt_generator.distance.depth_crafter import FILES, DepthCrafter, DiffusionSettings
 from olt_generator.distance.depth_source import GeometricDepth, make_metric
-from olt_generator.distance.metric_alignment import align
+from olt_generator.distance.metric_alignment import align_affine
 from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.progress import silent
@@ -40,7 +40,7 @@ def test_alignment_recovers_scale_and_shift_among_outliers():
     inverse = generator.uniform(0.02, 0.3, 3000)
     relative = (inverse - 0.01) / 0.05
     relative[::4] = generator.uniform(0.0, 6.0, len(relative[::4]))
-    alignment = align(relative, inverse)
+    alignment = align_affine(relative, inverse)
     assert alignment.scale == pytest.approx(0.05, rel=0.02)
     assert alignment.shift == pytest.approx(0.01, abs=0.002)
     assert alignment.residual < 0.02
@@ -50,16 +50,16 @@ def test_alignment_recovers_scale_and_shift_among_outliers():
 def test_alignment_refuses_what_cannot_be_made_metric():
     inverse = np.linspace(0.02, 0.3, 1000)
     with pytest.raises(InputError, match="pixels of known distance"):
-        align(inverse[:10], inverse[:10])
+        align_affine(inverse[:10], inverse[:10])
     with pytest.raises(InputError, match="do not grow"):
-        align(-inverse, inverse)
+        align_affine(-inverse, inverse)
 
 
 def test_a_perfect_relative_network_gives_metres(rendered):
     frames, distance = rendered
     relative = true_relative_depth(distance)
     estimate = make_metric(
-        lambda wanted: list(relative[wanted]), frames, CAMERA, DRIVE, T_RIG_CAMERA, silent, shown=[2, 4]
+        lambda wanted: list(relative[wanted]), frames, CAMERA, DRIVE, T_RIG_CAMERA, silent, frame_indices=[2, 4]
     )
     truth = distance[[2, 4]]
     near = truth < 60.0
@@ -72,7 +72,7 @@ def test_a_perfect_relative_network_gives_metres(rendered):
 
 def test_geometric_depth_is_a_source(rendered):
     frames, _ = rendered
-    estimate = GeometricDepth().estimate(frames, CAMERA, DRIVE, T_RIG_CAMERA, shown=[1])
+    estimate = GeometricDepth().estimate(frames, CAMERA, DRIVE, T_RIG_CAMERA, frame_indices=[1])
     assert estimate.distance.shape == (1, 72, 128) and estimate.alignment is None
 
 

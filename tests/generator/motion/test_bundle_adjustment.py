@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from olt_generator.motion.bundle_adjustment import StepPriors, Tracks, adjust_poses
+from olt_generator.motion.bundle_adjustment import FeatureTracks, StepPriors, adjust_poses
 from olt_generator.poses import invert, make_pose
 
 KEYFRAMES, POINTS = 12, 300
@@ -35,7 +35,7 @@ def observe(poses, random, wrong=0.0):
     seen += 0.3 * RAY_SIGMA * random.normal(size=seen.shape)
     lost = random.random(len(seen)) < wrong
     seen[lost] += 0.05 * random.normal(size=(np.count_nonzero(lost), 3))
-    return Tracks(anchor, ray, point, frame, seen / np.linalg.norm(seen, axis=1, keepdims=True))
+    return FeatureTracks(anchor, ray, point, frame, seen / np.linalg.norm(seen, axis=1, keepdims=True))
 
 
 def disturb(poses, random):
@@ -101,5 +101,5 @@ def test_no_rounds_change_nothing():
 def test_without_tracks_the_steps_decide():
     start = disturb(true_poses(), np.random.default_rng(7))
     nothing = np.zeros(0, np.int64)
-    tracks = Tracks(nothing, np.zeros((0, 3)), nothing, nothing, np.zeros((0, 3)))
+    tracks = FeatureTracks(nothing, np.zeros((0, 3)), nothing, nothing, np.zeros((0, 3)))
     assert np.allclose(adjust_poses(start, tracks, RAY_SIGMA, priors_of(start), rounds=5), start, atol=1e-9)

@@ -9,7 +9,7 @@ import pytest
 
 from olt_generator.cameras import PinholeCamera
 from olt_generator.distance.depth import road_distance
-from olt_generator.distance.own_vehicle import find_own_vehicle
+from olt_generator.distance.ego_vehicle import find_ego_vehicle
 from olt_generator.poses import camera_pose_in_rig
 
 
@@ -35,6 +35,6 @@ def test_bonnet_is_found_where_there_is_one(shared_real, video, field_of_view, l
     camera = PinholeCamera.from_field_of_view(832, 468, float(np.radians(field_of_view)))
     T_rig_camera = camera_pose_in_rig([1.7, 0.0, 1.5], 0.0, 0.0, 0.0)
     positions = np.stack([1.0 * np.arange(40), np.zeros(40), np.zeros(40)], axis=1)
-    vehicle = find_own_vehicle(frames, camera, T_rig_camera, positions, road_distance(camera, T_rig_camera))
+    vehicle = find_ego_vehicle(frames, camera, T_rig_camera, positions, road_distance(camera, T_rig_camera))
     assert least <= vehicle.mean() <= most
     assert not vehicle[: 468 // 2].any()

@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 
 from olt_generator.cameras import FthetaCamera, PinholeCamera, pixel_rays
 from olt_generator.distance.background import FAR_DISTANCE, background_distance, road_distance
+from olt_generator.distance.ground_contact import contact_distance
 from olt_generator.distance.plane_sweep import PlaneSweep, choose_partners, normalize_contrast
 from olt_generator.distance.sky import SkyColours
-from olt_generator.distance.standing import foot_distance
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_toolkit.benchmarks.street import Box, render_street
@@ -93,7 +93,7 @@ def test_upright_things_have_the_distance_of_their_foot():
     road = road_distance(PINHOLE, T_RIG_CAMERA)
     post = np.zeros(road.shape, np.bool_)
     post[20:70, 90] = True
-    foot = foot_distance(post, road, PINHOLE, T_RIG_CAMERA)
+    foot = contact_distance(post, road, PINHOLE, T_RIG_CAMERA)
     points = pixel_rays(PINHOLE)[20:70, 90] * foot[20:70, 90, None]
     assert np.ptp(np.hypot(points[:, 0], points[:, 2])) < 1e-3
     assert foot[69, 90] == pytest.approx(road[69, 90])
@@ -104,7 +104,7 @@ def test_things_without_foot_on_the_road_have_no_distance():
     road = road_distance(PINHOLE, T_RIG_CAMERA)
     cloud = np.zeros(road.shape, np.bool_)
     cloud[5:20] = True
-    assert np.all(np.isinf(foot_distance(cloud, road, PINHOLE, T_RIG_CAMERA)))
+    assert np.all(np.isinf(contact_distance(cloud, road, PINHOLE, T_RIG_CAMERA)))
 
 
 def test_the_background_ends_at_the_far():

@@ -12,7 +12,7 @@ from olt_generator.motion import smoother
 from olt_generator.motion.car_motion import CarMotion
 from olt_generator.motion.pose_metrics import compare_trajectories, measure_smoothness
 from olt_generator.motion.smoother import SmootherSettings, smooth_trajectories, smooth_trajectory
-from olt_generator.poses import invert, make_pose, planar_pose
+from olt_generator.poses import camera_pose_in_rig, invert, make_pose, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.twists import exponential, logarithm
 
@@ -279,3 +279,21 @@ def test_a_hundred_thousand_poses():
     true = drive(count=100_000, hertz=20.0)
     motion = smooth_trajectory(jittered(true, 0.05, 0.1))
     assert np.sqrt(np.mean(np.sum((motion.trajectory.positions - true.positions) ** 2, axis=1))) < 0.05
+
+
+def test_derivatives_of_a_banked_climbing_turn_are_in_world_axes():
+    """With constant rates in body axes, v = R (v, 0, 0) and a = R (w x (v, 0, 0)), roll and pitch included."""
+    times = 0.1 * np.arange(60)
+    rates = np.array([8.0, 0.0, 0.0, 0.04, -0.07, 0.12])
+    start = camera_pose_in_rig([3.0, -2.0, 1.0], 0.1, -0.15, 0.4)
+    poses = start @ exponential(times[:, None] * rates)
+    settings = SmootherSettings(
+        position_sigma=0.01, rotation_sigma=1e-4, jerk_density=1.0, angular_acceleration_density=0.1
+    )
+    smoothed = smooth_trajectory(Trajectory((times * 1e6).round().astype(np.int64), poses), settings)
+    R, inner = poses[:, :3, :3], slice(10, -10)
+    np.testing.assert_allclose(smoothed.velocity[inner], (R @ rates[:3])[inner], atol=5e-3)
+    np.testing.assert_allclose(
+        smoothed.acceleration[inner], (R @ np.cross(rates[3:], rates[:3]))[inner], rtol=0.0, atol=2e-2
+    )
+    np.testing.assert_allclose(smoothed.curvature[inner], rates[5] / rates[0], rtol=0.0, atol=2e-4)

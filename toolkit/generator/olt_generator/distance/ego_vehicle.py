@@ -1,4 +1,4 @@
-"""Which pixels show the own vehicle: the bonnet at the bottom of the image, which is not road."""
+"""Which pixels show the ego vehicle: the bonnet at the bottom of the image, which is not road."""
 
 import cv2
 import numpy as np
@@ -26,10 +26,10 @@ LEAST_SHARE = 0.1
 WIDEST_GAP_SHARE = 16
 
 
-def find_own_vehicle(
+def find_ego_vehicle(
     frames: NDArray[np.uint8], camera: Camera, T_rig_camera: Array, positions: Array, road: NDArray[np.float32]
 ) -> NDArray[np.bool_]:
-    """Pixels (H, W) that show the own vehicle throughout the clip.
+    """Pixels (H, W) that show the ego vehicle throughout the clip.
 
     Road runs through a pixel, so that the slopes of its grey levels along the direction in which it runs cancel over
     the frames; on a bonnet they stay. Lane markings run along themselves and show no such slope. What lies below a
@@ -44,14 +44,21 @@ def find_own_vehicle(
     """
     vehicle = np.zeros(road.shape, np.bool_)
     near = road < BONNET_REACH
-    moving = _frames_apart(positions)
+    moving = [0]
+    for index, position in enumerate(positions):
+        if np.linalg.norm(position - positions[moving[-1]]) >= LEAST_TRAVEL:
+            moving.append(index)
     if not near.any() or len(moving) < FEWEST_FRAMES:
         return vehicle
     top = int(np.argmax(near.any(axis=1)))
     near = near[top:]
     direction = _direction_of_road(camera, T_rig_camera, np.minimum(road, BONNET_REACH))[top:]
-    slopes = np.stack([_slope(frames[index][top:], direction) for index in _spread_over(moving, MOST_FRAMES)])
-    left, mean_size = np.abs(slopes.mean(axis=0)), np.abs(slopes).mean(axis=0)
+    slopes = []
+    for index in moving[:: -(-len(moving) // MOST_FRAMES)]:
+        grey = cv2.cvtColor(frames[index][top:], cv2.COLOR_RGB2GRAY).astype(np.float32)
+        down, right = np.gradient(cv2.GaussianBlur(grey, (5, 5), 1.0))
+        slopes.append((direction[..., 0] * right + direction[..., 1] * down).astype(np.float32))
+    left, mean_size = np.abs(np.mean(slopes, axis=0)), np.mean(np.abs(slopes), axis=0)
     certain = near & (left > LEAST_SLOPE) & (left > LEAST_PERSISTENCE * mean_size)
     if certain.sum() < LEAST_SHARE * near.sum():
         return vehicle
@@ -63,19 +70,6 @@ def find_own_vehicle(
     return vehicle
 
 
-def _frames_apart(positions: Array) -> list[int]:
-    """Indices of frames at least `LEAST_TRAVEL` from the one chosen before."""
-    chosen = [0]
-    for index, position in enumerate(positions):
-        if np.linalg.norm(position - positions[chosen[-1]]) >= LEAST_TRAVEL:
-            chosen.append(index)
-    return chosen
-
-
-def _spread_over(indices: list[int], most: int) -> list[int]:
-    return indices[:: -(-len(indices) // most)]
-
-
 def _direction_of_road(camera: Camera, T_rig_camera: Array, road: NDArray[np.float32]) -> Array:
     """Unit vectors (H, W, 2) along which road at the given distance runs through the image when driving forward."""
     points = pixel_rays(camera) * road[..., None]
@@ -84,10 +78,3 @@ def _direction_of_road(camera: Camera, T_rig_camera: Array, road: NDArray[np.flo
     later_pixels, _ = camera.project(points - 0.01 * forward)
     motion = later_pixels - pixels
     return motion / np.maximum(np.linalg.norm(motion, axis=-1, keepdims=True), 1e-12)
-
-
-def _slope(frame: NDArray[np.uint8], direction: Array) -> NDArray[np.float32]:
-    """Grey levels per pixel (h, w) along the direction (h, w, 2)."""
-    grey = cv2.GaussianBlur(cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY).astype(np.float32), (5, 5), 1.0)
-    down, right = np.gradient(grey)
-    return (direction[..., 0] * right + direction[..., 1] * down).astype(np.float32)

@@ -1,0 +1,176 @@
+"""Surfaces of boxes: tiles painted once and kept in one atlas with their mip levels, shared by all scenes."""
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_closed_loop.sensors.textures import FloatImage, Image, sample
+from olt_generator.seeds import make_generator
+
+TILE = 128
+TILE_LEVELS = 6
+_PADDING = 1
+
+Paint = Callable[[FloatImage, np.random.Generator], None]
+"""Draws on a tile (n, n, 4): red, green, blue of its own in 0 ... 255, and the gain of the box's base colour."""
+
+Texel = tuple[float, float, float, float]
+
+_TIRE: Texel = (18.0, 18.0, 20.0, 0.0)
+_WINDOW: Texel = (45.0, 55.0, 66.0, 0.0)
+_WHITE: Texel = (230.0, 230.0, 225.0, 0.0)
+_LAMP: Texel = (255.0, 250.0, 225.0, 0.0)
+
+
+def _base(gain: float) -> Texel:
+    return (0.0, 0.0, 0.0, gain)
+
+
+def plain(tile: FloatImage, generator: np.random.Generator) -> None:
+    """The base colour with its grain."""
+
+
+def building(tile: FloatImage, generator: np.random.Generator) -> None:
+    """Two storeys of three windows in a brick wall."""
+    for course, top in enumerate(range(0, TILE, 8)):
+        tile[top] *= 0.84
+        tile[top : top + 8, course % 2 * 8 :: 16] *= 0.88
+    for top in (18, 82):
+        for left in (10, 52, 94):
+            cv2.rectangle(tile, (left - 3, top - 3), (left + 27, top + 33), _base(1.15), cv2.FILLED)
+            dark, light = (40.0 + generator.uniform(0.0, 40.0) for _ in range(2))
+            cv2.rectangle(tile, (left, top), (left + 11, top + 30), (dark, dark + 8, dark + 16, 0.0), cv2.FILLED)
+            cv2.rectangle(
+                tile, (left + 14, top), (left + 24, top + 30), (light, light + 8, light + 16, 0.0), cv2.FILLED
+            )
+
+
+def foliage(tile: FloatImage, generator: np.random.Generator) -> None:
+    """Leaves, light and dark."""
+    for _ in range(420):
+        x, y = generator.integers(0, TILE, 2).tolist()
+        cv2.circle(tile, (x, y), int(generator.integers(2, 7)), _base(generator.uniform(0.45, 1.5)), cv2.FILLED)
+
+
+def stripes(tile: FloatImage, generator: np.random.Generator) -> None:
+    """Red and white slanted stripes on a barrier's board, and its feet."""
+    v, u = np.mgrid[0:TILE, 0:TILE]
+    tile[:] = _WHITE
+    tile[(u + v) // 16 % 2 == 0] = (205.0, 35.0, 30.0, 0.0)
+    tile[TILE * 3 // 4 :] = _base(0.4)
+
+
+def cone(tile: FloatImage, generator: np.random.Generator) -> None:
+    """Two white bands."""
+    tile[20:50] = _WHITE
+    tile[74:104] = _WHITE
+
+
+def car_side(tile: FloatImage, generator: np.random.Generator) -> None:
+    """Wheels, doors and a dark sill; the body below the windows."""
+    tile[104:] = _TIRE
+    for u in (24, 104):
+        cv2.ellipse(tile, (u, 98), (12, 30), 0, 0, 360, _TIRE, cv2.FILLED)
+        cv2.ellipse(tile, (u, 98), (6, 15), 0, 0, 360, (150.0, 150.0, 155.0, 0.0), cv2.FILLED)
+    for u in (44, 66, 88):
+        cv2.line(tile, (u, 4), (u, 92), _base(0.5), 1)
+
+
+def car_front(tile: FloatImage, generator: np.random.Generator) -> None:
+    """Lamps and grille over a dark sill."""
+    tile[104:] = _TIRE
+    cv2.rectangle(tile, (34, 60), (94, 92), _TIRE, cv2.FILLED)
+    for u in (16, 112):
+        cv2.circle(tile, (u, 45), 11, _LAMP, cv2.FILLED)
+
+
+def car_rear(tile: FloatImage, generator: np.random.Generator) -> None:
+    """Lamps and number plate over a dark sill."""
+    tile[104:] = _TIRE
+    cv2.rectangle(tile, (44, 70), (84, 86), _WHITE, cv2.FILLED)
+    for u in (14, 114):
+        cv2.rectangle(tile, (u - 11, 30), (u + 11, 56), (200.0, 20.0, 20.0, 0.0), cv2.FILLED)
+
+
+def glass(tile: FloatImage, generator: np.random.Generator) -> None:
+    """Two windows with pillars between them."""
+    for left in (8, 68):
+        cv2.rectangle(tile, (left, 16), (left + 52, 124), _WINDOW, cv2.FILLED)
+        cv2.line(tile, (left + 10, 118), (left + 34, 24), (95.0, 105.0, 118.0, 0.0), 6)
+
+
+def panels(tile: FloatImage, generator: np.random.Generator) -> None:
+    """Ribs of a cargo box over dark wheels."""
+    tile[:, ::16] *= 0.75
+    tile[100:] = (45.0, 45.0, 48.0, 0.0)
+    for u in (22, 48, 108):
+        cv2.ellipse(tile, (u, 112), (8, 15), 0, 0, 360, _TIRE, cv2.FILLED)
+        cv2.ellipse(tile, (u, 112), (3, 6), 0, 0, 360, (120.0, 120.0, 120.0, 0.0), cv2.FILLED)
+
+
+def wheel(tile: FloatImage, generator: np.random.Generator) -> None:
+    """A big spoked wheel that fills the face."""
+    tile[:] = _TIRE
+    cv2.circle(tile, (TILE // 2, TILE // 2), 40, (225.0, 190.0, 50.0, 0.0), cv2.FILLED)
+    for angle in np.arange(0.0, 2.0 * np.pi, np.pi / 8.0):
+        end = (round(64 + 60 * np.cos(angle)), round(64 + 60 * np.sin(angle)))
+        cv2.line(tile, (64, 64), end, (70.0, 70.0, 70.0, 0.0), 3)
+
+
+def skin(tile: FloatImage, generator: np.random.Generator) -> None:
+    """A face under hair."""
+    tile[:] = (205.0, 160.0, 130.0, 0.0)
+    tile[: TILE // 3] = (50.0, 40.0, 35.0, 0.0)
+
+
+SURFACES: tuple[Paint, ...]
+SURFACES = (plain, building, foliage, stripes, cone, car_side, car_front, car_rear, glass, panels, wheel, skin)
+SURFACE_INDEX: dict[str, int] = {paint.__name__: index for index, paint in enumerate(SURFACES)}
+
+_ROW_HEIGHT = TILE + 2 * _PADDING
+_LEVEL_SIZES = np.array([TILE >> level for level in range(TILE_LEVELS)], dtype=np.float32)
+_LEVEL_LEFT = (np.cumsum(_LEVEL_SIZES + 2 * _PADDING) - _LEVEL_SIZES - _PADDING - 0.5).astype(np.float32)
+
+
+@lru_cache(maxsize=1)
+def surface_atlas() -> Image:
+    """All surfaces, one a row, their mip levels side by side: own RGB, and the gain of the base colour (128: 1)."""
+    rows = []
+    for paint in SURFACES:
+        generator = make_generator("surface", paint.__name__)
+        tile = np.tile(np.array(_base(1.0), dtype=np.float32), (TILE, TILE, 1))
+        paint(tile, generator)
+        tile *= (1.0 + 0.06 * generator.standard_normal((TILE, TILE, 1))).astype(np.float32)
+        finest = np.clip(tile * (1.0, 1.0, 1.0, 128.0), 0.0, 255.0).astype(np.uint8)
+        row = np.zeros((_ROW_HEIGHT, int(_LEVEL_SIZES.sum()) + 2 * _PADDING * TILE_LEVELS, 4), dtype=np.uint8)
+        left = 0
+        for size in (TILE >> level for level in range(TILE_LEVELS)):
+            level = cv2.resize(finest, (size, size), interpolation=cv2.INTER_AREA)
+            padded = np.pad(level, ((_PADDING, _PADDING), (_PADDING, _PADDING), (0, 0)), mode="edge")
+            row[: len(padded), left : left + len(padded)] = padded
+            left += len(padded)
+        rows.append(row)
+    return np.concatenate(rows)
+
+
+def sample_surfaces(surface: NDArray[np.int32], u: FloatImage, v: FloatImage, texels: FloatImage) -> Image:
+    """Texels (n, 4) of the atlas.
+
+    Args:
+        surface: (n,) index of the surface.
+        u, v: (n,) place on it in 0 ... 1, v downwards.
+        texels: (n,) size of a pixel on the surface in texels of the finest level.
+    """
+    level = np.clip(np.log2(np.maximum(texels, 1.0)) + 0.5, 0, TILE_LEVELS - 1).astype(np.int32)
+    size = np.take(_LEVEL_SIZES, level)
+    x = np.take(_LEVEL_LEFT, level) + u * size
+    y = (surface * _ROW_HEIGHT).astype(np.float32) + v * size + np.float32(_PADDING - 0.5)
+    return sample(surface_atlas(), _as_picture(x), _as_picture(y)).reshape(-1, 4)[: len(u)]
+
+
+def _as_picture(values: FloatImage) -> FloatImage:
+    """Values (n,) as rows of 512, the last one filled up: `cv2.remap` takes no rows longer than 32766."""
+    return np.resize(values, (max(1, -(-len(values) // 512)), 512))
