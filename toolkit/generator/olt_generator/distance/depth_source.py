@@ -1,7 +1,7 @@
 """Where the distances of a clip come from: geometry alone, or a network's relative depth made metric by geometry."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable
 
 import cv2
 import numpy as np
@@ -41,7 +41,7 @@ class RelativeDepth(ABC):
     @abstractmethod
     def relative_inverse_depth(
         self, frames: NDArray[np.uint8], wanted: NDArray[np.int64]
-    ) -> Sequence[NDArray[np.float32]]:
+    ) -> Iterable[NDArray[np.float32]]:
         """The network's maps, each (h, w), of the wanted (m,) of the frames (n, H, W, 3); nearer is larger."""
 
     def __call__(

@@ -207,7 +207,7 @@ class PlaneSweep:
                 # The mean of both; the one of them that is seen where the other is not.
                 np.copyto(difference, other, where=unseen)
                 np.copyto(other, difference, where=other_unseen)
-                difference = (difference >> 1) + (other >> 1)
+                difference = np.add(difference >> 1, other >> 1, dtype=np.uint16)
             yield difference
 
 
