@@ -8,7 +8,7 @@ import numpy as np
 
 from olt_closed_loop.benchmarks.score_drives import DURATION_US, HANDOVER_US, crowded_drive, known_drives
 from olt_closed_loop.evaluation.score_table import summarize_scores
-from olt_closed_loop.rollouts.rollout_record import RolloutRecord
+from olt_closed_loop.rollouts.rollout_record import PLAN_STEP_US, RolloutRecord
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_contact
 from olt_closed_loop.scoring.contacts import first_contacts
 from olt_closed_loop.scoring.definitions import DEFINITIONS, Definition, score_record
@@ -117,7 +117,7 @@ CONTACTS = Benchmark(
 def _prepare_crowd(definition: Definition, count: int) -> Callable[[], tuple[int, float]]:
     # What each definition calls the smallest distance to an agent.
     nearest = {"strict": "min_distance_to_agents_m", "alpasim": "min_distance_to_obstacle_m"}[definition]
-    record = crowded_drive(count).record()
+    record = crowded_drive(count).sampled(PLAN_STEP_US, with_plans=True)
     return lambda: (count, float(score_record(record, definition).metrics[nearest] or 0.0))
 
 
@@ -131,5 +131,5 @@ TRAFFIC = Benchmark(
         Setting(f"{definition}, {count} agents", partial(_prepare_crowd, definition, count), default=not index)
         for index, (definition, count) in enumerate(product(DEFINITIONS, CROWDS))
     ],
-    measure_error=lambda result: abs(result[1] - crowded_drive(result[0]).nearest_m(HANDOVER_US)),
+    measure_error=lambda result: abs(result[1] - crowded_drive(result[0]).nearest_m()),
 )

@@ -2,8 +2,8 @@
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -29,8 +29,7 @@ VEHICLES: dict[Model, VehicleParameters] = {
 }
 
 
-@dataclass(frozen=True)
-class Integration:
+class Integration(NamedTuple):
     """A way of integrating that the benchmark measures."""
 
     model: Model
@@ -72,12 +71,8 @@ def manoeuvres(model: Model) -> tuple[Array, Array]:
     return with_rolling_tyres(states, VEHICLES[model]), controls
 
 
-def drive(integration: Integration) -> Array:
-    """Positions (n, 10, 2) after every hold, metres."""
-    return _prepare_drive(integration)()
-
-
-def _prepare_drive(integration: Integration) -> Callable[[], Array]:
+def prepare_drive(integration: Integration) -> Callable[[], Array]:
+    """The call that gives positions (n, 10, 2) after every hold, metres."""
     stepper = make_stepper(VEHICLES[integration.model], integration.method, integration.substeps, integration.step)
     return partial(_positions, stepper, *manoeuvres(integration.model), round(HOLD / integration.step))
 
@@ -107,11 +102,9 @@ def reference_positions(model: Model) -> Array:
 def exact_derivative(_time: float, state: Array, control: Array, vehicle: VehicleParameters) -> Array:
     """The equations of `vehicle.models` for a state (s,) in the forward gear, written a second time without CasADi."""
     yaw, speed, steering, acceleration = state[2:6]
-    command = np.clip(control, *vehicle.control_limits)
-    fade = speed / (speed**4 + vehicle.standing_speed**4) ** 0.25 if acceleration < 0.0 else 1.0
-    pull = acceleration * fade
-    lags = np.array([vehicle.steering_lag, vehicle.acceleration_lag])
-    actuators = (command - state[4:6]) / lags
+    actuators = np.clip(control, *vehicle.control_limits) - state[4:6]
+    actuators /= vehicle.steering_lag, vehicle.acceleration_lag
+    pull = acceleration * (speed / (speed**4 + vehicle.standing_speed**4) ** 0.25 if acceleration < 0.0 else 1.0)
     if vehicle.tyres is None:
         yaw_rate = speed * np.tan(steering) / vehicle.wheelbase
         return np.array([speed * np.cos(yaw), speed * np.sin(yaw), yaw_rate, pull, *actuators])
@@ -166,7 +159,7 @@ def batch_microseconds(integration: Integration) -> float:
 
 
 def _prepare(integration: Integration) -> Callable[[], tuple[Model, Array, float]]:
-    call, batch = _prepare_drive(integration), batch_microseconds(integration)
+    call, batch = prepare_drive(integration), batch_microseconds(integration)
     return lambda: (integration.model, call(), batch)
 
 

@@ -59,12 +59,6 @@ class Cell:
         return replace(vehicle, tyres=tyres)
 
 
-def grid_cells() -> list[Cell]:
-    """All cells."""
-    axes = (SPEEDS, FRICTIONS, STIFFNESSES, MASSES, STEPS, STEERINGS)
-    return [Cell(*values) for values in itertools.product(*axes)]
-
-
 def cell_errors(cells: Sequence[Cell]) -> Array:
     """Position errors (n,) of `auto` after a second, metres."""
     errors = np.zeros(len(cells))
@@ -95,13 +89,6 @@ def _start(cells: Sequence[Cell]) -> tuple[Array, Array]:
     states[:, STATE.speed] = [cell.speed for cell in cells]
     controls[:, 0] = [cell.steering for cell in cells]
     return states, controls
-
-
-def classify(error: float) -> str:
-    """`accurate`, `stable` or `unstable`."""
-    if error <= ACCURATE:
-        return "accurate"
-    return "stable" if error <= STABLE else "unstable"
 
 
 class SpecialCase(NamedTuple):
@@ -157,11 +144,12 @@ def special_row(case: SpecialCase) -> dict[str, object]:
 
 def vehicle_grid() -> Grid:
     """Drive every cell and every special case."""
-    cells = grid_cells()
-    rows: list[dict[str, Any]] = [
-        {**asdict(cell), "error_m": float(error), "outcome": classify(error)}
-        for cell, error in zip(cells, cell_errors(cells), strict=True)
-    ]
+    axes = (SPEEDS, FRICTIONS, STIFFNESSES, MASSES, STEPS, STEERINGS)
+    cells = [Cell(*values) for values in itertools.product(*axes)]
+    rows: list[dict[str, Any]] = []
+    for cell, error in zip(cells, cell_errors(cells).tolist(), strict=True):
+        outcome = "accurate" if error <= ACCURATE else "stable" if error <= STABLE else "unstable"
+        rows.append({**asdict(cell), "error_m": error, "outcome": outcome})
     summary = [f"{len(cells)} cells of {SECONDS:g} s: accurate within {ACCURATE:g} m, stable within {STABLE:g} m"]
     for friction in FRICTIONS:
         chosen = [row for row in rows if row["friction"] == friction]

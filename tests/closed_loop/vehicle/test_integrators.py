@@ -8,9 +8,9 @@ from olt_closed_loop.benchmarks.vehicle import (
     BENCHMARK,
     VEHICLES,
     Integration,
-    drive,
     integrations,
     manoeuvres,
+    prepare_drive,
     reference_positions,
 )
 from olt_closed_loop.benchmarks.vehicle_grid import Cell, cell_errors, special_cases, special_row
@@ -23,7 +23,7 @@ from olt_generator.errors import InputError
 
 def position_errors(model, method, substeps=None, step=0.1):
     """Largest position error of each manoeuvre against DOP853."""
-    positions = drive(Integration(model, method, substeps, step))
+    positions = prepare_drive(Integration(model, method, substeps, step))()
     return np.linalg.norm(positions - reference_positions(model), axis=-1).max(axis=1)
 
 
