@@ -16,6 +16,7 @@ INCIDENT_WORDS = {
     "saturations": "a command reached a limit of the vehicle",
     "solves_failed": "the controller found no command and held the last ones",
     "solves_late": "the controller was late and held the last commands",
+    "solves_given_up": "fatrop gave up and Gauss-Newton was asked",
 }
 """What the counts of `rollouts.rollout.Incidents` are called in print."""
 

@@ -88,7 +88,7 @@ WAYS: dict[str, tuple[VehicleParameters, ControlSettings]] = {
 
 def _prepare(parameters: VehicleParameters, settings: ControlSettings) -> Callable[[], Tracking]:
     """All drives, once; the call that is timed makes the solves of some again, from what was seen there."""
-    references = alpasim_references()
+    references = list(alpasim_references())
     tracking = track(references, parameters, settings)
 
     def solve_again() -> Tracking:

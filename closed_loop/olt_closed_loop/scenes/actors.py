@@ -86,19 +86,13 @@ def footprints(poses: Array, length: float, width: float) -> NDArray[np.object_]
     return np.asarray(shapely.polygons(rings))
 
 
-def ego_boxes(ego: Trajectory, vehicle: VehicleDimensions, timestamps_us: NDArray[np.int64]) -> Array:
-    """Poses (n, 4) x, y, z, yaw of the centre of the ego's box at the given times."""
-    poses = ego.interpolate(timestamps_us)
-    offset = np.array([[vehicle.rear_axle_to_bbox_center, 0.0, vehicle.height / 2]])
-    return np.concatenate([transform(poses, offset)[:, 0], yaw_of(poses)[:, None]], axis=1)
-
-
-def ego_clearance(ego: Trajectory, vehicle: VehicleDimensions, agent: Agent) -> float:
-    """Smallest distance in metres between the boxes of ego and agent, sampled every 0.1 s; inf if they never meet."""
+def ego_agent(ego: Trajectory, vehicle: VehicleDimensions) -> Agent:
+    """The ego as an agent, sampled every 0.1 s."""
     times = np.arange(0, ego.timestamps_us[-1] + 1, AGENT_SAMPLE_US)
-    times = times[(times >= agent.timestamps_us[0]) & (times <= agent.timestamps_us[-1])]
-    base, other = (vehicle.length, vehicle.width), (agent.length, agent.width)
-    return _smallest_distance(ego_boxes(ego, vehicle, times), base, agent_poses(agent, times), other)
+    T_world_rig = ego.interpolate(times)
+    offset = np.array([[vehicle.rear_axle_to_bbox_center, 0.0, vehicle.height / 2]])
+    poses = np.concatenate([transform(T_world_rig, offset)[:, 0], yaw_of(T_world_rig)[:, None]], axis=1)
+    return Agent("ego", "automobile", vehicle.length, vehicle.width, vehicle.height, times, poses)
 
 
 def clearance(first: Agent, second: Agent) -> float:
@@ -106,18 +100,13 @@ def clearance(first: Agent, second: Agent) -> float:
     start = max(first.timestamps_us[0], second.timestamps_us[0])
     end = min(first.timestamps_us[-1], second.timestamps_us[-1])
     times = np.arange(start, end + 1, AGENT_SAMPLE_US)
-    base, other = (first.length, first.width), (second.length, second.width)
-    return _smallest_distance(agent_poses(first, times), base, agent_poses(second, times), other)
-
-
-def _smallest_distance(first: Array, base: tuple[float, float], second: Array, other: tuple[float, float]) -> float:
-    """Smallest distance between rectangles of fixed size that are at poses (n, 4) at the same times."""
-    if len(first) == 0:
+    if len(times) == 0:
         return float("inf")
-    apart = np.hypot(*(first[:, :2] - second[:, :2]).T)
+    (ours, base), (theirs, other) = ((agent_poses(one, times), (one.length, one.width)) for one in (first, second))
+    apart = np.hypot(*(ours[:, :2] - theirs[:, :2]).T)
     # The distance lies between `apart` less both radii and `apart`: only times that can hold the smallest are measured.
     close = apart - (np.hypot(*base) + np.hypot(*other)) / 2 <= apart.min()
-    return float(shapely.distance(footprints(first[close], *base), footprints(second[close], *other)).min())
+    return float(shapely.distance(footprints(ours[close], *base), footprints(theirs[close], *other)).min())
 
 
 def _poses(label: str, road: Road, stations: Array, offsets: Array, turn: float) -> Array:

@@ -36,17 +36,18 @@ from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord, record_rollout
 from olt_closed_loop.scenes.polylines import arc_lengths
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
+from olt_closed_loop.scoring.alpasim.scores import (
+    FULL_PROGRESS,
+    MAX_PATH_DISTANCE,
+    SHORT_RECORDING,
+    score_as_alpasim,
+)
 from olt_closed_loop.scoring.collisions import Collision, find_collisions
 from olt_closed_loop.scoring.drivable import drivable_area_of, first_departure
 from olt_closed_loop.scoring.driving_metrics import measure_driving
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
-
-FULL_PROGRESS = 0.8
-SHORT_RECORDING = 5.0
-MAX_PATH_DISTANCE = 4.0
 
 Definition = Literal["strict", "alpasim"]
 DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
@@ -120,14 +121,8 @@ def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition:
     """
     if rollout.scene != scene.name:
         raise InputError(f"rollout of scene {rollout.scene} cannot be scored on scene {scene.name}; give its own scene")
-    unscored = RolloutScore(
-        scene.name,
-        scene.category,
-        rollout.policy,
-        rollout.seed,
-        definition,
-        rollout_incidents=vars(rollout.incidents).copy(),
-    )
+    unscored = RolloutScore(scene.name, scene.category, rollout.policy, rollout.seed, definition)
+    unscored = replace(unscored, rollout_incidents=vars(rollout.incidents).copy())
     finite = np.isfinite(rollout.states).all(axis=1) & np.isfinite(rollout.heights)
     if rollout.failure:
         return replace(unscored, reason=rollout.failure)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.poses import Array
-from olt_toolkit.policy.contract import Observation, Policy
+from olt_toolkit.policy.contract import Observation, PlannedTrajectory, Policy
 
 
 @dataclass(frozen=True)
@@ -48,20 +48,12 @@ class ObservationBatch:
         return ObservationBatch(**{name: values[index : index + 1] for name, values in vars(self).items()})
 
 
-@dataclass(frozen=True)
-class PlannedTrajectoryBatch:
-    """What is planned in n rollouts: xyz (n, 64, 3) and rotation (n, 64, 3, 3), as in `PlannedTrajectory`."""
-
-    xyz: Array
-    rotation: Array
-
-
 @runtime_checkable
 class BatchPolicy(Policy, Protocol):
     """A policy without cameras and memory. `uses_route` says whether it looks at the route at all."""
 
     uses_route: bool
 
-    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
-        """Answer for every row."""
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
+        """Answer for every row: xyz (n, 64, 3) and rotation (n, 64, 3, 3)."""
         ...

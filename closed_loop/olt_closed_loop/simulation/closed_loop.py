@@ -44,7 +44,7 @@ def simulate(
         InputError: the recording is too short, the policy needs cameras and there is no renderer, or pictures would
             show reactive traffic where it is not.
     """
-    return _simulate_in_step([RolloutRequest(scene, seed, renderer)], policy, settings or SimulationSettings())[0]
+    return simulate_batch([RolloutRequest(scene, seed, renderer)], policy, settings)[0]
 
 
 def simulate_batch(
@@ -58,9 +58,8 @@ def simulate_batch(
         InputError: see `simulate`.
     """
     settings = settings or SimulationSettings()
-    if isinstance(policy, BatchPolicy):
-        return _simulate_in_step(requests, policy, settings)
-    return [_simulate_in_step([request], policy, settings)[0] for request in requests]
+    groups = [requests] if isinstance(policy, BatchPolicy) else [[request] for request in requests]
+    return [rollout for group in groups for rollout in _simulate_in_step(group, policy, settings)]
 
 
 def _simulate_in_step(
@@ -99,9 +98,6 @@ def _plan(running: Sequence[RunningRollout], policy: Policy, step: int) -> None:
         rollout.accept(answer, step, seconds)
 
 
-# Whatever a foreign policy raises ends its own rollout and no other, so any exception is an answer here.
-
-
 def _answer(policy: Policy, seen: ObservationBatch, images: NDArray[np.uint8] | None) -> PlannedTrajectory | Exception:
     route = seen.route_xy[0]
     observation = Observation(
@@ -115,7 +111,7 @@ def _answer(policy: Policy, seen: ObservationBatch, images: NDArray[np.uint8] | 
     )
     try:
         return policy.plan(observation)
-    except Exception as error:
+    except Exception as error:  # whatever a foreign policy raises ends its own rollout and no other
         return error
 
 

@@ -6,7 +6,7 @@ from importlib.metadata import entry_points
 
 import numpy as np
 
-from olt_closed_loop.simulation.batch_policy import ObservationBatch, PlannedTrajectoryBatch
+from olt_closed_loop.simulation.batch_policy import ObservationBatch
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, Observation, PlannedTrajectory, Policy
@@ -43,7 +43,7 @@ class _BatchPolicy(ABC):
         return PlannedTrajectory(plans.xyz[0], plans.rotation[0])
 
     @abstractmethod
-    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
         """See `BatchPolicy.plan_batch`."""
 
 
@@ -52,7 +52,7 @@ class ConstantVelocityPolicy(_BatchPolicy):
 
     name = "constant_velocity"
 
-    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
         """See `BatchPolicy.plan_batch`."""
         return _straight(_speed(observations)[:, None] * FUTURE_TIMES)
 
@@ -64,7 +64,7 @@ class StandingPolicy(_BatchPolicy):
     braking = 4.0
     """Deceleration, m/s^2."""
 
-    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
         """See `BatchPolicy.plan_batch`."""
         speed = np.maximum(_speed(observations), 0.0)[:, None]
         time = np.minimum(FUTURE_TIMES, speed / self.braking)
@@ -79,7 +79,7 @@ class RouteFollowingPolicy(_BatchPolicy):
     return_distance = 8.0
     """Metres over which an offset from the route fades to 1/e."""
 
-    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
         """See `BatchPolicy.plan_batch`.
 
         Raises:
@@ -98,7 +98,7 @@ class RouteFollowingPolicy(_BatchPolicy):
         latest = np.maximum.accumulate(np.where(moving, np.arange(moves.shape[1]), -1), axis=1)
         held = np.take_along_axis(headings, np.maximum(latest, 0), axis=1)
         poses = planar_pose(points[..., 0], points[..., 1], np.where(latest >= 0, held, 0.0))
-        return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])
+        return PlannedTrajectory(poses[..., :3, 3], poses[..., :3, :3])
 
 
 def _loader(make: Callable[[], Policy]) -> PolicyLoader:
@@ -123,10 +123,10 @@ def _speed(observations: ObservationBatch) -> Array:
     return (3.0 * now - 4.0 * last + before) / (2.0 * STEP_SECONDS)
 
 
-def _straight(distances: Array) -> PlannedTrajectoryBatch:
+def _straight(distances: Array) -> PlannedTrajectory:
     """Plans straight ahead by distances (n, 64)."""
     poses = planar_pose(distances, 0.0, 0.0)
-    return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])
+    return PlannedTrajectory(poses[..., :3, 3], poses[..., :3, :3])
 
 
 def _along(paths: Array, distances: Array) -> Array:

@@ -6,8 +6,7 @@ step the cheapest model and method that stay within the tolerance (`vehicle.inte
 it took and what it left out. `olt bench vehicle` holds the error of each against its run time.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import Literal, get_args
 
 import numpy as np
@@ -26,23 +25,6 @@ DEFAULT_METHOD: Method = "auto"
 DEFAULT_TOLERANCE = 3e-7
 """Metres of position error in 0.1 s: two seconds of the hardest manoeuvres of `olt bench vehicle` stay below 1e-6 m."""
 RADAU_ELEMENTS = 8
-
-
-@dataclass(frozen=True)
-class IntegrationReport:
-    """What a stepper took, over all its vehicles.
-
-    Attributes:
-        steps: how many steps were made.
-        taken: steps by model and method, such as "kinematic midpoint".
-        substeps: sub-steps by model and method; 0 for implicit methods, which choose their own.
-        left_out: what was not computed, and why.
-    """
-
-    steps: int
-    taken: dict[str, int]
-    substeps: dict[str, int]
-    left_out: tuple[Omission, ...]
 
 
 def make_stepper(
@@ -98,9 +80,8 @@ class VehicleStepper:
         self._ways = [*(" ".join(way) for way in explicit), f"{model} cvodes"]
         self._batch_step: BatchStep
         if method == "cvodes" or method == "radau":
-            function = (
-                cvodes_function(model) if method == "cvodes" else radau_function(model, substeps or RADAU_ELEMENTS)
-            )
+            elements = substeps or RADAU_ELEMENTS
+            function = cvodes_function(model) if method == "cvodes" else radau_function(model, elements)
             self._batch_step = ImplicitStep(function, self._numbers, step)
             return
         size, step_tolerance = model_state_size(model), tolerance * step / 0.1
@@ -127,20 +108,19 @@ class VehicleStepper:
             ends[rows] = implicit(np.atleast_2d(state)[rows], np.atleast_2d(control)[rows])
         return ends.copy() if self._batched else ends[0].copy()
 
-    def report(self) -> IntegrationReport:
-        """What was taken since the stepper was made."""
+    def taken(self) -> dict[str, tuple[int, int]]:
+        """Steps of all vehicles since the stepper was made, and their sub-steps, by model and method.
+
+        The key is such as "kinematic midpoint"; implicit methods choose their own sub-steps, which count as 0.
+        """
         counted = zip(self._ways, self._batch_step.taken.astype(int).tolist(), strict=True)
-        counts = [(way, steps, substeps) for way, (steps, substeps) in counted if steps]
-        total = sum(steps for _, steps, _ in counts)
-        left_out = []
+        return {way: (steps, substeps) for way, (steps, substeps) in counted if steps}
+
+    def left_out(self) -> Iterator[Omission]:
+        """What was not computed in these steps, and why."""
+        taken = {way: steps for way, (steps, _) in self.taken().items()}
         for simpler, what in (("kinematic", "tyre slip"), ("linear", "tyre saturation")):
-            count = sum(steps for way, steps, _ in counts if way.startswith(f"{simpler} "))
+            count = sum(steps for way, steps in taken.items() if way.startswith(f"{simpler} "))
             if count and simpler != self._model:
                 why = f"below {self._tolerance:g} m in 0.1 s"
-                left_out.append(Omission(f"steps of {what}", why, count, total))
-        return IntegrationReport(
-            steps=total,
-            taken={way: steps for way, steps, _ in counts},
-            substeps={way: substeps for way, _, substeps in counts},
-            left_out=tuple(left_out),
-        )
+                yield Omission(f"steps of {what}", why, count, sum(taken.values()))

@@ -12,7 +12,7 @@ CASES = {case.name: case for case in control_extremes.cases(0.9)}
 
 
 def test_there_are_120_references_of_which_70_differ():
-    references = alpasim_references()
+    references = list(alpasim_references())
     assert len(references) == 70 and sum(reference.copies for reference in references) == 120
     assert len({reference.poses.tobytes() for reference in references}) == 70
     for reference in references:
@@ -31,7 +31,7 @@ def test_the_vehicle_of_the_benchmark_drives_as_ours_does_with_its_parameters():
 
 
 def test_references_of_every_kind_are_tracked_within_the_aim():
-    tracking = track(alpasim_references()[9::12], WITH_TYRES, ControlSettings())
+    tracking = track(list(alpasim_references())[9::12], WITH_TYRES, ControlSettings())
     assert tracking.failed == 0
     assert tracking.rms < 0.05
     figures = tracking_figures(tracking)
