@@ -32,13 +32,11 @@ class Reference:
     """What is to be driven.
 
     Attributes:
-        name: kind and numbers of the drive.
         copies: how often it counts among the 120.
         poses: (151, 3) x, y (m) and yaw (rad) of the rig every 0.1 s.
         speed: at the start, m/s.
     """
 
-    name: str
     copies: int
     poses: Array
     speed: float
@@ -54,30 +52,27 @@ def alpasim_references() -> Iterator[Reference]:
     spread = make_generator(42, "control", "straight").uniform(-1.0, 1.0, size=(6, 4))
     for speed in (np.array([[1.0], [5.0], [10.0], [15.0], [20.0], [25.0]]) + spread).ravel():
         x = speed * _TIME
-        yield Reference(f"straight {speed:.1f} m/s", 1, np.stack([x, 0.0 * x, 0.0 * x], axis=-1), float(speed))
+        yield Reference(1, np.stack([x, 0.0 * x, 0.0 * x], axis=-1), float(speed))
     for side, radius in product((1.0, -1.0), (20.0, 50.0, 100.0, 200.0, 500.0)):
         speed = min(TOP_CIRCLE_SPEED, float(np.sqrt(LATERAL_ACCELERATION * radius)))
         angle = speed * _TIME / radius
         poses = np.stack([radius * np.sin(angle), side * radius * (1.0 - np.cos(angle)), side * angle], axis=-1)
-        yield Reference(f"circle {side * radius:.0f} m", 4, poses, speed)
+        yield Reference(4, poses, speed)
     for first, last in _RAMPS:
-        yield _ramp(f"straight {first}-{last} m/s", 3, (0.0, 7.5), (first, last))
+        yield _ramp(3, (0.0, 7.5), (first, last))
     for (radius, first, last), (wider, slower, faster) in product(_TURNING_RAMPS, ((1, 1, 1), (1.2, 0.9, 1.1))):
-        name = f"turn {wider * radius:.0f} m, {slower * first:.1f}-{faster * last:.1f} m/s"
-        yield _ramp(name, 1, (0.0, 7.5), (slower * first, faster * last), wider * radius)
+        yield _ramp(1, (0.0, 7.5), (slower * first, faster * last), wider * radius)
     turns = list(product((10.0, 15.0), (50.0, -50.0, 100.0, -100.0)))
     for speed, radius in turns:
-        yield _ramp(f"turn {radius:.0f} m, moving off to {speed:.0f} m/s", 1, (7.5, 15.0), (0, speed), radius)
+        yield _ramp(1, (7.5, 15.0), (0, speed), radius)
     for speed, radius in turns:
-        yield _ramp(f"turn {radius:.0f} m, {speed:.0f} m/s to rest", 1, (3.75, 11.25), (speed, 0), radius)
+        yield _ramp(1, (3.75, 11.25), (speed, 0), radius)
 
 
-def _ramp(
-    name: str, copies: int, seconds: tuple[float, float], speeds: tuple[float, float], radius: float = np.inf
-) -> Reference:
+def _ramp(copies: int, seconds: tuple[float, float], speeds: tuple[float, float], radius: float = np.inf) -> Reference:
     """A drive whose speed changes evenly between two times: Euler steps of 0.1 s, the yaw before the position."""
     speed = np.interp(_TIME[:-1], seconds, speeds)
     yaw = np.concatenate([[0.0], np.cumsum(STEP_SECONDS * speed / radius)])
     x = np.concatenate([[0.0], np.cumsum(STEP_SECONDS * speed * np.cos(yaw[1:]))])
     y = np.concatenate([[0.0], np.cumsum(STEP_SECONDS * speed * np.sin(yaw[1:]))])
-    return Reference(name, copies, np.stack([x, y, yaw], axis=-1), float(speed[0]))
+    return Reference(copies, np.stack([x, y, yaw], axis=-1), float(speed[0]))

@@ -7,8 +7,8 @@ import shapely
 from numpy.typing import NDArray
 
 from olt_closed_loop.rollouts.rollout_record import PLAN_STEP_US, EgoBox, LaneLines, PlanRecord, RolloutRecord
+from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.scoring.moving_boxes import corners
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 from olt_toolkit.policy.contract import FUTURE_STEPS

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 
 from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.benchmarks.vehicle_grid import vehicle_grid
-from olt_closed_loop.vehicle.integrators import Method, make_stepper
+from olt_closed_loop.vehicle.integrators import Method, VehicleStepper
 from olt_closed_loop.vehicle.parameters import DRY_FRICTION, MODELS, Model, VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import Array
@@ -73,7 +73,7 @@ def manoeuvres(model: Model) -> tuple[Array, Array]:
 
 def prepare_drive(integration: Integration) -> Callable[[], Array]:
     """The call that gives positions (n, 10, 2) after every hold, metres."""
-    stepper = make_stepper(VEHICLES[integration.model], integration.method, integration.substeps, integration.step)
+    stepper = VehicleStepper(VEHICLES[integration.model], integration.method, integration.substeps, integration.step)
     return partial(_positions, stepper, *manoeuvres(integration.model), round(HOLD / integration.step))
 
 
@@ -147,7 +147,7 @@ def _rotation(angle: float) -> Array:
 def batch_microseconds(integration: Integration) -> float:
     """Median CPU time of a step for each vehicle of a batch, all under a steering step of 0.3 rad at 20 m/s."""
     vehicle = VEHICLES[integration.model]
-    stepper = make_stepper([vehicle] * BATCH, integration.method, integration.substeps, integration.step)
+    stepper = VehicleStepper([vehicle] * BATCH, integration.method, integration.substeps, integration.step)
     states = with_rolling_tyres(np.tile([0.0, 0.0, 0.0, 20.0, 0.0, 0.0], (BATCH, 1)), vehicle)
     controls = np.tile([0.3, 0.0], (BATCH, 1))
     seconds = []

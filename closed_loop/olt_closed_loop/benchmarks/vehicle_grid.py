@@ -14,7 +14,7 @@ import numpy as np
 
 from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.vehicle.implicit import cvodes_function
-from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.parameters import DRY_FRICTION, VehicleParameters
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
@@ -66,7 +66,7 @@ def cell_errors(cells: Sequence[Cell]) -> Array:
     for step in {cell.step for cell in cells}:
         rows = [index for index, cell in enumerate(cells) if cell.step == step]
         chosen = [cells[index] for index in rows]
-        stepper = make_stepper([cell.vehicle for cell in chosen], step=step)
+        stepper = VehicleStepper([cell.vehicle for cell in chosen], step=step)
         states, controls = _start(chosen)
         for _ in range(round(SECONDS / step)):
             states = stepper(states, controls)
@@ -75,9 +75,8 @@ def cell_errors(cells: Sequence[Cell]) -> Array:
 
 
 def reference_states(cells: Sequence[Cell]) -> Array:
-    """States (n, 8) after a second, by CVODES at 1e-12."""
-    exact = cvodes_function("saturating", 1e-12)
-    known: dict[Cell, Array] = {}
+    """States (n, 8) after a second, by CVODES at 1e-12; cells that differ in the step alone share one."""
+    exact, known = cvodes_function("saturating", 1e-12), dict[Cell, Array]()
     for cell in {replace(cell, step=0.0) for cell in cells}:
         states, controls = _start([cell])
         known[cell] = exact(states[0], controls[0], cell.vehicle.numbers, SECONDS).full().ravel()
@@ -126,7 +125,7 @@ def _drive_alone(
     speed: float, acceleration: float, seconds: float, reverse: bool = False, offset: float = 0.0
 ) -> Array:
     """States (n, 8), the steering commanded to 0.2 rad."""
-    stepper = make_stepper(replace(alpasim_vehicle(DRY_FRICTION), reverse_gear=reverse))
+    stepper = VehicleStepper(replace(alpasim_vehicle(DRY_FRICTION), reverse_gear=reverse))
     states = [np.array([offset, offset, 0.0, speed, 0.0, 0.0, 0.0, 0.0])]
     for _ in range(round(seconds / 0.1)):
         states.append(stepper(states[-1], np.array([0.2, acceleration])))

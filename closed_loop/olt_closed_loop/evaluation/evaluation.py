@@ -75,7 +75,7 @@ def _run_batch(
     driven = [(load_scene(source), seed) for source, seed in runs]
     pass_gate(list({id(scene): scene for scene, _ in driven}.values()), settings)
     if policy.cameras:  # one after another, so that one scene's textures are held at a time
-        from olt_closed_loop.sensors.rig_sensors import rig_sensors
+        from olt_closed_loop.sensors.ray_casting import rig_sensors
 
         rollouts = [simulate(scene, policy, settings, seed, rig_sensors(scene)) for scene, seed in driven]
     else:

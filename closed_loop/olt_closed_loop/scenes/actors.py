@@ -11,6 +11,7 @@ from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
 
 AGENT_SAMPLE_US = 100_000
+_SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 # Length, width and height in metres.
 SIZES: dict[str, tuple[float, float, float]] = {
@@ -42,15 +43,9 @@ def standing_row(
 def moving(
     name: str, label: str, road: Road, times: Array, stations: Array, offsets: Array, turn: float = 0.0
 ) -> list[Agent]:
-    """An agent at road coordinates over time, which exists while it is on the road; none if it never is.
+    """An agent whose box centre is at stations and offsets (n,) at times (n,) in seconds; none if it never is there.
 
-    Args:
-        name: id of the agent.
-        label: class of the agent.
-        road: the road.
-        times: (n,) seconds.
-        stations, offsets: (n,) road coordinates of the box centre.
-        turn: angle from the road's direction, radians.
+    It exists while it is on the road, and is turned by `turn` radians from the road's direction.
     """
     margin = SIZES[label][0]
     present = (stations > margin) & (stations < road.length - margin)
@@ -70,20 +65,24 @@ def agent_poses(agent: Agent, timestamps_us: NDArray[np.int64]) -> Array:
     """Poses (n, 4) x, y, z, yaw of the box centre at times within the agent's samples; yaw takes the shorter way."""
     known = agent.timestamps_us - agent.timestamps_us[0]
     query = timestamps_us - agent.timestamps_us[0]
-    poses = np.empty((len(query), 4))
-    for axis, known_values in enumerate((*agent.poses[:, :3].T, np.unwrap(agent.poses[:, 3]))):
-        poses[:, axis] = np.interp(query, known, known_values)
-    return poses
+    columns = (*agent.poses[:, :3].T, np.unwrap(agent.poses[:, 3]))
+    return np.stack([np.interp(query, known, column) for column in columns], axis=-1)
+
+
+def corners(poses: Array, half_size: Array) -> Array:
+    """Corners (..., 4, 2) in the plane, metres, of boxes at poses (..., 4) x, y, z, yaw of their centres.
+
+    They are front left, rear left, rear right, front right; half sizes are (3,) or (..., 3), metres.
+    """
+    cos, sin = np.cos(poses[..., 3, None]), np.sin(poses[..., 3, None])
+    along, across = np.moveaxis(_SIGNS * half_size[..., None, :2], -1, 0)
+    x = poses[..., 0, None] + cos * along - sin * across
+    return np.stack([x, poses[..., 1, None] + sin * along + cos * across], axis=-1)
 
 
 def footprints(poses: Array, length: float, width: float) -> NDArray[np.object_]:
     """Rectangles (n,) on the ground, as shapely polygons, of boxes at poses (n, 4) x, y, z, yaw."""
-    corners = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]) * (length / 2, width / 2)
-    along, across = corners.T
-    x, y, _, yaw = poses.T[:, :, None]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    rings = np.stack([x + cos * along - sin * across, y + sin * along + cos * across], axis=-1)
-    return np.asarray(shapely.polygons(rings))
+    return np.asarray(shapely.polygons(corners(poses, np.array([length, width]) / 2)))
 
 
 def ego_agent(ego: Trajectory, vehicle: VehicleDimensions) -> Agent:

@@ -65,26 +65,22 @@ def drive(road: Road, profile: BPoly, cruise: float, limits: Limits, duration_us
     points = road.locate(stations, profile(stations))
     arc = arc_lengths(points)
     path = CubicSpline(arc, points)
-    speed = _plan_speed(path, arc, stations, cruise, limits)
-    elapsed = cumulative_trapezoid(1.0 / speed, arc, initial=0.0)
+    tangent, bend = path(arc, 1), path(arc, 2)
+    curvature = np.abs(tangent[:, 0] * bend[:, 1] - tangent[:, 1] * bend[:, 0])
+    # The speed of each place, reached with the comfortable accelerations, by path length.
+    limit = np.minimum(cruise, np.sqrt(_LATERAL / np.maximum(curvature, 1e-4)))
+    for start, end, speed in limits:
+        limit = np.where((stations >= start) & (stations <= end), np.minimum(limit, speed), limit)
+    squared, steps = limit**2, np.diff(arc)
+    for i in range(1, len(arc)):
+        squared[i] = min(squared[i], squared[i - 1] + 2.0 * _FORWARD * steps[i - 1])
+    for i in range(len(arc) - 2, -1, -1):
+        squared[i] = min(squared[i], squared[i + 1] + 2.0 * _BRAKING * steps[i])
+    speeds = gaussian_filter1d(np.sqrt(squared), _SPEED_SMOOTHING / _PATH_STEP, mode="nearest")
+
+    elapsed = cumulative_trapezoid(1.0 / speeds, arc, initial=0.0)
     timestamps_us = np.arange(0, duration_us + 1, SAMPLE_US, dtype=np.int64)
     driven = CubicSpline(elapsed, arc)(timestamps_us * 1e-6)
     (x, y), tangent = path(driven).T, path(driven, 1)
     poses = planar_pose(x, y, np.arctan2(tangent[:, 1], tangent[:, 0]))
     return EgoMotion(Trajectory(timestamps_us, poses), np.interp(driven, arc, stations))
-
-
-def _plan_speed(path: CubicSpline, arc: Array, stations: Array, cruise: float, limits: Limits) -> Array:
-    """Speed (n,) by path length: the limit of the place, reached with the comfortable accelerations."""
-    tangent, bend = path(arc, 1), path(arc, 2)
-    curvature = np.abs(tangent[:, 0] * bend[:, 1] - tangent[:, 1] * bend[:, 0])
-    limit = np.minimum(cruise, np.sqrt(_LATERAL / np.maximum(curvature, 1e-4)))
-    for start, end, speed in limits:
-        limit = np.where((stations >= start) & (stations <= end), np.minimum(limit, speed), limit)
-    squared = limit**2
-    steps = np.diff(arc)
-    for i in range(1, len(arc)):
-        squared[i] = min(squared[i], squared[i - 1] + 2.0 * _FORWARD * steps[i - 1])
-    for i in range(len(arc) - 2, -1, -1):
-        squared[i] = min(squared[i], squared[i + 1] + 2.0 * _BRAKING * steps[i])
-    return gaussian_filter1d(np.sqrt(squared), _SPEED_SMOOTHING / _PATH_STEP, mode="nearest")

@@ -20,14 +20,10 @@ _RECOVERY_LENGTH = 30.0
 
 
 def generate_scene(category: str, seed: int, duration_us: int = DURATION_US) -> Scene:
-    """Invent a scene; the same category, seed and duration give the same scene.
+    """Invent a scene of one of `CATEGORIES`; the same category, seed and duration give the same scene.
 
-    Half of the recordings start up to 0.6 m off the lane centre and a few degrees askew, and return to it.
-
-    Args:
-        category: one of `CATEGORIES`.
-        seed: which of its scenes.
-        duration_us: how long the recording lasts; the roads are long enough for 20 s.
+    Half of the recordings start up to 0.6 m off the lane centre and a few degrees askew, and return to it. The roads
+    are long enough for recordings of 20 s.
 
     Raises:
         InputError: there is no such category.

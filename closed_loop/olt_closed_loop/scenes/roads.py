@@ -101,19 +101,8 @@ class Road:
 
 def generate_road(generator: np.random.Generator, length: float, lanes: int) -> Road:
     """A road of random shape and direction whose curvature is continuous and never tighter than 80 m."""
-    stations, curvature = _curvature_profile(generator, length)
-    s = np.linspace(0.0, length, round(length / _GRID_STEP) + 1)
-    bend = np.interp(s, stations, curvature)
-    heading = generator.uniform(-np.pi, np.pi) + cumulative_simpson(bend, x=s, initial=0.0)
-    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    points = cumulative_simpson(direction, x=s, axis=0, initial=0.0)
-    return Road(length, lanes, generator.uniform(2.0, 2.5), CubicSpline(s, points))
-
-
-def _curvature_profile(generator: np.random.Generator, length: float) -> tuple[Array, Array]:
-    """Knots of a piecewise linear curvature: straights, clothoids and arcs, as roads are laid out."""
-    bends = generator.integers(MOST_BENDS + 1)
-    knots = [(0.0, 0.0), (generator.uniform(20.0, 60.0), 0.0)]
+    # Knots (station, curvature) of straights, clothoids and arcs, as roads are laid out.
+    bends, knots = generator.integers(MOST_BENDS + 1), [(0.0, 0.0), (generator.uniform(20.0, 60.0), 0.0)]
     sign = generator.choice([-1.0, 1.0])
     for _ in range(bends):
         radius, turn, clothoid = generator.uniform(80.0, 250.0), generator.uniform(0.3, 0.9), generator.uniform(25, 40)
@@ -123,5 +112,9 @@ def _curvature_profile(generator: np.random.Generator, length: float) -> tuple[A
         knots.append((knots[-1][0] + generator.uniform(5.0, 25.0), 0.0))
         sign = -sign
     knots.append((max(length, knots[-1][0]) + 1.0, 0.0))
-    stations, curvature = np.array(knots).T
-    return stations, curvature
+    s = np.linspace(0.0, length, round(length / _GRID_STEP) + 1)
+    bend = np.interp(s, *np.array(knots).T)
+    heading = generator.uniform(-np.pi, np.pi) + cumulative_simpson(bend, x=s, initial=0.0)
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    points = cumulative_simpson(direction, x=s, axis=0, initial=0.0)
+    return Road(length, lanes, generator.uniform(2.0, 2.5), CubicSpline(s, points))

@@ -6,13 +6,14 @@ the axis that separated the boxes until then, so that its side depends neither o
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
+from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.contacts import first_contacts
-from olt_closed_loop.scoring.moving_boxes import MovingBox, corners, separations
+from olt_closed_loop.scoring.moving_boxes import MovingBox, separations
 from olt_generator.poses import Array
 
 STANDING_SPEED = 0.1
@@ -44,10 +45,6 @@ class Collision:
     at_fault: bool
     ego_closing: float
     agent_closing: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """The collision as JSON can hold it."""
-        return vars(self).copy()
 
 
 def within_reach(ego: MovingBox, agent: MovingBox, start_us: int, end_us: int) -> bool:

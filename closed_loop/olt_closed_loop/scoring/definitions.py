@@ -36,12 +36,7 @@ from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord, record_rollout
 from olt_closed_loop.scenes.polylines import arc_lengths
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scoring.alpasim.scores import (
-    FULL_PROGRESS,
-    MAX_PATH_DISTANCE,
-    SHORT_RECORDING,
-    score_as_alpasim,
-)
+from olt_closed_loop.scoring.alpasim.scores import FULL_PROGRESS, MAX_PATH_DISTANCE, SHORT_RECORDING, score_as_alpasim
 from olt_closed_loop.scoring.collisions import Collision, find_collisions
 from olt_closed_loop.scoring.drivable import drivable_area_of, first_departure
 from olt_closed_loop.scoring.driving_metrics import measure_driving
@@ -102,7 +97,7 @@ class RolloutScore:
         """The score as JSON can hold it."""
         return {
             **vars(self),
-            "collisions": [collision.to_dict() for collision in self.collisions],
+            "collisions": [vars(collision).copy() for collision in self.collisions],
             "left_out": [omission.to_dict() for omission in self.left_out],
         }
 

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord
+from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scoring.drivable import lane_area
-from olt_closed_loop.scoring.moving_boxes import MovingBox, corners, separations
+from olt_closed_loop.scoring.moving_boxes import MovingBox, separations
 from olt_generator.poses import Array
 
 FASTEST_ACCELERATION, HARDEST_BRAKING, LATERAL_ACCELERATION = 2.40, -4.05, 4.89

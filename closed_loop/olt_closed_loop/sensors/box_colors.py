@@ -28,9 +28,13 @@ def color_boxes(
     ahead, left, height = offset + np.take(relative, box, axis=0).T
     cos, sin = (np.take(values.astype(np.float32), box) for values in (np.cos(boxes.yaw), np.sin(boxes.yaw)))
     place = np.stack([cos * ahead + sin * left, cos * left - sin * ahead, height])
-    # In the box's own axes, where it reaches from -1 to 1.
-    face, across, up = _face(*(place * np.take((1.0 / boxes.half).astype(np.float32), box, axis=0).T))
-    entry = box * 6 + face
+    # In the box's own axes, where it reaches from -1 to 1: the face, and the coordinates across and up that face.
+    x, y, z = place * np.take((1.0 / boxes.half).astype(np.float32), box, axis=0).T
+    ax, ay, az = np.abs(x), np.abs(y), np.abs(z)
+    front, top = (ax >= ay) & (ax >= az), (az > ax) & (az > ay)
+    behind = np.where(front, x, np.where(top, z, y)) < 0.0
+    across, up = np.where(front, y, x), np.where(top, y, z)
+    entry = box * 6 + 2 * np.where(front, 0, np.where(top, 2, 1)) + behind
     repeats_across, repeats_up, density, light = _face_tables(boxes, sun)
     u = (across * np.float32(0.5) + np.float32(0.5)) * np.take(repeats_across, entry)
     v = (np.float32(0.5) - up * np.float32(0.5)) * np.take(repeats_up, entry)
@@ -38,15 +42,6 @@ def color_boxes(
     texture = sample_surfaces(np.take(boxes.surface, entry), u - np.floor(u), v - np.floor(v), texels)
     gain = texture[:, 3:] * np.float32(1.0 / 128.0)
     return (texture[:, :3] + gain * np.take(boxes.color, box, axis=0)) * np.take(light, entry)[:, None]
-
-
-def _face(x: FloatImage, y: FloatImage, z: FloatImage) -> tuple[NDArray[np.intp], FloatImage, FloatImage]:
-    """The face (n,) on which places in -1 ... 1 lie, and the coordinates across and up that face."""
-    ax, ay, az = np.abs(x), np.abs(y), np.abs(z)
-    front, top = (ax >= ay) & (ax >= az), (az > ax) & (az > ay)
-    axis = np.where(front, 0, np.where(top, 2, 1))
-    along = np.where(front, x, np.where(top, z, y))
-    return 2 * axis + (along < 0.0), np.where(front, y, x), np.where(top, y, z)
 
 
 def _face_tables(boxes: Boxes, sun: Array) -> list[FloatImage]:

@@ -1,6 +1,8 @@
 """Camera images of a scene by ray casting, exact for every camera model: one ray through the centre of each pixel."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +22,7 @@ from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_toolkit.rigs.rig import Rig
+from olt_toolkit.rigs.rig_files import pav_rig
 
 _HAZE_DISTANCE = 700.0
 _FARTHEST_GROUND = 1e5
@@ -67,7 +70,7 @@ class SceneRenderer:
         fall = np.maximum(-rays[2], np.float32(1e-9))
         distance = np.where(rays[2] < 0.0, np.float32(position[2]) / fall, np.float32(np.inf))
         boxes = boxes_in_view(self._boxes, position, T_world_camera[:3, 2], view)
-        hits = cast(boxes, position, rays, _rotate(rotation, view.middle), view.spread).before(distance)
+        hits = cast(boxes, position, rays, _rotate(rotation, view.middle), view.spread, distance)
 
         rgb, sky = np.empty((*distance.shape, 3), dtype=np.uint8), np.isinf(distance)
         blocks = np.nonzero(sky.any(axis=1))[0]
@@ -131,6 +134,22 @@ def render_rig(
 ) -> dict[str, Rendering]:
     """The pictures of some cameras of a rig at pose (4, 4), by name, taken at the same time."""
     return {name: renderer.render(rig[name].camera, T_world_rig @ rig[name].T_rig_camera, time_us) for name in names}
+
+
+def rig_sensors(scene: Scene) -> Callable[[tuple[str, ...], tuple[int, int], Array, int], Image]:
+    """What takes pictures with the nominal PhysicalAI-AV rig (`simulation.running_rollout.Sensors`).
+
+    Every camera is the rig's own, the tele camera too: a vehicle in a scene has a real one. (In clips built from one
+    front video the tele view is the 30-degree crop of the front view.)
+    """
+    renderer = SceneRenderer(scene)
+    fitted_rig = lru_cache(maxsize=1)(lambda size: pav_rig().fitted(size[1], size[0]))
+
+    def take_pictures(cameras: tuple[str, ...], size: tuple[int, int], T_world_rig: Array, time_us: int) -> Image:
+        pictures = render_rig(renderer, fitted_rig(size), cameras, T_world_rig, time_us)
+        return np.ascontiguousarray(np.stack([pictures[name].rgb for name in cameras]).transpose(0, 3, 1, 2))
+
+    return take_pictures
 
 
 def _load_looks(scene: Scene) -> Looks:

@@ -4,14 +4,14 @@ A policy with `plan_batch` keeps nothing between calls, so one of it drives whol
 of its answer depends on the same row of the observations alone: a rollout is the same alone and in any batch.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.poses import Array
-from olt_toolkit.policy.contract import Observation, PlannedTrajectory, Policy
+from olt_toolkit.policy.contract import Observation, PlannedTrajectory
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,19 @@ class ObservationBatch:
         return ObservationBatch(**{name: values[index : index + 1] for name, values in vars(self).items()})
 
 
-@runtime_checkable
-class BatchPolicy(Policy, Protocol):
+class BatchPolicy(ABC):
     """A policy without cameras and memory. `uses_route` says whether it looks at the route at all."""
 
-    uses_route: bool
+    name: str
+    cameras: tuple[str, ...] = ()
+    image_size: tuple[int, int] = (0, 0)
+    uses_route = False
 
+    def plan(self, observation: Observation) -> PlannedTrajectory:
+        """See `Policy.plan`."""
+        plans = self.plan_batch(ObservationBatch.of(observation))
+        return PlannedTrajectory(plans.xyz[0], plans.rotation[0])
+
+    @abstractmethod
     def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
         """Answer for every row: xyz (n, 64, 3) and rotation (n, 64, 3, 3)."""
-        ...

@@ -1,15 +1,15 @@
 """Policies that need no cameras: baselines, and proofs that the loop is closed."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable
+from functools import partial
 from importlib.metadata import entry_points
 
 import numpy as np
 
-from olt_closed_loop.simulation.batch_policy import ObservationBatch
+from olt_closed_loop.simulation.batch_policy import BatchPolicy, ObservationBatch
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
-from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, Observation, PlannedTrajectory, Policy
+from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, PlannedTrajectory, Policy
 
 FUTURE_TIMES: Array = STEP_SECONDS * np.arange(1, FUTURE_STEPS + 1, dtype=np.float64)
 PolicyLoader = Callable[[str | None], Policy]
@@ -30,24 +30,7 @@ def make_policy(spec: str) -> Policy:
     return loader(argument or None)
 
 
-class _BatchPolicy(ABC):
-    """What the policies below share: no cameras, and one answer for one and for many rollouts."""
-
-    cameras: tuple[str, ...] = ()
-    image_size: tuple[int, int] = (0, 0)
-    uses_route = False
-
-    def plan(self, observation: Observation) -> PlannedTrajectory:
-        """See `Policy.plan`."""
-        plans = self.plan_batch(ObservationBatch.of(observation))
-        return PlannedTrajectory(plans.xyz[0], plans.rotation[0])
-
-    @abstractmethod
-    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
-        """See `BatchPolicy.plan_batch`."""
-
-
-class ConstantVelocityPolicy(_BatchPolicy):
+class ConstantVelocityPolicy(BatchPolicy):
     """Goes straight on at the present speed."""
 
     name = "constant_velocity"
@@ -57,7 +40,7 @@ class ConstantVelocityPolicy(_BatchPolicy):
         return _straight(_speed(observations)[:, None] * FUTURE_TIMES)
 
 
-class StandingPolicy(_BatchPolicy):
+class StandingPolicy(BatchPolicy):
     """Brakes to a standstill and stays."""
 
     name = "standing"
@@ -71,7 +54,7 @@ class StandingPolicy(_BatchPolicy):
         return _straight(speed * time - 0.5 * self.braking * time**2)
 
 
-class RouteFollowingPolicy(_BatchPolicy):
+class RouteFollowingPolicy(BatchPolicy):
     """Follows the route at the present speed; knows of nothing else."""
 
     name = "route"
@@ -101,19 +84,15 @@ class RouteFollowingPolicy(_BatchPolicy):
         return PlannedTrajectory(poses[..., :3, 3], poses[..., :3, :3])
 
 
-def _loader(make: Callable[[], Policy]) -> PolicyLoader:
-    def load(argument: str | None) -> Policy:
-        policy = make()
-        if argument is not None:
-            raise InputError(f"policy {policy.name} takes nothing after its name; leave out {argument!r}")
-        return policy
-
-    return load
+def _load(make: type[BatchPolicy], argument: str | None) -> Policy:
+    if argument is not None:
+        raise InputError(f"policy {make.name} takes nothing after its name; leave out {argument!r}")
+    return make()
 
 
-load_constant_velocity = _loader(ConstantVelocityPolicy)
-load_route = _loader(RouteFollowingPolicy)
-load_standing = _loader(StandingPolicy)
+load_constant_velocity = partial(_load, ConstantVelocityPolicy)
+load_route = partial(_load, RouteFollowingPolicy)
+load_standing = partial(_load, StandingPolicy)
 """Entry points of these policies."""
 
 

@@ -18,7 +18,7 @@ from olt_closed_loop.simulation.batch_policy import BatchPolicy
 from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
-from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.parameters import with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE, STATE_SIZE
 from olt_generator.errors import InputError
@@ -85,7 +85,7 @@ class RunningRollout:
         self.failure: str | None = None
         self._parameters = settings.vehicle_of(self._scene)
         self._controller = TrackingController(self._parameters, settings.control)
-        self._stepper = make_stepper(self._parameters, settings.integrator, step=STEP_SECONDS)
+        self._stepper = VehicleStepper(self._parameters, settings.integrator, step=STEP_SECONDS)
         self._plans: list[WorldPlan] = []
         self._frames: deque[NDArray[np.uint8]] = deque(maxlen=IMAGE_FRAMES)
         self._timings: defaultdict[str, float] = defaultdict(float)

@@ -7,14 +7,14 @@ it took and what it left out. `olt bench vehicle` holds the error of each agains
 """
 
 from collections.abc import Iterator, Sequence
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from olt_closed_loop.vehicle.compiled import MOST_SUBSTEPS, BatchStep, StepProgram, make_explicit_step
 from olt_closed_loop.vehicle.implicit import ImplicitStep, cvodes_function, radau_function
 from olt_closed_loop.vehicle.integration_plan import automatic_plan, candidates, fixed_plan, stiffness_plan
-from olt_closed_loop.vehicle.parameters import VehicleParameters, model_state_size
+from olt_closed_loop.vehicle.parameters import Model, VehicleParameters, model_state_size
 from olt_closed_loop.vehicle.substeps import substep_function
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
@@ -27,14 +27,10 @@ DEFAULT_TOLERANCE = 3e-7
 RADAU_ELEMENTS = 8
 
 
-def make_stepper(
-    vehicles: VehicleParameters | Sequence[VehicleParameters],
-    method: Method = DEFAULT_METHOD,
-    substeps: int | None = None,
-    step: float = 0.1,
-    tolerance: float = DEFAULT_TOLERANCE,
-) -> "VehicleStepper":
+class VehicleStepper:
     """The map over `step` seconds for one vehicle, or for a batch whose vehicles move as each would alone.
+
+    It counts what it takes. Not for several threads at once.
 
     Args:
         vehicles: one vehicle, or several that may differ in every number but have one model; the model sets the size s
@@ -47,51 +43,46 @@ def make_stepper(
     Raises:
         InputError: an unknown method, a number that makes no sense, or vehicles of several models.
     """
-    if method not in get_args(Method):
-        raise InputError(f"no integrator {method!r}; there are {', '.join(get_args(Method))}")
-    if not (0.0 < step < np.inf and 0.0 < tolerance < np.inf):
-        raise InputError(f"step of {step} s within {tolerance} m: both must be positive numbers")
-    if substeps is not None and not 1 <= substeps <= MOST_SUBSTEPS:
-        raise InputError(f"{substeps} sub-steps: give 1 to {MOST_SUBSTEPS}, or none for what the moment asks for")
-    batch = [vehicles] if isinstance(vehicles, VehicleParameters) else vehicles
-    models = {vehicle.model for vehicle in batch}
-    if len(models) != 1:
-        raise InputError(f"a batch of the models {', '.join(sorted(models)) or 'none'}; give vehicles of one model")
-    return VehicleStepper(batch, method, substeps, step, tolerance, batched=batch is vehicles)
-
-
-class VehicleStepper:
-    """The one-step map that `make_stepper` makes; it counts what it took. Not for several threads at once."""
 
     def __init__(
         self,
-        vehicles: Sequence[VehicleParameters],
-        method: Method,
-        substeps: int | None,
-        step: float,
-        tolerance: float,
-        batched: bool,
+        vehicles: VehicleParameters | Sequence[VehicleParameters],
+        method: Method = DEFAULT_METHOD,
+        substeps: int | None = None,
+        step: float = 0.1,
+        tolerance: float = DEFAULT_TOLERANCE,
     ) -> None:
-        self._model = model = vehicles[0].model
-        self._numbers = np.stack([vehicle.numbers for vehicle in vehicles])
-        self._step, self._tolerance, self._batched = step, tolerance, batched
+        if method not in get_args(Method):
+            raise InputError(f"no integrator {method!r}; there are {', '.join(get_args(Method))}")
+        if not (0.0 < step < np.inf and 0.0 < tolerance < np.inf):
+            raise InputError(f"step of {step} s within {tolerance} m: both must be positive numbers")
+        if substeps is not None and not 1 <= substeps <= MOST_SUBSTEPS:
+            raise InputError(f"{substeps} sub-steps: give 1 to {MOST_SUBSTEPS}, or none for what the moment asks for")
+        batch = [vehicles] if isinstance(vehicles, VehicleParameters) else vehicles
+        models = {vehicle.model for vehicle in batch}
+        if len(models) != 1:
+            raise InputError(f"a batch of the models {', '.join(sorted(models)) or 'none'}; give vehicles of one model")
+        self._step, self._tolerance, self._batched = step, tolerance, batch is vehicles
+        self._model = model = batch[0].model
+        self._numbers = np.stack([vehicle.numbers for vehicle in batch])
         # What the rows of `BatchStep.taken` stand for; the last is the rescue of vehicles that are not moved.
-        explicit = candidates(model) if method == "auto" else ((model, method),)
+        explicit: tuple[tuple[Model, Any], ...] = candidates(model) if method == "auto" else ((model, method),)
         self._ways = [*(" ".join(way) for way in explicit), f"{model} cvodes"]
         self._batch_step: BatchStep
-        if method == "cvodes" or method == "radau":
-            elements = substeps or RADAU_ELEMENTS
-            function = cvodes_function(model) if method == "cvodes" else radau_function(model, elements)
-            self._batch_step = ImplicitStep(function, self._numbers, step)
-            return
-        size, step_tolerance = model_state_size(model), tolerance * step / 0.1
-        if method == "auto":
-            functions = tuple(substep_function(*way, size) for way in candidates(model))
-            program = StepProgram(functions, automatic_plan(model, step_tolerance))
+        if method == "cvodes":
+            self._batch_step = ImplicitStep(cvodes_function(model), self._numbers, step)
+        elif method == "radau":
+            self._batch_step = ImplicitStep(radau_function(model, substeps or RADAU_ELEMENTS), self._numbers, step)
         else:
-            plan = stiffness_plan(model, method, step_tolerance) if substeps is None else fixed_plan(model, substeps)
-            program = StepProgram((substep_function(model, method, size),), plan)
-        self._batch_step = make_explicit_step(program, self._numbers, step)
+            step_tolerance = tolerance * step / 0.1
+            if method == "auto":
+                plan = automatic_plan(model, step_tolerance)
+            elif substeps is None:
+                plan = stiffness_plan(model, method, step_tolerance)
+            else:
+                plan = fixed_plan(model, substeps)
+            functions = tuple(substep_function(*way, model_state_size(model)) for way in explicit)
+            self._batch_step = make_explicit_step(StepProgram(functions, plan), self._numbers, step)
 
     def __call__(self, state: Array, control: Array) -> Array:
         """The state (s,) one step later under a control (2,); of a batch (n, s) under (n, 2).
