@@ -57,16 +57,8 @@ def run(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Drive scenes with a policy and print AS and CR by category; the gate must hold on every scene."""
-    from olt_closed_loop.control.tracking import ControlSettings
-    from olt_closed_loop.evaluation.evaluation import (
-        count_left_out,
-        count_vehicle_steps,
-        find_scenes,
-        run_closed_loop,
-        save_results,
-    )
-    from olt_closed_loop.evaluation.score_table import summarize_scores
-    from olt_closed_loop.simulation.settings import SimulationSettings
+    from olt_closed_loop import ControlSettings, SimulationSettings, run_closed_loop, save_results, summarize_scores
+    from olt_closed_loop.evaluation.evaluation import count_left_out, count_vehicle_steps, find_scenes
     from olt_toolkit.runtime.console import make_progress, print_json
     from olt_toolkit.runtime.workers import default_workers
 
@@ -151,9 +143,7 @@ def convert_scene(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write a recorded drive as a scene, and say what was assumed and whether the gate holds on it."""
-    from olt_closed_loop.evaluation.evaluation import load_scene
-    from olt_closed_loop.evaluation.gate import check_gate
-    from olt_closed_loop.scenes.scene_file import write_scene
+    from olt_closed_loop import check_gate, load_scene, write_scene
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
     if out.suffix not in (".usda", ".usdc"):
@@ -192,9 +182,8 @@ def score_rollout(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Score one recorded rollout."""
-    from olt_closed_loop.rollouts.rollout_files import read_rollout_file
+    from olt_closed_loop import read_rollout_file, score_record
     from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
-    from olt_closed_loop.scoring.definitions import score_record
     from olt_toolkit.runtime.console import print_json, print_table
 
     record = read_rollout_file(file)

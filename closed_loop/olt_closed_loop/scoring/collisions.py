@@ -67,16 +67,9 @@ def find_collisions(
     end_us: int,
     skip_unreachable: bool = True,
 ) -> tuple[tuple[Collision, ...], int]:
-    """First contact with each agent, in order of time.
+    """First contact with each agent from `start_us` to `end_us`, in order of time, and how many were left out.
 
-    Args:
-        ego: the ego's box, sampled from `start_us` to `end_us` at least.
-        agents, boxes: whom to test, and their boxes.
-        start_us, end_us: when to test, both included.
-        skip_unreachable: whether agents that cannot be reached are left out.
-
-    Returns:
-        The collisions, and how many agents were left out.
+    The ego's box is sampled over all of that time; `skip_unreachable` leaves out agents that cannot be reached.
     """
     tested = [
         (agent, box)

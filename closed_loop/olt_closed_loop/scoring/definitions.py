@@ -105,11 +105,7 @@ class RolloutScore:
 def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition: Definition = "strict") -> RolloutScore:
     """Score one rollout of the scene. One that failed, or whose states are not finite, is not valid.
 
-    Args:
-        scene: the scene that was driven.
-        rollout: the drive.
-        skip: whether what cannot change the result is left out; the result is the same without, only slower.
-        definition: how the score is defined.
+    `skip` leaves out what cannot change the result; the result is the same without, only slower.
 
     Raises:
         InputError: the rollout is one of another scene.

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from olt_closed_loop.scenes.actors import agent_poses
 from olt_closed_loop.scenes.looks import Looks, generate_looks
 from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_closed_loop.sensors.box_colors import color_boxes
-from olt_closed_loop.sensors.boxes import Boxes, body_boxes, scenery_boxes
-from olt_closed_loop.sensors.camera_rays import CameraRays, camera_rays
+from olt_closed_loop.sensors.boxes import Boxes, body_boxes, color_boxes, scenery_boxes
+from olt_closed_loop.sensors.camera_rays import camera_rays
 from olt_closed_loop.sensors.casting import CHUNK, boxes_in_view, cast
 from olt_closed_loop.sensors.ground import Ground, add_shadows, empty_shadows, sunlight
 from olt_closed_loop.sensors.sky import Sky
@@ -56,13 +55,7 @@ class SceneRenderer:
         self._boxes, self._shadows = self._fixed, self._fixed_shadows
 
     def render(self, camera: Camera, T_world_camera: Array, time_us: int) -> Rendering:
-        """Take one picture.
-
-        Args:
-            camera: any camera model.
-            T_world_camera: (4, 4) pose of the camera.
-            time_us: time in the recording at which the agents are shown.
-        """
+        """Take one picture from a pose (4, 4), with the agents where they are at a time in the recording."""
         self._show(time_us)
         view, position, rotation = camera_rays(camera), T_world_camera[:3, 3], T_world_camera[:3, :3].astype(np.float32)
         rays = _rotate(rotation, view.rays)
@@ -78,7 +71,15 @@ class SceneRenderer:
             rgb[blocks] = self._sky.color(rays[:, blocks])
         blocks = np.nonzero(~sky.all(axis=1))[0]
         for start in range(0, len(blocks), CHUNK):
-            self._color_ground(rgb, view, position, rays, distance, blocks[start : start + CHUNK])
+            some = blocks[start : start + CHUNK]
+            (x, y, _), away = rays[:, some], np.minimum(distance[some], np.float32(_FARTHEST_GROUND))
+            across, dx, dy = away * view.angles[some], away * x, away * y
+            along = across * away / np.float32(max(position[2], 0.1))
+            color = self._ground.color(position, dx, dy, across, along)
+            color *= sunlight(self._shadows, position, dx, dy)[..., None]
+            seen = rgb[some]
+            np.copyto(seen, self._hazy(color, away), where=~sky[some][..., None])
+            rgb[some] = seen
         if len(hits.box):
             places = rays[:, hits.block, hits.pixel] * hits.distance
             pixel_size = hits.distance * view.angles[hits.block, hits.pixel]
@@ -99,27 +100,6 @@ class SceneRenderer:
         self._time_us, self._boxes = time_us, Boxes.concatenate([self._fixed, *present])
         changing = self._boxes.corners()[len(self._fixed) :]
         self._shadows = add_shadows(self._fixed_shadows, changing, self._sun)
-
-    def _color_ground(
-        self,
-        rgb: Image,
-        view: CameraRays,
-        position: Array,
-        rays: FloatImage,
-        distance: FloatImage,
-        blocks: NDArray[np.intp],
-    ) -> None:
-        """Colour the rays of some blocks that meet the ground."""
-        x, y, _ = rays[:, blocks]
-        away = np.minimum(distance[blocks], np.float32(_FARTHEST_GROUND))
-        across = away * view.angles[blocks]
-        along = across * away / np.float32(max(position[2], 0.1))
-        dx, dy = away * x, away * y
-        color = self._ground.color(position, dx, dy, across, along)
-        color *= sunlight(self._shadows, position, dx, dy)[..., None]
-        seen = rgb[blocks]
-        np.copyto(seen, self._hazy(color, away), where=np.isfinite(distance[blocks])[..., None])
-        rgb[blocks] = seen
 
     def _hazy(self, color: FloatImage, distance: FloatImage) -> Image:
         """Blend colours (n, ..., 3) into the colour of the horizon with distance; works in place."""

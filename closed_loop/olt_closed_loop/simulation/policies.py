@@ -1,15 +1,21 @@
-"""Policies that need no cameras: baselines, and proofs that the loop is closed."""
+"""Policies that need no cameras: baselines that answer for many rollouts at once.
 
+A policy with `plan_batch` keeps nothing between calls, so one of it drives whole batches of rollouts in step. Each row
+of its answer depends on the same row of the observations alone: a rollout is the same alone and in any batch.
+"""
+
+from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import entry_points
 
 import numpy as np
+from numpy.typing import NDArray
 
-from olt_closed_loop.simulation.batch_policy import BatchPolicy, ObservationBatch
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
-from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, PlannedTrajectory, Policy
+from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, Observation, PlannedTrajectory, Policy
 
 FUTURE_TIMES: Array = STEP_SECONDS * np.arange(1, FUTURE_STEPS + 1, dtype=np.float64)
 PolicyLoader = Callable[[str | None], Policy]
@@ -28,6 +34,58 @@ def make_policy(spec: str) -> Policy:
         raise InputError(f"policy {name!r} is not known; choose from {', '.join(sorted(found))}")
     loader: PolicyLoader = found[name].load()
     return loader(argument or None)
+
+
+@dataclass(frozen=True)
+class ObservationBatch:
+    """What n rollouts show their policy; fields as in `Observation`, without images.
+
+    Attributes:
+        history_xyz: (n, 16, 3).
+        history_rotation: (n, 16, 3, 3).
+        route_xy: (n, 20, 2), filled up with NaN where the route ends earlier or is not known.
+        time_us: (n,).
+        seeds: (n,).
+    """
+
+    history_xyz: Array
+    history_rotation: Array
+    route_xy: Array
+    time_us: NDArray[np.int64]
+    seeds: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, observation: Observation) -> "ObservationBatch":
+        """The batch of one."""
+        return cls(
+            observation.history_xyz[None],
+            observation.history_rotation[None],
+            observation.route_xy[None],
+            np.array([observation.time_us], dtype=np.int64),
+            np.array([observation.seed], dtype=np.int64),
+        )
+
+    def row(self, index: int) -> "ObservationBatch":
+        """The batch of the one rollout at `index`."""
+        return ObservationBatch(**{name: values[index : index + 1] for name, values in vars(self).items()})
+
+
+class BatchPolicy(ABC):
+    """A policy without cameras and memory. `uses_route` says whether it looks at the route at all."""
+
+    name: str
+    cameras: tuple[str, ...] = ()
+    image_size: tuple[int, int] = (0, 0)
+    uses_route = False
+
+    def plan(self, observation: Observation) -> PlannedTrajectory:
+        """See `Policy.plan`."""
+        plans = self.plan_batch(ObservationBatch.of(observation))
+        return PlannedTrajectory(plans.xyz[0], plans.rotation[0])
+
+    @abstractmethod
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
+        """Answer for every row: xyz (n, 64, 3) and rotation (n, 64, 3, 3)."""
 
 
 class ConstantVelocityPolicy(BatchPolicy):

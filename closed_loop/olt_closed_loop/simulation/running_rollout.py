@@ -14,7 +14,7 @@ from olt_closed_loop.control.tracking import TrackingController
 from olt_closed_loop.rollouts.progress import PathTracker
 from olt_closed_loop.rollouts.rollout import Incidents, Rollout
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.batch_policy import BatchPolicy
+from olt_closed_loop.simulation.policies import BatchPolicy
 from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from olt_closed_loop import commands
 from olt_closed_loop.commands import app
+from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.tracking import ControlMethod, ControlSettings
 from olt_closed_loop.evaluation.evaluation import (
     count_left_out,
@@ -79,6 +80,19 @@ def test_late_solves_reach_the_results_and_the_table(straight_scene, tmp_path):
     report = json.loads((tmp_path / "scores.json").read_text())
     assert report["table"]["rows"][-1]["rollout_incidents"]["solves_late"] == 2 * steps
     assert [score["rollout_incidents"]["solves_late"] for score in report["scores"]] == [steps, steps]
+
+
+def test_what_fatrop_gives_up_reaches_the_results(straight_scene, monkeypatch):
+    solve = NonlinearSolver.solve
+
+    def give_up(solver, *arguments):
+        solver.given_up += 1
+        return solve(solver, *arguments)
+
+    monkeypatch.setattr(NonlinearSolver, "solve", give_up)
+    settings = replace(SHORT, duration_us=2_000_000, control=ControlSettings(method="nonlinear"))
+    ((_, score),) = run_closed_loop([straight_scene()], "route", rollouts=1, settings=settings)
+    assert (score.rollout_incidents["solves_given_up"], score.rollout_incidents["solves_failed"]) == (3, 0)
 
 
 def test_the_plan_says_what_moved_the_vehicle_and_what_that_left_out(straight_scene):

@@ -122,11 +122,7 @@ class Surroundings:
         """Between which distances (m,) the outlines of the ego and of agents (m,) are, from their boxes.
 
         Boxes are no nearer than along any of their axes, and no farther apart than one is from the other's centre.
-
-        Args:
-            ego: positions (m, 2) and yaws (m,) of the ego.
-            others: positions and yaws of the agents.
-            agents: which agents they are.
+        `ego` and `others` are positions (m, 2) and yaws (m,).
         """
         shapes = self.agent_shapes.select(agents)
         own_half, half = self.ego_shape.half_sizes, shapes.half_sizes
