@@ -36,6 +36,7 @@ Prim: TypeAlias = Any
 
 # Time codes are microseconds, which a double holds exactly for 285 years.
 TIME_CODES_PER_SECOND = 1e6
+_TEXTS = ("name", "category", "factors", "assumptions")
 _COLORS = ("zenith", "horizon", "grass", "gravel", "asphalt", "paint")
 
 Triple = tuple[float, float, float]
@@ -46,13 +47,7 @@ def write_scene(scene: Scene, path: Path) -> Path:
     looks = generate_looks(scene) if scene.looks is None else read_looks(Path(scene.looks))
     looks_path = path.with_name(f"{path.stem}.looks{path.suffix}")
     stage = _new_stage("/World")
-    _write(
-        stage.GetPrimAtPath("/World"),
-        name=scene.name,
-        category=scene.category,
-        factors=scene.factors,
-        assumptions=scene.assumptions,
-    )
+    _write(stage.GetPrimAtPath("/World"), **{name: getattr(scene, name) for name in _TEXTS})
     _write_road(stage, scene)
     _write_ego(stage, scene)
     UsdGeom.Scope.Define(stage, "/World/Agents")
@@ -69,8 +64,7 @@ def _write_road(stage: Any, scene: Scene) -> None:
     for place in ("/World/Road", "/World/Road/Lanes", "/World/Road/Edges", "/World/Road/Drivable"):
         UsdGeom.Scope.Define(stage, place)
     for index, lane in enumerate(scene.lanes):
-        lines = {side: getattr(lane, side) for side in ("center", "left", "right")}
-        _write_line(stage, f"Lanes/lane_{index:03d}", lane.center, id=lane.id, **lines, successors=lane.successors)
+        _write_line(stage, f"Lanes/lane_{index:03d}", lane.center, **vars(lane))
     for index, edge in enumerate(scene.road_edges):
         _write_line(stage, f"Edges/edge_{index:03d}", edge, points=edge)
     for index, outline in enumerate(scene.drivable):
@@ -179,19 +173,15 @@ def read_scene(path: Path) -> Scene:
     """
     reader = _Reader(path)
     world, ego = reader.prim("/World"), reader.prim("/World/Ego")
-    name, category, factors, assumptions = reader.values(world, "name", "category", "factors", "assumptions")
-    sizes = [field.name for field in fields(VehicleDimensions)]
+    sizes, of_lane = ([field.name for field in fields(kind)] for kind in (VehicleDimensions, Lane))
     times_us, matrices = reader.samples(ego, "xformOp:transform")
-    of_lane = ("id", "center", "left", "right", "successors")
     edges, outlines = (
         tuple(reader.values(prim, "points")[0] for prim in reader.children(f"/World/Road/{place}"))
         for place in ("Edges", "Drivable")
     )
     return Scene(
-        name=name,
-        category=category,
-        factors=factors,
-        vehicle=VehicleDimensions(**dict(zip(sizes, reader.values(ego, *sizes), strict=True))),
+        **dict(zip(_TEXTS, reader.values(world, *_TEXTS), strict=True)),
+        vehicle=VehicleDimensions(*reader.values(ego, *sizes)),
         ego=Trajectory(times_us, np.swapaxes(matrices, 1, 2)),
         agents=tuple(reader.agent(prim) for prim in reader.children("/World/Agents")),
         lanes=tuple(Lane(*reader.values(prim, *of_lane)) for prim in reader.children("/World/Road/Lanes")),
@@ -199,7 +189,6 @@ def read_scene(path: Path) -> Scene:
         drivable=outlines,
         route=reader.values(reader.prim("/World/Road/Route"), "points")[0],
         looks=str(path),
-        assumptions=assumptions,
     )
 
 

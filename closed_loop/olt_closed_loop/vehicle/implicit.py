@@ -41,12 +41,7 @@ def radau_function(model: Model, elements: int) -> ca.Function:
 @lru_cache(maxsize=32)
 def cvodes_function(model: Model, tolerance: float = CVODES_TOLERANCE) -> ca.Function:
     """The same map, to a tolerance for each sub-step of CVODES."""
-    options: dict[str, Any] = {
-        "abstol": tolerance,
-        "reltol": tolerance,
-        "max_num_steps": 1_000_000,
-        "disable_internal_warnings": True,
-    }
+    options = {"abstol": tolerance, "reltol": tolerance, "max_num_steps": 1_000_000, "disable_internal_warnings": True}
     return _step_function(model, "cvodes", options)
 
 
