@@ -65,10 +65,9 @@ def _write_road(stage: Any, scene: Scene) -> None:
         UsdGeom.Scope.Define(stage, place)
     for index, lane in enumerate(scene.lanes):
         _write_line(stage, f"Lanes/lane_{index:03d}", lane.center, **vars(lane))
-    for index, edge in enumerate(scene.road_edges):
-        _write_line(stage, f"Edges/edge_{index:03d}", edge, points=edge)
-    for index, outline in enumerate(scene.drivable):
-        _write_line(stage, f"Drivable/outline_{index:03d}", outline, points=outline)
+    for place, lines in (("Edges/edge", scene.road_edges), ("Drivable/outline", scene.drivable)):
+        for index, line in enumerate(lines):
+            _write_line(stage, f"{place}_{index:03d}", line, points=line)
     _write_line(stage, "Route", scene.route, points=scene.route)
 
 

@@ -63,8 +63,8 @@ def cast(
     distance = np.empty((len(block), rays.shape[2]), dtype=np.float32)
     for start in range(0, len(block), CHUNK):
         chunk = slice(start, start + CHUNK)
-        frames = (values[:, box[chunk, None]] for values in (place, half, turn))
-        entry, leave = _intersect(*frames, rays[:, block[chunk]])
+        these = box[chunk, None]
+        entry, leave = _intersect(place[:, these], half[:, these], turn[:, these], rays[:, block[chunk]])
         reached = np.where(entry > 0.0, entry, leave)
         distance[chunk] = np.where((entry <= leave) & (leave > 0.0), reached, np.float32(np.inf))
     # The nearest for every ray: each keeps its number over all blocks.
