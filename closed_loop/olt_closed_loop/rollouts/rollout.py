@@ -110,6 +110,7 @@ class Rollout:
             InputError: a field is missing, unknown, or of another form.
         """
         try:
+            arrays = {"timestamps_us": np.int64, "poses": np.float64}
             controls = [[np.nan, np.nan] if control is None else control for control in values["controls"]]
             parts = {
                 "timestamps_us": np.array(values["timestamps_us"], dtype=np.int64),
@@ -121,13 +122,7 @@ class Rollout:
                 "incidents": Incidents(**values["incidents"]),
                 "left_out": tuple(Omission(**omission) for omission in values["left_out"]),
                 "reacted": tuple(
-                    Agent(
-                        **agent
-                        | {
-                            "timestamps_us": np.array(agent["timestamps_us"], dtype=np.int64),
-                            "poses": np.array(agent["poses"], dtype=np.float64),
-                        }
-                    )
+                    Agent(**agent | {name: np.array(agent[name], dtype=kind) for name, kind in arrays.items()})
                     for agent in values["reacted"]
                 ),
             }
