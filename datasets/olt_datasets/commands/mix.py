@@ -152,7 +152,7 @@ def diff(
 def _training(stages: Sequence[str]) -> Any:
     """A function that gives the arithmetic of each stage for a number of samples; texts are checked at once."""
     parsed = [parse_stage(text) for text in stages]
-    return lambda samples: {str(stage): asdict(training_arithmetic(samples, stage)) for stage in parsed}
+    return lambda samples: {str(stage): training_arithmetic(samples, stage) for stage in parsed}
 
 
 def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:

@@ -213,11 +213,7 @@ def read_recipe(path: Path) -> Recipe:
 
 
 def parse_recipe(content: dict[Any, Any], where: str) -> Recipe:
-    """Check the content of a recipe; `where` names it in errors.
-
-    Raises:
-        InputError: the first field that is wrong.
-    """
+    """Check the content of a recipe, which errors call `where`: an InputError tells the first field that is wrong."""
     return _validate(Recipe, content, where)
 
 
@@ -240,18 +236,6 @@ def builtin_recipes() -> list[str]:
     return sorted(Path(entry.name).stem for entry in folder.iterdir() if entry.name.endswith(RECIPE_SUFFIXES))
 
 
-def builtin_recipe(name: str) -> Recipe:
-    """A recipe that comes with the package.
-
-    Raises:
-        InputError: there is none of this name.
-    """
-    if name not in builtin_recipes():
-        raise InputError(f"no built-in recipe {name!r}; there are {', '.join(builtin_recipes())}, or give a YAML file")
-    text = (files("olt_datasets") / "recipes" / f"{name}.yaml").read_text(encoding="utf-8")
-    return parse_recipe(yaml.safe_load(text), f"built-in recipe {name}")
-
-
 def find_recipe(path_or_name: str) -> Recipe:
     """The recipe in a YAML file, or the built-in one of this name.
 
@@ -260,7 +244,11 @@ def find_recipe(path_or_name: str) -> Recipe:
     """
     if path_or_name.endswith(RECIPE_SUFFIXES):
         return read_recipe(Path(path_or_name))
-    return builtin_recipe(path_or_name)
+    name, known = path_or_name, builtin_recipes()
+    if name not in known:
+        raise InputError(f"no built-in recipe {name!r}; there are {', '.join(known)}, or give a YAML file")
+    text = (files("olt_datasets") / "recipes" / f"{name}.yaml").read_text(encoding="utf-8")
+    return parse_recipe(yaml.safe_load(text), f"built-in recipe {name}")
 
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -51,11 +51,7 @@ class Selection:
         return self.available * self.component.repeats
 
     def draw(self, most: int, seed: int, columns: Collection[str]) -> pl.DataFrame:
-        """Draw the samples of a component that gives at most so many items to an epoch.
-
-        Returns:
-            `columns` of the clips and `t0_us`, ordered by clip and time.
-        """
+        """The samples, if it gives at most so many items to an epoch: `columns` of the clips and `t0_us`, by clip."""
         count = min(most, self.available)
         category = pl.col("category")
         others = self.clips.filter(~category.is_in(list(self.component.caps)))

@@ -54,12 +54,7 @@ Coverage = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Gap:
-    """An alignment gap, 0 to 1.
-
-    Attributes:
-        median: of the posterior.
-        low, high: its central 95 % interval.
-    """
+    """An alignment gap, 0 to 1: the median of the posterior and its central 95 % interval."""
 
     median: float
     low: float
@@ -68,14 +63,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class AlignedSource:
-    """How one source stands to the target.
-
-    Attributes:
-        name: the source.
-        clips: number of its clips.
-        gap: its alignment gap.
-        share: its proposed share of the clips.
-    """
+    """How one source stands to the target: the number of its clips, and its proposed share of them."""
 
     name: str
     clips: float
@@ -85,14 +73,12 @@ class AlignedSource:
 
 @dataclass(frozen=True)
 class MissingFactor:
-    """A factor that the target asks for and a source, or every source, has not once.
+    """A factor that the target asks for and a source has not once; all None where no source has it.
 
     Attributes:
-        factor: the factor.
         target_share: its share of the target.
-        source: the source; None where no source has the factor.
-        clips: number of the source's clips; None for all sources.
-        bound: the part of such clips that the source has less than, with the probability `CONFIDENCE`; None for all.
+        clips: number of the source's clips.
+        bound: the part of such clips that the source has less than, with the probability `CONFIDENCE`.
     """
 
     factor: str
@@ -214,13 +200,9 @@ def propose_shares(distributions: Array, target: Array, sizes: Array, limits: Ar
     A linear program in the shares w and the absolute differences u; a second one chooses among its solutions.
 
     Args:
-        distributions: (sources, factors), each row sums to 1.
-        target: (factors,), sums to 1.
-        sizes: (sources,) shares to stay near to where there is a choice; they sum to 1.
+        distributions: (sources, factors), each row sums to 1, as the target (factors,) does.
+        sizes: (sources,) shares to stay near to where there is a choice; they sum to 1, as what is returned does.
         limits: (sources,) the largest shares; they sum to at least 1.
-
-    Returns:
-        (sources,) shares that sum to 1.
     """
     first = _nearest([(distributions.T, target)], limits)
     least = float(total_variation(first @ distributions, target))

@@ -68,11 +68,7 @@ class Argoverse2:
         )
 
     def ego_motion(self, key: str) -> Trajectory:
-        """The motion of the rig over a drive; its frame is that of the city, moved to the start of a scenario.
-
-        Raises:
-            InputError: there is no such drive, or its file is damaged.
-        """
+        """The motion of the rig over a drive, else InputError; its frame is the city's, moved to a scenario's start."""
         if key in self._scenarios:
             return read_motion_ego(self._scenarios[key])
         if key in self._logs:

@@ -46,11 +46,7 @@ class KittiOdometrySequence:
     camera = "image_0"
 
     def __init__(self, path: Path) -> None:
-        """Read all but the images.
-
-        Raises:
-            InputError: files are missing, damaged or not as many as their times or poses.
-        """
+        """Read all but the images; InputError where files are missing, damaged or too many for times or poses."""
         self.scene = path.name
         self._images = list_images(path / "image_0")
         if not self._images:

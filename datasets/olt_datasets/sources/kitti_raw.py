@@ -45,11 +45,7 @@ class KittiRawDrive:
     camera, has_motion, notes = "image_02", True, ASSUMPTIONS
 
     def __init__(self, path: Path) -> None:
-        """Read what describes the drive, no image and no GPS/IMU file.
-
-        Raises:
-            InputError: files are missing, damaged or not as many as their times.
-        """
+        """Read what describes the drive, no image and no GPS/IMU file; InputError names a file that is wrong."""
         if (path / _OFFICIAL_IMAGES).is_dir():
             images, image_times, calibration = path / _OFFICIAL_IMAGES, path / "image_02/timestamps.txt", path.parent
             oxts, oxts_times = path / "oxts/data", path / "oxts/timestamps.txt"

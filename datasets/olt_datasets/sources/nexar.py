@@ -45,11 +45,9 @@ _FACTORS = {"light_conditions": "light", "weather": "weather", "scene": "scene"}
 
 @dataclass(frozen=True)
 class _Video:
-    """A row of the tables.
+    """A row of the tables; event and alert are the seconds at which it happens, and at which it can be foreseen.
 
-    Attributes:
-        ends_badly: whether a collision or a near miss follows; None where the data set keeps it to itself.
-        event, alert: seconds at which it happens, and at which it can be foreseen.
+    `ends_badly` is whether a collision or a near miss follows; None where the data set keeps it to itself.
     """
 
     path: Path

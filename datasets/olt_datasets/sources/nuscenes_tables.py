@@ -43,11 +43,7 @@ def camera_images(release: Path, cache: Path) -> Path:
     """The Parquet file of all camera images of a release, made where it is not in the cache yet.
 
     Columns: `IMAGE_SCHEMA`; `POSITION` and `QUATERNION` of the vehicle in the map; `MOUNTING` of the camera in the
-    vehicle; `LENS` in pixels. Rows are sorted by scene, channel and time.
-
-    Args:
-        release: folder of the JSON tables, such as `v1.0-mini`.
-        cache: where the result is kept.
+    vehicle; `LENS` in pixels. Rows are sorted by scene, channel and time. The release is a folder, such as `v1.0-mini`.
 
     Raises:
         InputError: a table is missing or damaged; names file, row and field.

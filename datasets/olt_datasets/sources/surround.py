@@ -23,7 +23,7 @@ from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import Drive
-from olt_toolkit.recordings.labels import UNLABELLED, Split
+from olt_toolkit.recordings.labels import Split
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, short_name
 from olt_toolkit.rigs.rig_files import pav_rig
@@ -43,22 +43,15 @@ class StoredImage(Protocol):
     """An image file, or an image inside another file; as text it is what errors call it."""
 
     def read_bytes(self) -> bytes:
-        """The coded image.
-
-        Raises:
-            InputError: it is damaged.
-        """
+        """The coded image; InputError where it is damaged."""
         ...
 
 
 @dataclass(frozen=True)
 class CameraImages:
-    """The images of one camera over a drive.
+    """The images of one camera over a drive: n files or parts of files at drive times (n,), strictly increasing.
 
-    Attributes:
-        mounted: lens, at the size of the stored images, and mounting.
-        files: n images, files or parts of files.
-        times_us: (n,) int64 drive times, strictly increasing.
+    `mounted` is the lens, at the size of the stored images, and the mounting.
     """
 
     mounted: MountedCamera
@@ -72,11 +65,8 @@ class SurroundDrive:
 
     Attributes:
         source: name of the reader.
-        key: key of the drive.
-        front: name of the front camera.
-        cameras: images by camera name; those of the front camera begin at drive time 0.
+        front: name of the front camera; its images begin at drive time 0.
         ego: measured rig poses over drive time, in a frame whose z is up.
-        vehicle: size of the vehicle.
         assumptions: a sentence for everything that is assumed instead of measured.
     """
 
@@ -105,14 +95,7 @@ class SurroundDrive:
             if farthest_apart(camera.times_us, front_us) <= FARTHEST_US
         }
 
-    def describe(
-        self,
-        *,
-        category: str = UNLABELLED,
-        country: str | None = None,
-        split: Split | None = None,
-        notes: tuple[str, ...] = (),
-    ) -> Drive:
+    def describe(self, *, notes: tuple[str, ...] = (), country: str | None = None, split: Split | None = None) -> Drive:
         """The drive as data set readers tell it; the arguments are those of `Drive`."""
         mosaics = (
             f"The true {short_name(name)} view is a mosaic of several cameras, which shows {share:.0%} of it."
@@ -131,7 +114,6 @@ class SurroundDrive:
             cameras=tuple(self.cameras),
             ego_span_us=(int(self.ego.timestamps_us[0]), int(self.ego.timestamps_us[-1])),
             true_views=tuple(name for name in POLICY_CAMERAS if name == FRONT_WIDE or name in self.mosaics),
-            category=category,
             country=country,
             split=split,
             notes=(*notes, *mosaics, *unsteady, *self.assumptions),

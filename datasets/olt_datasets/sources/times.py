@@ -12,11 +12,7 @@ FARTHEST_US = 100_000
 
 
 def images_within(front_us: NDArray[np.int64], window_us: Span, where: str) -> NDArray[np.intp]:
-    """Numbers (m,) of the images at times (n,) in microseconds that lie in [first, last].
-
-    Raises:
-        InputError: there are none; names `where`.
-    """
+    """Numbers (m,) of the images at times (n,) in microseconds that lie in [first, last]; InputError if none does."""
     inside = np.flatnonzero((front_us >= window_us[0]) & (front_us <= window_us[1]))
     if len(inside) == 0:
         raise InputError(f"{where}: no front image lies between {window_us[0]} and {window_us[1]} us of the drive")

@@ -95,13 +95,8 @@ def open_video_window(
 ) -> Recording:
     """Decode a window of a front video of which nothing is known, in the rig in which unknown cameras are taken to be.
 
-    Args:
-        path: the video.
-        name: name of the recording.
-        source: name of the reader.
-        window_us: times of the first and the last frame.
-        options: working width, what to assume, and in how much from the start the field of view is looked for.
-        cache: where the field of view is kept for as long as the file stays the same.
+    The options tell in how much from the start the field of view is looked for. It is kept in the cache for as long as
+    the file stays the same.
 
     Raises:
         InputError: the video is damaged, or shows no frame in the window, or a single one in all that is opened.
@@ -166,12 +161,7 @@ class AssumedLens:
 
 
 def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64]) -> AssumedLens:
-    """The field of view as estimated from the video, else as assumed for dashcams.
-
-    Args:
-        frames: (n, H, W, 3) uint8.
-        timestamps_us: (n,) int64 microseconds.
-    """
+    """The field of view as estimated from frames (n, H, W, 3) and their times (n,), else as assumed for dashcams."""
     estimate = estimate_field_of_view(frames, timestamps_us, assume_camera)
     if estimate.field_of_view is not None and estimate.interval is not None:
         low, high = np.degrees(estimate.interval)
@@ -185,10 +175,9 @@ def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int6
 
 
 def assume_camera(width: int, height: int, field_of_view: float) -> Camera:
-    """A centred camera with the given horizontal field of view in radians: pinhole, or equidistant where it is wide.
+    """A centred camera with a horizontal field of view in radians, of 10 to 200 degrees or else InputError.
 
-    Raises:
-        InputError: the field of view is not between 10 and 200 degrees.
+    It is a pinhole camera, or an equidistant one where the field of view is wide.
     """
     low, high = FIELD_OF_VIEW_RANGE
     if not low <= field_of_view <= high:

@@ -35,14 +35,10 @@ def find_buildable(rows: Sequence[ClipInfo], kind: BuiltKind) -> list[ClipInfo]:
 
 
 def build_row(row: ClipInfo, kind: BuiltKind, job: BuildJob) -> BuildJob:
-    """The job that builds the clip of a row.
+    """The job that builds the clip of a row that is in a split, from the job that has what all rows share.
 
-    Args:
-        row: the row, which is in a split.
-        kind: GT: the true images of all policy cameras. Syn: those of the front camera, from which the other views are
-            synthesized. Motion that the data set measured is taken in any case.
-        job: what all rows share: the data set, the store, what to assume of a camera that the data set does not tell,
-            sizes and seed of the clips, and what measures motion and distances.
+    GT takes the true images of all policy cameras, Syn those of the front camera, from which the other views are
+    synthesized. Motion that the data set measured is taken in any case.
     """
     assert row.split is not None  # find_buildable refuses other rows
     opening, real_views = job.opening, kind is BuiltKind.GT

@@ -27,11 +27,9 @@ Pairs = NDArray[np.int64]
 
 
 def find_near_duplicates(first: pl.Series, second: pl.Series) -> Pairs:
-    """Places (m, 2) of the clips of two lists that are near-duplicates, ascending.
+    """Places (m, 2), ascending, of the clips of two lists that are near-duplicates.
 
-    Args:
-        first: fingerprints, a list of hashes a clip; None where there is none.
-        second: those of other clips.
+    A fingerprint is a list of hashes, None where a clip has none.
     """
     owners, hashes = _flatten(first)
     other_owners, other_hashes = _flatten(second)

@@ -74,13 +74,7 @@ def find_leaks(
 def find_table_leaks(
     table: pl.LazyFrame, held_out_scenes: Collection[str] = (), external_sources: Collection[str] = ()
 ) -> list[Leak]:
-    """All leaks between the splits of a table; only training may use neither held-out scenes nor external sources.
-
-    Args:
-        table: a clip table.
-        held_out_scenes: scene ids that are not trained on.
-        external_sources: sources that are not trained on.
-    """
+    """All leaks between the splits of a table; only training may use neither held-out scenes nor external sources."""
     split = pl.col("split")
     of_training = find_leaks(table.filter(split == "train"), table, "train", held_out_scenes, external_sources)
     return of_training + find_leaks(table.filter(split == "val"), table.filter(split == "test"), "val")

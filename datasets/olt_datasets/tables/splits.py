@@ -83,9 +83,7 @@ def split_table(table: Path, splitting: Splitting, out: Path) -> dict[str, int]:
 def assign_splits(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
     """The split (n,) of each clip, None for clips that are in none.
 
-    Args:
-        clips: columns scene_id, source, start_us, end_us and split of the clip table.
-        splitting: the rule.
+    Clips have the columns scene_id, source, start_us, end_us and split of the clip table.
 
     Raises:
         InputError: no clip is of a named source, or the rule is `own` and a clip has no split of its own.

@@ -22,7 +22,7 @@ from olt_closed_loop.evaluation.evaluation import count_left_out, pass_gate
 from olt_closed_loop.scenes.procedural import CATEGORIES
 from olt_closed_loop.sensors.recorder import record_drive
 from olt_datasets import Mixture, compose_mixture, read_clip_tables
-from olt_datasets.mixtures.recipe import builtin_recipe
+from olt_datasets.mixtures.recipe import find_recipe
 from olt_generator.files import write_whole
 from olt_generator.omissions import Omission
 from olt_generator.progress import Progress
@@ -144,7 +144,7 @@ def run_demo(out: Path, settings: DemoSettings, video: Path | None = None, worke
         # the policies are judged.
         def compose(name: str) -> Mixture:
             held_out = [*scenes["validation"], *scenes["evaluation"]]
-            return compose_mixture(builtin_recipe(name), read_clip_tables([out / "clips"]), settings.seed, held_out)
+            return compose_mixture(find_recipe(name), read_clip_tables([out / "clips"]), settings.seed, held_out)
 
         mixtures = log.run("mixtures", lambda share: {name: compose(name).describe() for name in RECIPES})
 

@@ -12,7 +12,7 @@ import numpy as np
 import polars as pl
 
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
-from olt_datasets.sources.waymo.frames import CAMERAS, FrameImages, read_images
+from olt_datasets.sources.waymo.frames import CAMERAS, read_images
 from olt_datasets.sources.waymo.index import SHARDS, build_index, positions
 from olt_datasets.sources.waymo.motion import FramePath, chain_paths
 from olt_datasets.sources.waymo.tfrecord import map_records, read_record
@@ -140,10 +140,10 @@ class _Record:
     @property
     def calibrated(self) -> dict[str, MountedCamera]:
         """The cameras, read without looking at the images, so the checksum of the record is not looked at either."""
-        return read_images(self._shard[self._offset : self._offset + self._length], str(self), False).cameras
+        return read_images(self._shard[self._offset : self._offset + self._length], str(self), False)[1]
 
     @cached_property
-    def images(self) -> FrameImages:
+    def images(self) -> tuple[dict[str, bytes], dict[str, MountedCamera]]:
         """Images and cameras, checked; all images of a record are asked for one after the other."""
         return read_images(read_record(self._shard, self._offset, self._length, self._path), str(self))
 
@@ -160,11 +160,11 @@ class _RecordImage:
         return f"{self.record}: {self.camera}"
 
     def read_bytes(self) -> bytes:
-        images = self.record.images
-        own = images.cameras[self.camera]
+        jpegs, cameras = self.record.images
+        own = cameras[self.camera]
         if own.camera != self.mounted.camera or not np.array_equal(own.T_rig_camera, self.mounted.T_rig_camera):
             raise InputError(f"{self}: its calibration is not that of the first frame; give Waymo's shards unchanged")
-        return images.jpegs[self.camera]
+        return jpegs[self.camera]
 
 
 def _prefix(shard: str) -> str:

@@ -6,8 +6,8 @@ without reading an image. All of them together are one table sorted by drive, in
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import polars as pl
@@ -17,7 +17,6 @@ from olt_datasets.sources.waymo.tfrecord import map_records, record_spans
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array
-from olt_generator.progress import Progress, silent
 from olt_toolkit.runtime.workers import default_workers, map_parallel
 
 SHARDS = "*.tfrecord*"
@@ -40,8 +39,7 @@ _ROWS_IN_GROUP = 4096
 _WORTH_WORKERS = 4 << 30
 
 
-@dataclass(frozen=True)
-class ShardTask:
+class ShardTask(NamedTuple):
     """A shard to index, its path in the data set, and where its index goes."""
 
     path: Path
@@ -49,7 +47,7 @@ class ShardTask:
     index: Path
 
 
-def build_index(root: Path, cache: Path, on_progress: Progress = silent) -> Path:
+def build_index(root: Path, cache: Path) -> Path:
     """The index of all shards below a folder, in one Parquet file; only what is new since the last time is read.
 
     Raises:
@@ -65,7 +63,7 @@ def build_index(root: Path, cache: Path, on_progress: Progress = silent) -> Path
         tasks.append(ShardTask(shard, name, cache / f"shard-{digest}.parquet"))
     missing = [task for task in tasks if not task.index.is_file()]
     worth_workers = sum(task.path.stat().st_size for task in missing) > _WORTH_WORKERS
-    map_parallel(index_shard, missing, default_workers() if worth_workers else 1, on_progress)
+    map_parallel(index_shard, missing, default_workers() if worth_workers else 1)
     together = cache / f"frames-{_digest([task.index.name for task in tasks])}.parquet"
     if not together.is_file():
         frames = pl.concat([pl.read_parquet(task.index) for task in tasks]).sort("sequence", "index", "shard")
@@ -75,28 +73,13 @@ def build_index(root: Path, cache: Path, on_progress: Progress = silent) -> Path
 
 
 def index_shard(task: ShardTask) -> None:
-    """Write the index of one shard.
-
-    Raises:
-        InputError: the shard is damaged; names the record.
-    """
+    """Write the index of one shard; where it is damaged, an InputError names the record."""
     content = map_records(task.path)
     rows = []
     for offset, length in record_spans(content, str(task.path)):
         states = read_states(content[offset : offset + length], f"{task.path}: record at byte {offset}")
-        rows.append(
-            {
-                "sequence": states.sequence,
-                "index": states.index,
-                "shard": task.name,
-                "offset": offset,
-                "length": length,
-                "past": states.past.ravel(),
-                "future": states.future.ravel(),
-                "cameras": states.cameras,
-                "rated": states.rated,
-            }
-        )
+        flat = {name: states[name].ravel() for name in ("past", "future")}
+        rows.append(states | flat | {"shard": task.name, "offset": offset, "length": length})
     with write_whole(task.index) as path:
         pl.DataFrame(rows, schema=SCHEMA).write_parquet(path)
 

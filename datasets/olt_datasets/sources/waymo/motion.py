@@ -30,13 +30,7 @@ _MIN_TANGENT_SPEED = 0.5
 
 @dataclass(frozen=True)
 class FramePath:
-    """The path of one frame.
-
-    Attributes:
-        time_us: time of the frame in the drive.
-        offsets_us: (n,) times of the positions after it; 0 is among them.
-        positions: (n, 2) metres in the rig of the frame.
-    """
+    """The path of one frame: positions (n, 2), metres in its rig, at offsets (n,) from its time; 0 is among them."""
 
     time_us: int
     offsets_us: NDArray[np.int64]
@@ -55,13 +49,9 @@ class FramePath:
 
 
 def chain_paths(paths: list[FramePath], where: str) -> Trajectory:
-    """The trajectory of a drive in the rig of its first frame.
+    """The trajectory of a drive in the rig of its first frame, from paths in order of time, at least one.
 
     It has the poses of all frames, before them the past of the first, and after them the future of the last.
-
-    Args:
-        paths: of the frames in order of time, at least one.
-        where: what errors call the drive.
 
     Raises:
         InputError: two neighbours share too little time, or their paths are not of one drive.
