@@ -11,16 +11,13 @@ from numpy.typing import NDArray
 
 from olt_datasets.export.contents import contents_of_stores
 from olt_datasets.export.pai import export_pai
-from olt_generator.errors import InputError
+from olt_generator import InputError, Trajectory
 from olt_generator.files import write_whole_folder
 from olt_generator.poses import planar_pose
 from olt_generator.seeds import make_generator
-from olt_generator.trajectory import Trajectory
-from olt_toolkit import __version__
+from olt_toolkit import ClipStore, SampleKey, __version__
 from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
-from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.policy.sample import SampleKey
 from olt_toolkit.policy.window import IMAGE_OFFSETS_US
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS
 from olt_toolkit.rigs.rig_files import pav_rig

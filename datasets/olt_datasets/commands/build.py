@@ -35,10 +35,9 @@ def build(
     """
     from olt_datasets.tables.building import build_row, find_buildable
     from olt_generator.files import make_folder
+    from olt_toolkit import BuildOptions, DatasetPlace
     from olt_toolkit.clips.build_job import BuildJob
     from olt_toolkit.clips.table import read_clip_table
-    from olt_toolkit.clips.views import BuildOptions
-    from olt_toolkit.recordings.drives import DatasetPlace
 
     job = BuildJob(
         place=DatasetPlace(root, cache.expanduser(), source),

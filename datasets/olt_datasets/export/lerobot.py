@@ -31,8 +31,7 @@ from olt_datasets.export.lerobot_clip import (
 from olt_datasets.export.writing import write_export, write_file
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
-from olt_toolkit.clips.clip import ClipInfo
-from olt_toolkit.clips.store import ClipStore
+from olt_toolkit import ClipInfo, ClipStore
 from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
 from olt_toolkit.rigs.rig import POLICY_CAMERAS

@@ -15,12 +15,10 @@ from numpy.typing import NDArray
 
 from olt_datasets.export.contents import ExportItem
 from olt_datasets.export.writing import finished_part, naming, note_finished
-from olt_generator.errors import InputError
+from olt_generator import InputError, write_video
 from olt_generator.poses import Array, invert, yaw_of
-from olt_generator.video import write_video
-from olt_toolkit.clips.clip import EgoMotion
+from olt_toolkit import ClipStore, EgoMotion
 from olt_toolkit.clips.images import resize_images
-from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, IMAGE_OFFSETS_US
 from olt_toolkit.rigs.rig import POLICY_CAMERAS

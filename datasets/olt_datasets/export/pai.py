@@ -18,11 +18,10 @@ from olt_datasets.export.contents import Contents, ExportItem
 from olt_datasets.export.writing import naming, write_export, write_file
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
-from olt_toolkit.clips.clip import ClipInfo
+from olt_toolkit import ClipInfo, ClipStore
 from olt_toolkit.clips.files import write_metadata
 from olt_toolkit.clips.pai_layout import CLIP_INDEX
 from olt_toolkit.clips.pai_tables import read_indexed, to_bytes
-from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.table import CLIP_TABLE, write_clip_table
 from olt_toolkit.policy.sample import KEYFRAME_US
 from olt_toolkit.runtime.workers import Engine, map_parallel

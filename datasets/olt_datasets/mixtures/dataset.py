@@ -14,8 +14,7 @@ from torch.utils.data import Dataset, Sampler
 
 from olt_datasets.mixtures.mixture import Mixture
 from olt_generator.errors import InputError
-from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.policy.sample import PolicySample, SampleKey
+from olt_toolkit import ClipStore, PolicySample, SampleKey
 
 
 class MixtureDataset(Dataset[dict[str, Any]]):

@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, usual_travel
-from olt_generator.cameras import PinholeCamera
-from olt_generator.errors import InputError
+from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.poses import Array, invert, make_pose
-from olt_generator.trajectory import Trajectory
 from olt_toolkit.recordings.recording import Recording
 
 IMU_HEIGHT = 0.93

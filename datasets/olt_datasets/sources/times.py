@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.errors import InputError
-from olt_generator.trajectory import Trajectory
+from olt_generator import InputError, Trajectory
 from olt_toolkit.policy.window import Span
 
 # An image further in time than this from the front image that it is to stand beside is taken for missing.

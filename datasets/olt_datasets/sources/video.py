@@ -13,16 +13,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
-from olt_generator.errors import InputError
+from olt_generator import Camera, FthetaCamera, InputError, PinholeCamera, estimate_field_of_view
 from olt_generator.files import write_whole
-from olt_generator.motion.focal_length import estimate_field_of_view
 from olt_generator.video import Video, read_frame_times, read_video, read_video_window
+from olt_toolkit import OpenOptions, Recording, load_rig
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import WHOLE, DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE
-from olt_toolkit.rigs.rig_files import load_rig
 
 NAME = "video"
 LICENCE = Licence(

@@ -19,9 +19,8 @@ from olt_datasets.tables.cutting import Cutting, cut_drive
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
 from olt_generator.progress import Progress, silent
-from olt_toolkit.clips.clip import ClipInfo
+from olt_toolkit import ClipInfo, DatasetPlace
 from olt_toolkit.clips.table import SCHEMA, write_clip_table
-from olt_toolkit.recordings.drives import DatasetPlace
 from olt_toolkit.runtime.threads import use_one_thread
 from olt_toolkit.runtime.workers import Engine, map_parallel
 

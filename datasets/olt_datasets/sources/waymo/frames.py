@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from olt_datasets.sources.waymo.messages import read_frame
-from olt_generator.cameras import BrownConradyCamera
-from olt_generator.errors import InputError
+from olt_generator import BrownConradyCamera, InputError
 from olt_generator.poses import R_FORWARD_CAMERA, Array, make_pose
 from olt_toolkit.rigs.rig import MountedCamera
 

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from olt_datasets.sources.waymo.frames import STATE_US
-from olt_generator.errors import InputError
+from olt_generator import InputError, Trajectory
 from olt_generator.poses import Array, planar_pose
-from olt_generator.trajectory import Trajectory
 
 # Two paths must share this much time to be laid on one another.
 _MIN_SHARED_US = 1_000_000
