@@ -38,12 +38,9 @@ class ExportItem:
 
 @dataclass(frozen=True)
 class ExportGroup:
-    """Items that chunk numbers can select together.
+    """Items that chunk numbers can select together, by store, then in the order of its clips.
 
-    Attributes:
-        component: component of the mixture, or folder name of the store.
-        kind, source: as in the clip table.
-        items: ordered by store, then by the order of its clips.
+    `component` is that of the mixture, or the folder name of the store.
     """
 
     component: str
@@ -54,11 +51,9 @@ class ExportGroup:
 
 @dataclass(frozen=True)
 class Contents:
-    """Everything that is to be exported.
+    """Everything that is to be exported, all of one split; groups of one component follow each other.
 
     Attributes:
-        groups: groups of one component follow each other.
-        split: the split that all clips are of.
         left_out: clips that the stores hold and the export does not.
         notes: what the public readers cannot do as the mixture asks, a sentence each.
     """

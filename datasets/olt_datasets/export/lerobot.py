@@ -73,18 +73,7 @@ def export_lerobot(
     on_progress: Progress = silent,
     image_size: tuple[int, int] = POLICY_IMAGE_SIZE,
 ) -> dict[str, Any]:
-    """Write the clips to `out`, which appears when it is complete; an interrupted export goes on when it is repeated.
-
-    Args:
-        contents: what to export.
-        out: the folder.
-        keep_going: leave out damaged clips and list them, instead of stopping at the first.
-        workers, engine: number of processes and where they run.
-        on_progress: told the finished part, 0 to 1.
-        image_size: height and width of the images.
-
-    Returns:
-        The summary that is also written to `out/export.json`.
+    """Write the clips to `out`, with images of a height and width, and else as `export_pai` does.
 
     Raises:
         InputError: `out` holds something else, a clip is damaged and `keep_going` is off, no clip is left, or a file

@@ -36,8 +36,7 @@ class ClipFrames:
     """The frames of one clip.
 
     Attributes:
-        item: the clip.
-        number: its number among all clips of the export; its videos are called by it.
+        number: number of the clip among all clips of the export; its videos are called by it.
         times_us: (n,) clip times, in runs at the distance of the grid.
         is_sample: (n,) whether the frame is one of the sample times, and not one that stands before them.
         state: (n, 64) float32: x, y, z in metres and yaw of the 16 past poses.

@@ -13,7 +13,7 @@ from typing import Any
 
 import pandas as pd
 
-from olt_datasets.export.chunks import ChunkResult, ExportChunk, divide_into_chunks, write_chunk
+from olt_datasets.export.chunks import ExportChunk, divide_into_chunks, write_chunk
 from olt_datasets.export.contents import Contents, ExportItem
 from olt_datasets.export.writing import naming, write_export, write_file
 from olt_generator.errors import InputError
@@ -59,7 +59,7 @@ def export_pai(
         chunks = divide_into_chunks(contents.groups)
         write_one = partial(write_chunk, root, keep_going=keep_going)
         results = map_parallel(write_one, chunks, workers, on_progress, engine)
-        failures = {clip: reason for result in results for clip, reason in result.failures.items()}
+        failures = {clip: reason for result in results for clip, reason in result["failures"].items()}
         rows = [(chunk, item) for chunk in chunks for item in chunk.items if item.listed_as not in failures]
         if not rows:
             raise InputError(f"{out}: no clip could be exported: {next(iter(failures.values()))}")
@@ -89,7 +89,7 @@ def _write_tables(root: Path, rows: Rows) -> list[ClipInfo]:
 def _summarize(
     contents: Contents,
     chunks: Sequence[ExportChunk],
-    results: Sequence[ChunkResult],
+    results: Sequence[dict[str, Any]],
     rows: Rows,
     infos: Sequence[ClipInfo],
 ) -> dict[str, Any]:
@@ -122,8 +122,8 @@ def _summarize(
         },
         "chunks": {
             how: {
-                "count": sum(result.how == how for result in results),
-                "bytes": sum(result.size for result in results if result.how == how),
+                "count": sum(result["how"] == how for result in results),
+                "bytes": sum(result["size"] for result in results if result["how"] == how),
             }
             for how in ("linked", "copied", "packed")
         },

@@ -53,14 +53,8 @@ def write_export(
 ) -> dict[str, Any]:
     """Fill a hidden folder beside `out` that becomes `out` on success and is kept on failure, to be taken up again.
 
-    What another export left there is removed; an export that is complete already is not made again.
-
-    Args:
-        layout: name of the layout.
-        contents: what is exported.
-        settings: what else decides the export.
-        out: the folder that appears.
-        write: fills a folder and gives the summary.
+    What another export left there is removed; an export that is complete already is not made again. Besides the
+    contents, `settings` decide what it holds; `write` fills a folder and gives the summary.
 
     Returns:
         The summary, which is also written to `out/export.json`.

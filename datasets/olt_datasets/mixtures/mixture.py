@@ -60,13 +60,7 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class MixtureComponent:
-    """The samples that one component gives.
-
-    Attributes:
-        component: the component of the recipe.
-        available: samples that it could use.
-        samples: the distinct samples that it uses, with the columns of `SAMPLE_SCHEMA`.
-    """
+    """The distinct samples (columns of `SAMPLE_SCHEMA`) that one component gives, of so many available."""
 
     component: Component
     available: int
@@ -82,14 +76,7 @@ class MixtureComponent:
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A recipe applied to a clip table; see `compose_mixture`.
-
-    Attributes:
-        recipe: the recipe.
-        seed: seed of every draw.
-        items: items per epoch.
-        components: what each component gives, in the order of the recipe.
-    """
+    """A recipe applied to a clip table, which gives so many items per epoch; see `compose_mixture`."""
 
     recipe: Recipe
     seed: int
@@ -115,7 +102,7 @@ class Mixture:
         size; in a partial batch some ranks have one item fewer, which may be none.
 
         Args:
-            epoch: number of the epoch, from 0.
+            epoch: from 0.
             batch_size: items in a global batch, that is over all ranks and accumulation steps.
             rank, world_size: which part of every global batch is wanted; `world_size` divides `batch_size`.
             start_batch: number of batches to leave out at the start, to resume within an epoch.

@@ -23,12 +23,9 @@ PAIR_COLUMNS = ("scene_id", "start_us", "end_us")
 
 @dataclass(frozen=True)
 class Selection:
-    """The clips that one component may use.
+    """The clips that one component may use, not yet read, and their number.
 
     Attributes:
-        component: the component of the recipe.
-        clips: rows of the clip table, not yet read.
-        clip_count: number of these clips.
         capped_samples: number of samples that they give in each capped category, before the cap.
         other_samples: number of samples that they give in all other categories.
     """
@@ -72,14 +69,11 @@ class Shortage:
     """A component that cannot give what its recipe asks for, or whose share rounds to nothing.
 
     Attributes:
-        recipe, component: their names.
         where: the component's filter, as recipes write it.
         samples_per_epoch: items of all components together.
         asked: the most items that an epoch asks of this one; 0 with clips available is a share too small for one.
-        clips: number of clips that the filter matches.
-        available: distinct samples that they give.
+        clips, available: number of clips that the filter matches, and distinct samples that they give.
         repeats: how often each may be used per epoch.
-        split: the split that samples are drawn from.
         split_holds: what there is in it: number of clips of each kind, category and source.
     """
 

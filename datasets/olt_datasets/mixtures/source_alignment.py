@@ -90,15 +90,9 @@ class MissingFactor:
 
 @dataclass(frozen=True)
 class SourceAlignment:
-    """How sources stand to a target slice.
+    """How sources stand to a target slice: shares of its factors, clips of each source by factor, and gaps.
 
-    Attributes:
-        target: share of each factor in the target.
-        coverage: clips of each source by factor.
-        sources: the sources, one by one.
-        pooled_gap: gap of all clips of all sources together.
-        proposed_gap: gap of the proposed shares.
-        missing: factors of the target that sources have not once.
+    The pooled gap is that of all clips of all sources together, the proposed one that of the proposed shares.
     """
 
     target: dict[str, float]

@@ -35,10 +35,7 @@ class IndexSummary:
     """What an index holds.
 
     Attributes:
-        source: name of the reader.
-        drives: drives that were described.
         clips: rows of the table.
-        clips_with_samples: rows with at least one sample time.
         samples: sample times of all rows.
         kept: rows taken from the table that was there before, with their splits: they describe the same windows.
         without_clips: keys of drives that fill no window.
@@ -70,13 +67,9 @@ def index_dataset(
     that splits which were given to them stay; rows of windows and drives that are gone are left out.
 
     Args:
-        place: the data set.
-        table: the file to write.
-        cutting: how drives are cut.
-        workers: number of processes.
         on_progress: told the share of drives that are done.
         keep_going: whether a drive that cannot be described is told in the summary instead of an error.
-        engine: where the processes run.
+        workers, engine: number of processes and where they run.
 
     Raises:
         InputError: the data set or one of its drives cannot be used, or a table at that path cannot be read.

@@ -12,13 +12,7 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class Leak:
-    """A scene of a mixture that breaks a rule.
-
-    Attributes:
-        rule: "split", "held out", "external", "twin", "overlap" or "near-duplicate".
-        scene_id: the scene.
-        detail: what was found, for people.
-    """
+    """A scene of a mixture that breaks a rule of `find_leaks`, and what was found, for people."""
 
     rule: str
     scene_id: str
@@ -48,9 +42,6 @@ def find_leaks(
     Args:
         chosen: the rows of the clip table that the mixture uses.
         table: the whole clip table; it is only scanned.
-        split: the split that the mixture may use.
-        held_out_scenes: scene ids that it may not use.
-        external_sources: sources that it may not use.
     """
     clips, others = chosen.lazy(), table.lazy().filter(pl.col("split") != split)
     wrong = clips.filter(pl.col("split").ne_missing(split)).select("scene_id", "clip_id", "split")
