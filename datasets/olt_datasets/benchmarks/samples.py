@@ -106,11 +106,7 @@ def prepare_ours(size: tuple[int, int], together: bool) -> Callable[[], Judged]:
 
 
 def prepare_devkit(size: tuple[int, int]) -> Callable[[], Judged]:
-    """The public devkit as the public recipes use it, offline, its images scaled by area averaging.
-
-    Raises:
-        InputError: the devkit is not installed.
-    """
+    """The public devkit (else InputError) as the public recipes use it, offline, scaling images by area averaging."""
     try:
         import huggingface_hub.constants
         from physical_ai_av import PhysicalAIAVDatasetInterface

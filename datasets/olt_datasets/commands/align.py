@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from olt_toolkit.commands.clip_options import JsonOption
+
 if TYPE_CHECKING:
     from olt_datasets.mixtures.selection import ClipTable
     from olt_datasets.mixtures.source_alignment import Gap, SourceAlignment
@@ -29,7 +31,7 @@ def align(
     samples: Annotated[int | None, typer.Option(min=1, help="Clips to be taken, none of them twice.")] = None,
     seed: Annotated[int, typer.Option(help="Seed of the intervals.")] = 0,
     example: Annotated[bool, typer.Option("--example", help="Show the paper's counts instead of tables.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Compare how sources cover a target slice, and propose shares of them that come closest to it.
 

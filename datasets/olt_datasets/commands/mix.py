@@ -9,6 +9,7 @@ import typer
 
 from olt_datasets.commands.align import align
 from olt_datasets.mixtures.training_arithmetic import PAPER_STAGES, parse_stage, training_arithmetic
+from olt_toolkit.commands.clip_options import JsonOption
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Compose training mixtures from clips by recipes.")
 app.command()(align)
@@ -23,7 +24,6 @@ StageOption = Annotated[
     typer.Option("--stage", help="DEVICESxBATCHxACCUMULATIONxEPOCHS to count steps for; repeat for more than one."),
 ]
 BOTH_STAGES = [str(stage) for stage in PAPER_STAGES]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 @app.command()

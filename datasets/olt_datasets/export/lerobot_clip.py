@@ -74,11 +74,7 @@ def numbered_file(folder: Path, number: int, suffix: str) -> Path:
 
 
 def write_clip(root: Path, image_size: tuple[int, int], keep_going: bool, job: tuple[int, ExportItem]) -> ClipFrames:
-    """Write the videos of one clip, unless an earlier run has, and work out its frames.
-
-    Raises:
-        InputError: the clip is damaged and `keep_going` is off, or a file cannot be written; names it.
-    """
+    """Write the videos of one clip, unless an earlier run has, and work out its frames; InputError as `write_chunk`."""
     number, item = job
     videos = {camera: numbered_file(root / "videos" / video_key(camera), number, "mp4") for camera in POLICY_CAMERAS}
     try:

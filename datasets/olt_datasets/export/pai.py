@@ -41,8 +41,6 @@ def export_pai(
     """Write the clips to `out`, which appears when it is complete; an interrupted export goes on when it is repeated.
 
     Args:
-        contents: what to export.
-        out: the folder.
         keep_going: leave out damaged clips and list them, instead of stopping at the first.
         workers, engine: number of processes and where they run.
         on_progress: told the finished part, 0 to 1.

@@ -202,10 +202,8 @@ def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes
     Scenes that the recipe holds out are left out; scenes in `held_out_scenes` (those of a test, say) must not occur.
 
     Args:
-        recipe: what to choose.
-        table: clips to choose from (`tables.clip_frame.scan_clip_tables`).
+        table: clips to choose from, such as `scan_clip_tables` gives.
         seed: seed of the choice and of every order.
-        held_out_scenes: scene ids that the mixture is checked against.
 
     Raises:
         InputError: a component has too few samples, two components share a clip, or the mixture leaks.

@@ -26,16 +26,15 @@ from bisect import bisect_right
 from fractions import Fraction
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
 
 from olt_generator.errors import InputError
+from olt_toolkit.recordings.labels import Split
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
-
-if TYPE_CHECKING:
-    from pydantic_core import ErrorDetails
 
 RECIPE_VERSION = 1
 RECIPE_SUFFIXES = (".yaml", ".yml")
@@ -51,9 +50,7 @@ class Filter(BaseModel):
 
     Attributes:
         kind: "GT" (measured views), "Syn" (synthesized views), or "any" of the two.
-        source: the clip's source is one of these; empty for every source.
-        country: the clip's country is one of these; empty for every country, told or not.
-        category: the clip's category is one of these; empty for every category.
+        source, country, category: the clip's is one of these; empty for every one, told or not.
         category_not: the clip's category is none of these.
         factors_any, factors_all, factors_none: the clip has at least one, all, none of these scene factors.
     """
@@ -164,7 +161,7 @@ class Recipe(BaseModel):
     name: str = Field(min_length=1)
     description: str
     version: int
-    split: Literal["train", "val", "test"] = "train"
+    split: Split = "train"
     samples: int | None = Field(default=None, gt=0)
     components: Annotated[tuple[Component, ...], Field(strict=False)]
     between_epochs: Literal["linear", "steps"] = "linear"
@@ -218,11 +215,7 @@ def parse_recipe(content: dict[Any, Any], where: str) -> Recipe:
 
 
 def parse_filter(text: str, where: str) -> Filter:
-    """Read a filter written as a YAML mapping, such as `{category: [cyclists], country: [US]}`.
-
-    Raises:
-        InputError: it is no mapping, or a field is wrong.
-    """
+    """A filter written as a YAML mapping, such as `{category: [cyclists]}`; InputError where a field is wrong."""
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:
@@ -262,7 +255,7 @@ def _validate(model: type[Model], content: object, where: str) -> Model:
         raise InputError(f"{where}: {_explain(model, first)}") from error
 
 
-def _explain(model: type[BaseModel], error: "ErrorDetails") -> str:
+def _explain(model: type[BaseModel], error: ErrorDetails) -> str:
     """What is wrong with a field and what to do, in one line."""
     location, value, message = error["loc"], error["input"], error["msg"]
     field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")

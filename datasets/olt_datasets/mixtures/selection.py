@@ -25,9 +25,7 @@ PAIR_COLUMNS = ("scene_id", "start_us", "end_us")
 class Selection:
     """The clips that one component may use, not yet read, and their number.
 
-    Attributes:
-        capped_samples: number of samples that they give in each capped category, before the cap.
-        other_samples: number of samples that they give in all other categories.
+    They give so many samples in each capped category, before the cap, and so many in all others.
     """
 
     component: Component
@@ -98,11 +96,7 @@ class AbsentValue(NamedTuple):
 
 
 def select_clips(recipe: Recipe, table: ClipTable) -> list[Selection]:
-    """Apply the filters of a recipe to the clips of its split.
-
-    Raises:
-        InputError: two components select the same clip, which would give it to an epoch twice.
-    """
+    """The clips of its split that a recipe's filters match; InputError where two components would use the same one."""
     held_out = pl.col("scene_id").is_in(recipe.held_out_scenes)
     usable = table.lazy().filter((pl.col("split") == recipe.split) & ~held_out)
     marked = usable

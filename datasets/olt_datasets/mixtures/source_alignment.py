@@ -73,12 +73,9 @@ class AlignedSource:
 
 @dataclass(frozen=True)
 class MissingFactor:
-    """A factor that the target asks for and a source has not once; all None where no source has it.
+    """A factor of the target that a source with so many clips has not once; None for these where no source has it.
 
-    Attributes:
-        target_share: its share of the target.
-        clips: number of the source's clips.
-        bound: the part of such clips that the source has less than, with the probability `CONFIDENCE`.
+    With the probability `CONFIDENCE`, less than the bound of all clips of the source are such.
     """
 
     factor: str
@@ -137,7 +134,6 @@ def align_sources(
         target: weights of the factors in the target.
         target_is_sample: the weights are counts of clips, and as uncertain as such.
         samples: number of clips to be taken, none twice: no source is given a share that it is too small for.
-        seed: seed of the posterior's draws.
 
     Raises:
         InputError: there is no source or no target, or all sources together have fewer clips than `samples`.

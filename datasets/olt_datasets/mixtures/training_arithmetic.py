@@ -50,11 +50,7 @@ def training_arithmetic(samples: int, stage: TrainingStage) -> dict[str, int]:
 
 
 def parse_stage(text: str) -> TrainingStage:
-    """Read DEVICESxBATCHxACCUMULATIONxEPOCHS, such as 8x1x4x3.
-
-    Raises:
-        InputError: it is not four positive numbers.
-    """
+    """Read DEVICESxBATCHxACCUMULATIONxEPOCHS, such as 8x1x4x3; InputError where it is not four positive numbers."""
     match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)x([1-9]\d*)x([1-9]\d*)", text)
     if match is None:
         raise InputError(

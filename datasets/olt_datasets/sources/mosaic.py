@@ -57,11 +57,7 @@ class Mosaic:
         return float(self.observed.mean())
 
     def compose(self, images: Mapping[str, Image]) -> Image:
-        """The view (height, width, 3) of one image (h, w, 3) of each of `cameras`.
-
-        Raises:
-            InputError: an image has not the size of its camera.
-        """
+        """The view (height, width, 3) of one image (h, w, 3) of each of `cameras`, as large as theirs or InputError."""
         view = np.zeros((*self.observed.shape, 3), np.uint8)
         for name, (box, mask, remapper) in self._parts.items():
             view[box][mask] = remapper.remap(images[name])[mask]

@@ -20,11 +20,7 @@ _WIDTH_STEP, _SMALLEST_WIDTH = 16, 512
 
 
 def find_buildable(rows: Sequence[ClipInfo], kind: BuiltKind) -> list[ClipInfo]:
-    """The rows of which a clip of this kind can be made: GT only of rows of that kind, Syn of all.
-
-    Raises:
-        InputError: there are none, or one of them is in no split.
-    """
+    """The rows to make clips of: for GT those of that kind, for Syn all; InputError if none, or one is in no split."""
     found = [row for row in rows if kind is BuiltKind.SYN or row.kind == "GT"]
     if not found:
         raise InputError(f"the table has {len(rows)} clips, none of which has true views of all policy cameras (GT)")

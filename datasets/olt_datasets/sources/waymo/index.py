@@ -48,11 +48,7 @@ class ShardTask(NamedTuple):
 
 
 def build_index(root: Path, cache: Path) -> Path:
-    """The index of all shards below a folder, in one Parquet file; only what is new since the last time is read.
-
-    Raises:
-        InputError: there are no shards, or one is damaged.
-    """
+    """The index of all shards below a folder, else InputError, in one Parquet file; only what is new is read."""
     shards = sorted(path for path in root.rglob(SHARDS) if path.is_file())
     if not shards:
         raise InputError(f"{root}: holds no file {SHARDS}; give the folder with the shards of Waymo's E2E data set")

@@ -32,11 +32,7 @@ def map_records(path: Path) -> memoryview:
 
 
 def record_spans(content: memoryview, where: str) -> Iterator[tuple[int, int]]:
-    """Offset and length in bytes of the content of every record; checks the lengths and not the content.
-
-    Raises:
-        InputError: a length is damaged, or the file ends within a record.
-    """
+    """Offset and length in bytes of the content of every record; InputError where a length is damaged or cut off."""
     at = number = 0
     while at < len(content):
         if at + _HEADER.size > len(content):
