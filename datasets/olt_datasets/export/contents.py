@@ -21,13 +21,9 @@ from olt_toolkit.policy.sample import KEYFRAME_US
 
 @dataclass(frozen=True)
 class ExportItem:
-    """One row of the public index.
+    """One row of the public index: a clip of a store, and its sample times, the first for the public readers.
 
-    Attributes:
-        store: folder of the clip store.
-        clip_id: id in the store.
-        listed_as: id in the export: that of the store, except for further uses of a clip.
-        t0s_us: sample times; the first is the one that the public readers take.
+    `listed_as` is its id in the export: that of the store, except for further uses of a clip.
     """
 
     store: Path
@@ -53,9 +49,8 @@ class ExportGroup:
 class Contents:
     """Everything that is to be exported, all of one split; groups of one component follow each other.
 
-    Attributes:
-        left_out: clips that the stores hold and the export does not.
-        notes: what the public readers cannot do as the mixture asks, a sentence each.
+    Clips that the stores hold and the export does not are left out. Notes tell what the public readers cannot do as
+    the mixture asks, a sentence each.
     """
 
     groups: tuple[ExportGroup, ...]

@@ -86,9 +86,9 @@ def export_lerobot(
         clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_progress, engine)
         components = [group.component for group in contents.groups for _ in group.items]
         stores = {item.store: ClipStore(item.store) for item in contents.items}
-        done = [clip for clip in clips if clip.failure is None]
+        done = [clip for clip in clips if isinstance(clip, ClipFrames)]
         if not done:
-            raise InputError(f"{out}: no clip could be exported: {clips[0].failure}")
+            raise InputError(f"{out}: no clip could be exported: {clips[0]}")
         episodes = [
             _Episode(clip, stores[clip.item.store].info(clip.item.clip_id), components[clip.number], first, end)
             for clip in done
@@ -97,7 +97,8 @@ def export_lerobot(
         tasks = sorted({episode.info.category for episode in episodes})
         columns = _write_data(root, episodes, tasks)
         _write_meta(root, contents, episodes, tasks, columns, image_size)
-        failures = {clip.item.clip_id: clip.failure for clip in clips if clip.failure is not None}
+        pairs = zip(contents.items, clips, strict=True)
+        failures = {item.clip_id: reason for item, reason in pairs if isinstance(reason, str)}
         return _summarize(contents, done, episodes) | {"failures": failures}
 
     return write_export("lerobot", contents, list(image_size), out, write)

@@ -42,7 +42,6 @@ class ClipFrames:
         state: (n, 64) float32: x, y, z in metres and yaw of the 16 past poses.
         action: (n, 256) float32: the same of the 64 future poses.
         levels: levels of the images by camera.
-        failure: what was wrong with the clip, which then has no frames; None where nothing was.
     """
 
     item: ExportItem
@@ -52,7 +51,6 @@ class ClipFrames:
     state: NDArray[np.float32]
     action: NDArray[np.float32]
     levels: dict[str, Levels]
-    failure: str | None = None
 
     @property
     def runs(self) -> list[tuple[int, int]]:
@@ -73,8 +71,13 @@ def numbered_file(folder: Path, number: int, suffix: str) -> Path:
     return folder / f"chunk-{chunk:03d}" / f"file-{file:03d}.{suffix}"
 
 
-def write_clip(root: Path, image_size: tuple[int, int], keep_going: bool, job: tuple[int, ExportItem]) -> ClipFrames:
-    """Write the videos of one clip, unless an earlier run has, and work out its frames; InputError as `write_chunk`."""
+def write_clip(
+    root: Path, image_size: tuple[int, int], keep_going: bool, job: tuple[int, ExportItem]
+) -> ClipFrames | str:
+    """Write the videos of one clip, unless an earlier run has, and work out its frames.
+
+    What is wrong with it is returned, or an InputError where `keep_going` is off or a file cannot be written.
+    """
     number, item = job
     videos = {camera: numbered_file(root / "videos" / video_key(camera), number, "mp4") for camera in POLICY_CAMERAS}
     try:
@@ -96,8 +99,7 @@ def write_clip(root: Path, image_size: tuple[int, int], keep_going: bool, job: t
             video.unlink(missing_ok=True)
         if not keep_going:
             raise
-        nothing = np.empty(0, np.float32)
-        return ClipFrames(item, number, np.empty(0, np.int64), np.empty(0, bool), nothing, nothing, {}, str(error))
+        return str(error)
 
 
 def frame_times(t0s_us: Sequence[int], ego_start_us: int) -> NDArray[np.int64]:

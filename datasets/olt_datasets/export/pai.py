@@ -8,6 +8,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -106,18 +108,16 @@ def _summarize(
         for index, (group, of_group) in enumerate(zip(contents.groups, numbers, strict=True))
     ]
     components = {}
-    for group in groups:  # those of one component follow each other
-        part = components.setdefault(group["component"], {"clips": 0, "first_chunk": group["first_chunk"]})
-        part["clips"] += group["clips"]
-        part["chunk_ids"] = f"{part['first_chunk']}-{group['last_chunk'] + 1}"
+    for name, part in groupby(groups, itemgetter("component")):
+        of_part = list(part)
+        chunk_ids = f"{of_part[0]['first_chunk']}-{of_part[-1]['last_chunk'] + 1}"
+        components[name] = {"clips": sum(group["clips"] for group in of_part), "chunk_ids": chunk_ids}
     return {
         "clips": len(rows),
         "clips_with_default_keyframe": sum(KEYFRAME_US in item.t0s_us for _, item in rows),
         "further_uses": sum(item.listed_as != item.clip_id for _, item in rows),
         "groups": groups,
-        "components": {
-            name: {"clips": part["clips"], "chunk_ids": part["chunk_ids"]} for name, part in components.items()
-        },
+        "components": components,
         "chunks": {
             how: {
                 "count": sum(result["how"] == how for result in results),

@@ -228,24 +228,17 @@ def matches(where: Filter) -> pl.Expr:
     """Whether a clip satisfies a filter."""
     kinds = ("GT", "Syn") if where.kind == "any" else (where.kind,)
     conditions = [pl.col("kind").is_in(kinds)]
-    if where.source:
-        conditions.append(pl.col("source").is_in(where.source))
-    if where.country:
-        conditions.append(pl.col("country").is_in(where.country).fill_null(False))
-    if where.category:
-        conditions.append(pl.col("category").is_in(where.category))
+    for name in ("source", "country", "category"):
+        if wanted := getattr(where, name):
+            conditions.append(pl.col(name).is_in(wanted).fill_null(False))
     if where.category_not:
         conditions.append(~pl.col("category").is_in(where.category_not))
+    has_factor = pl.col("factors").list.contains
     if where.factors_any:
-        conditions.append(pl.any_horizontal(_has_factor(name) for name in where.factors_any))
-    if where.factors_none:
-        conditions.append(~pl.any_horizontal(_has_factor(name) for name in where.factors_none))
-    conditions.extend(_has_factor(name) for name in where.factors_all)
-    return pl.all_horizontal(conditions)
-
-
-def _has_factor(name: str) -> pl.Expr:
-    return pl.col("factors").list.contains(name)
+        conditions.append(pl.any_horizontal(map(has_factor, where.factors_any)))
+    return pl.all_horizontal(
+        *conditions, *map(has_factor, where.factors_all), *(~has_factor(name) for name in where.factors_none)
+    )
 
 
 def _mark(clips: pl.LazyFrame, component: Component) -> pl.LazyFrame:

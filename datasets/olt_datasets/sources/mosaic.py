@@ -23,16 +23,14 @@ _COVERAGE_SIZE = (96, 54)
 
 
 class Mosaic:
-    """A view of several cameras; the geometry is worked out once.
+    """The view that a target has of several cameras of the same vehicle; the geometry is worked out once.
 
     Attributes:
-        target: the camera whose view is wanted.
         observed: (height, width) pixels that some camera sees.
         cameras: names of the cameras that pixels are taken from.
     """
 
     def __init__(self, target: MountedCamera, sources: Mapping[str, MountedCamera]) -> None:
-        """Work out where the pixels come from; the sources, by name, are on the same vehicle as the target."""
         chosen = choose_cameras(target, sources)
         self.target = target
         self.observed: Mask = chosen != NOBODY
@@ -65,11 +63,9 @@ class Mosaic:
 
 
 def choose_cameras(target: MountedCamera, sources: Mapping[str, MountedCamera]) -> NDArray[np.int8]:
-    """The camera that each pixel of the target is taken from.
+    """The camera that each pixel (height, width) of the target is taken from, by its number among the sorted names.
 
-    Returns:
-        (height, width) number of the camera among the sorted names, the first where two see a pixel at equal angles
-        from their axes; `NOBODY` where none sees it.
+    It is the first where two see a pixel at equal angles from their axes, and `NOBODY` where none sees it.
     """
     best = np.full((target.camera.height, target.camera.width), -np.inf)
     chosen = np.full(best.shape, NOBODY, np.int8)

@@ -58,13 +58,9 @@ class CameraImages:
 
 @dataclass(frozen=True)
 class SurroundDrive:
-    """A drive of a vehicle with several cameras.
+    """A drive of a vehicle with several cameras, of which the front one begins at drive time 0.
 
-    Attributes:
-        source: name of the reader.
-        front: name of the front camera; its images begin at drive time 0.
-        ego: measured rig poses over drive time, in a frame whose z is up.
-        assumptions: a sentence for everything that is assumed instead of measured.
+    `ego` are measured rig poses over drive time, in a frame whose z is up; `assumptions` sentences for what is assumed.
     """
 
     source: str

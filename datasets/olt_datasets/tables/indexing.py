@@ -32,14 +32,10 @@ _ROW_GROUP = 250_000
 
 @dataclass(frozen=True)
 class IndexSummary:
-    """What an index holds.
+    """What an index holds: how many drives, clips (rows), clips with samples, and samples (times of all rows).
 
-    Attributes:
-        clips: rows of the table.
-        samples: sample times of all rows.
-        kept: rows taken from the table that was there before, with their splits: they describe the same windows.
-        without_clips: keys of drives that fill no window.
-        failed: why drives could not be described, by key.
+    `kept` rows were taken from the table that was there before, with their splits: they describe the same windows.
+    `without_clips` are keys of drives that fill no window, and `failed` tells why drives could not be described.
     """
 
     source: str
