@@ -55,12 +55,9 @@ def divide_into_chunks(groups: Sequence[ExportGroup]) -> list[ExportChunk]:
 def write_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> dict[str, Any]:
     """Make one chunk, unless an earlier run has.
 
-    Returns:
-        `how`: linked (no new bytes), copied to another file system, or packed anew; `size`: bytes of its files; and
-        `failures`: what was wrong with clips that it should hold and does not, by their ids in the export.
-
-    Raises:
-        InputError: a clip is missing or damaged and `keep_going` is off, or a file cannot be written; names it.
+    Gives `how`: linked (no new bytes), copied to another file system, or packed anew; `size`: bytes of its files; and
+    `failures`: what was wrong with clips that it should hold and does not, by their ids in the export.
+    InputError names a file that cannot be written, or a clip that is missing or damaged where `keep_going` is off.
     """
     name = f"chunk_{chunk.number:04d}"
     result = finished_part(root, name)

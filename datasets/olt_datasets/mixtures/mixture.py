@@ -32,6 +32,7 @@ from olt_datasets.mixtures.selection import (
     select_clips,
     word_shortage,
 )
+from olt_datasets.tables.clip_frame import SCHEMA
 from olt_datasets.tables.leaks import Leak, find_leaks, summarize_leaks
 from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
@@ -40,16 +41,7 @@ from olt_toolkit.policy.sample import SampleKey
 KEY_COLUMNS = ("store", "clip_id", "t0_us")
 GROUPS = ("source", "kind", "category", "factors", "country")
 SAMPLE_SCHEMA = pl.Schema(
-    {
-        "store": pl.String,
-        "clip_id": pl.String,
-        "t0_us": pl.Int64,
-        "source": pl.String,
-        "kind": pl.String,
-        "category": pl.String,
-        "factors": pl.List(pl.String),
-        "country": pl.String,
-    }
+    {"store": pl.String, "clip_id": pl.String, "t0_us": pl.Int64} | {name: SCHEMA[name] for name in GROUPS}
 )
 LEAK_COLUMNS = ("clip_id", "scene_id", "source", "kind", "split", "start_us", "end_us", "fingerprint")
 NOT_TOLD = "not told"

@@ -7,7 +7,7 @@ gap is the total variation between coverage and target,
     gap = 1/2 sum_k |p_k - t_k|,
 
 the part of the clips that would have to be of another factor: 0 for the same distribution, 1 for none in common. It
-was preferred to the Jensen-Shannon divergence because it has this meaning and makes the best shares a linear program.
+makes the best shares a linear program.
 
 Counts are small and some are zero, which does not show that a source has no such scene. The distributions behind them
 are therefore taken from the Dirichlet posterior with one clip of prior, spread evenly over the factors (Perks 1947):

@@ -111,11 +111,7 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def read_images(files: list[Path], width: int) -> tuple[NDArray[np.uint8], tuple[int, int]]:
-    """Images (n, H, W, 3) RGB, shrunk to `width`, and their width and height as they are stored.
-
-    Raises:
-        InputError: an image cannot be decoded, or is not as large as the one before it.
-    """
+    """Images (n, H, W, 3) RGB, shrunk to `width`, and the width and height that all, else InputError, are stored in."""
     images, size = [], None
     for file in files:
         image = cv2.imread(str(file), cv2.IMREAD_COLOR)

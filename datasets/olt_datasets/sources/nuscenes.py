@@ -53,14 +53,9 @@ class Nuscenes:
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: the names of the scenes of which front images are on disk."""
-        folders = [f"{kind}/{FRONT}" for kind in ("samples", "sweeps")]
         # Names as the tables have them.
-        names = [
-            f"{name}/{file.name}"
-            for name in folders
-            if (self.root / name).is_dir()
-            for file in (self.root / name).iterdir()
-        ]
+        files = [file for kind in ("samples", "sweeps") for file in self.root.glob(f"{kind}/{FRONT}/*")]
+        names = [file.relative_to(self.root).as_posix() for file in files]
         on_disk = pl.Series(sorted(names), dtype=pl.String)
         scenes: set[str] = set()
         for release in set(self._tables.values()):

@@ -162,11 +162,7 @@ class SurroundDrive:
 
 
 def read_image(stored: StoredImage, camera: Camera) -> Image:
-    """A stored image as (H, W, 3) RGB, at the size of its camera.
-
-    Raises:
-        InputError: it is missing, too large to be one, cannot be decoded, or has another size.
-    """
+    """A stored image as (H, W, 3) RGB; InputError where it is missing, damaged or not at the size of its camera."""
     if isinstance(stored, Path):
         if not stored.is_file():
             raise InputError(f"{stored}: no such image; copy the data set again")

@@ -93,10 +93,7 @@ def open_video_window(
     """Decode a window of a front video of which nothing is known, in the rig in which unknown cameras are taken to be.
 
     The options tell in how much from the start the field of view is looked for. It is kept in the cache for as long as
-    the file stays the same.
-
-    Raises:
-        InputError: the video is damaged, or shows no frame in the window, or a single one in all that is opened.
+    the file stays the same. InputError: the video is damaged, has no frame in the window, or one in all that is opened.
     """
     first_us, last_us = window_us
     beginning_us = round(1e6 * (options.duration if math.isfinite(options.duration) else LENS_SECONDS))
@@ -172,10 +169,7 @@ def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int6
 
 
 def assume_camera(width: int, height: int, field_of_view: float) -> Camera:
-    """A centred camera with a horizontal field of view in radians, of 10 to 200 degrees or else InputError.
-
-    It is a pinhole camera, or an equidistant one where the field of view is wide.
-    """
+    """A centred pinhole camera, or equidistant where its field of view, radians (10 to 200 degrees), is wide."""
     low, high = FIELD_OF_VIEW_RANGE
     if not low <= field_of_view <= high:
         raise InputError(

@@ -26,8 +26,7 @@ def read_labels(path: Path) -> pl.DataFrame:
     Empty cells are null, `factors` are lists.
 
     Raises:
-        InputError: the file cannot be read, lacks a column or has an unknown one, an id is empty or there twice, or a
-            word is not in lower case with underscores; names the row.
+        InputError: the file cannot be read; names a column, row or word that is not as it should be.
     """
     try:
         table = pl.read_csv(path, infer_schema=False)

@@ -112,16 +112,15 @@ def _find_near_duplicates(clips: pl.LazyFrame, others: pl.LazyFrame) -> list[Lea
         for frame in (clips, others)
     )
     pairs = find_near_duplicates(mine["fingerprint"], theirs["fingerprint"])
-    alike = pl.concat(
-        [
-            mine[pairs[:, 0]].drop("fingerprint"),
-            theirs[pairs[:, 1]].drop("fingerprint").select(pl.all().name.suffix("_other")),
-        ],
-        how="horizontal",
-    )
+    here, there = (frame.drop("fingerprint")[place] for frame, place in ((mine, pairs[:, 0]), (theirs, pairs[:, 1])))
+    alike = here.hstack(there.select(pl.all().name.suffix("_other")))
     leaks = alike.filter((pl.col("scene_id") != pl.col("scene_id_other")) & (pl.col("split") != pl.col("split_other")))
     return [
-        Leak("near-duplicate", scene_id, f"clip {clip_id} looks like clip {other_id} of scene {other} in split {split}")
+        Leak(
+            "near-duplicate",
+            scene_id,
+            f"clip {clip_id} looks like clip {other_id} of scene {other} in split {split}",
+        )
         for scene_id, clip_id, _, other, other_id, split in _rows(leaks.lazy())
     ]
 

@@ -14,16 +14,8 @@ from olt_generator import BrownConradyCamera, InputError
 from olt_generator.poses import R_FORWARD_CAMERA, Array, make_pose
 from olt_toolkit.rigs.rig import MountedCamera
 
-CAMERAS = {
-    1: "FRONT",
-    2: "FRONT_LEFT",
-    3: "FRONT_RIGHT",
-    4: "SIDE_LEFT",
-    5: "SIDE_RIGHT",
-    6: "REAR_LEFT",
-    7: "REAR",
-    8: "REAR_RIGHT",
-}
+_CAMERAS = ("FRONT", "FRONT_LEFT", "FRONT_RIGHT", "SIDE_LEFT", "SIDE_RIGHT", "REAR_LEFT", "REAR", "REAR_RIGHT")
+CAMERAS = dict(enumerate(_CAMERAS, start=1))
 STATE_US = 250_000
 """Time between two states of the past or of the future, microseconds."""
 _MOST_PAST, _MOST_FUTURE = 16, 20
@@ -73,11 +65,7 @@ def read_states(record: memoryview, where: str) -> dict[str, Any]:
 def read_images(
     record: bytes | memoryview, where: str, with_images: bool = True
 ) -> tuple[dict[str, bytes], dict[str, MountedCamera]]:
-    """The images of a record by camera, JPEG files or empty `with_images` False, and their cameras.
-
-    Raises:
-        InputError: it is no frame of this data set, or an image has no calibration; names the field.
-    """
+    """The images of a record by camera, JPEG files or empty, and their cameras; InputError names what is wrong."""
     frame = read_frame(record, where, with_images).frame
     cameras = dict(_calibration(each, f"{where}: camera_calibrations") for each in frame.context.camera_calibrations)
     jpegs = {_camera_name(image.name, where): image.image for image in frame.images}

@@ -50,10 +50,8 @@ class FramePath:
 def chain_paths(paths: list[FramePath], where: str) -> Trajectory:
     """The trajectory of a drive in the rig of its first frame, from paths in order of time, at least one.
 
-    It has the poses of all frames, before them the past of the first, and after them the future of the last.
-
-    Raises:
-        InputError: two neighbours share too little time, or their paths are not of one drive.
+    It has the poses of all frames, before them the past of the first, and after them the future of the last. Paths of
+    neighbours must be of one drive and share enough time, else InputError.
     """
     T_first_frame = [np.eye(4)]
     for before, after in pairwise(paths):
