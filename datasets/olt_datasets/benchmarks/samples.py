@@ -9,8 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.export.contents import contents_of_stores
-from olt_datasets.export.pai import export_pai
+from olt_datasets import contents_of_stores, export_pai
 from olt_generator import InputError, Trajectory
 from olt_generator.files import write_whole_folder
 from olt_generator.poses import planar_pose

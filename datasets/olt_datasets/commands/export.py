@@ -36,9 +36,7 @@ def export(
     Clips of other splits, and clips that give no policy sample, are left out. Chunks whose clips are all taken are
     linked, not copied. Given again, an interrupted export goes on. Exit status 1 if clips failed with --keep-going.
     """
-    from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
-    from olt_datasets.export.lerobot import export_lerobot
-    from olt_datasets.export.pai import export_pai
+    from olt_datasets import contents_of_mixture, contents_of_stores, export_lerobot, export_pai
     from olt_datasets.mixtures.mixture_file import MIXTURE_SUFFIXES, read_mixture
     from olt_generator.errors import InputError
     from olt_toolkit.runtime.console import make_progress, print_json

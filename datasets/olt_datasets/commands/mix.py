@@ -91,11 +91,8 @@ def compose(
     as_json: JsonOption = False,
 ) -> None:
     """Choose the samples of a mixture; show what was asked for and what was got, and the steps of training on it."""
-    from olt_datasets.mixtures.mixture import compose_mixture
-    from olt_datasets.mixtures.mixture_file import write_mixture
+    from olt_datasets import compose_mixture, find_recipe, scan_clip_tables, write_mixture
     from olt_datasets.mixtures.picture import draw_mixture
-    from olt_datasets.mixtures.recipe import find_recipe
-    from olt_datasets.tables.clip_frame import scan_clip_tables
 
     chosen = find_recipe(recipe)
     training = _training(stage)
@@ -137,10 +134,8 @@ def show(
 @app.command()
 def check(recipe: RecipeArgument, stores: StoresOption, as_json: JsonOption = False) -> None:
     """List everything that keeps a recipe from being composed: shortages and leaks. Exit status 1 if there is any."""
-    from olt_datasets.mixtures.mixture import check_recipe
-    from olt_datasets.mixtures.recipe import find_recipe
+    from olt_datasets import check_recipe, find_recipe, scan_clip_tables
     from olt_datasets.mixtures.selection import word_shortage
-    from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_toolkit.runtime.console import print_json, print_line
 
     findings = check_recipe(find_recipe(recipe), scan_clip_tables(stores))

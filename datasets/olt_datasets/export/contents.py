@@ -121,15 +121,10 @@ def contents_of_stores(stores: Sequence[Path], split: Split) -> Contents:
         left_out.update((f"{info.kind} clips", "no policy sample") for info in of_split if not info.sample_t0_us)
         taken = sorted((info for info in of_split if info.sample_t0_us), key=kind_and_source)
         for (kind, source), infos in groupby(taken, kind_and_source):
-            items = [
-                ExportItem(
-                    store,
-                    info.clip_id,
-                    listed_as=info.clip_id,
-                    t0s_us=tuple(sorted(info.sample_t0_us, key=lambda t0_us: (t0_us != KEYFRAME_US, t0_us))),
-                )
-                for info in infos
-            ]
+            items = []
+            for info in infos:
+                times = sorted(info.sample_t0_us, key=lambda t0_us: (t0_us != KEYFRAME_US, t0_us))
+                items.append(ExportItem(store, info.clip_id, info.clip_id, tuple(times)))
             groups.append(ExportGroup(store.name, kind, source, tuple(items)))
     omissions = [Omission(what, why, count, total) for (what, why), count in left_out.items()]
     return Contents(_check(groups), split, tuple(omissions))

@@ -57,12 +57,8 @@ def batch_counts(counts: Sequence[int], batch_size: int) -> Counts:
     cumulative = np.zeros((full_batches + (rest > 0), len(counts) + 1), np.int64)
     for column, items in enumerate(accumulate(counts), start=1):
         whole, part = divmod(batch_size * items, samples)
-        # part / samples + p_k / K reaches 1 from here on.
-        threshold = _divide_up(full_batches * (samples - part), samples)
+        # part / samples + p_k / K reaches 1 from here on; both divisions are rounded up.
+        threshold = -(-full_batches * (samples - part) // samples)
         cumulative[:full_batches, column] = whole + (order >= threshold)
-        cumulative[full_batches:, column] = _divide_up(rest * items, samples)
+        cumulative[full_batches:, column] = -(-rest * items // samples)
     return np.diff(cumulative, axis=1)
-
-
-def _divide_up(numerator: int, denominator: int) -> int:
-    return -(-numerator // denominator)

@@ -66,13 +66,12 @@ class Selection:
 class Shortage:
     """A component that cannot give what its recipe asks for, or whose share rounds to nothing.
 
+    Its filter `where` matches clips with so many samples available, each of which may be used `repeats` times an epoch.
+
     Attributes:
-        where: the component's filter, as recipes write it.
         samples_per_epoch: items of all components together.
         asked: the most items that an epoch asks of this one; 0 with clips available is a share too small for one.
-        clips, available: number of clips that the filter matches, and distinct samples that they give.
-        repeats: how often each may be used per epoch.
-        split_holds: what there is in it: number of clips of each kind, category and source.
+        split_holds: number of clips of each kind, category and source in the split.
     """
 
     recipe: str

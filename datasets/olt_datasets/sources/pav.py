@@ -67,10 +67,8 @@ class Pav:
         self._clips = pav_tables.read_clip_index(root)
         self._absent = pav_tables.read_absence(root)
         # Read where a clip is described: opening needs neither.
-        self._countries, self._events = (
-            cache(lambda: pav_tables.read_countries(root)),
-            cache(lambda: pav_tables.read_events(root)),
-        )
+        self._countries = cache(lambda: pav_tables.read_countries(root))
+        self._events = cache(lambda: pav_tables.read_events(root))
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: the ids of valid clips whose front images are on disk."""
@@ -112,7 +110,6 @@ class Pav:
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; lenses and mountings are the clip's own, whatever the options say."""
-        self._clip(key)
         clip_us = self._timestamps(key, FRONT_WIDE)
         times_us = clip_us[images_within(clip_us - clip_us[0], window_us, f"{self.root}: clip {key}")]
         beside = [name for name in self._cameras_beside(key, options.views, times_us) if name != FRONT_WIDE]

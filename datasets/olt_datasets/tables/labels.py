@@ -49,13 +49,16 @@ def read_labels(path: Path) -> pl.DataFrame:
         raise InputError(f"{path}: {ids.name} {twice[0]!r} is there more than once; give each one row")
     if "factors" in fields:
         table = table.with_columns(pl.col("factors").str.split(";").list.eval(pl.element().str.strip_chars()))
-        _check_words(table["factors"].explode(), _WORD, "a word in lower case, such as weak_markings", path)
     for name, pattern, form in (
+        ("factors", _WORD, "a word in lower case, such as weak_markings"),
         ("category", _WORD, "a word in lower case, such as work_zone"),
         ("country", _COUNTRY, "two letters, such as DE"),
     ):
         if name in fields:
-            _check_words(table[name], pattern, form, path)
+            words = table[name].explode() if name == "factors" else table[name]
+            wrong = next((word for word in words.drop_nulls().unique().sort() if not pattern.fullmatch(word)), None)
+            if wrong is not None:
+                raise InputError(f"{path}: {name} {wrong!r}: write {form}")
     return table.select(known[0], *fields)
 
 
@@ -94,9 +97,3 @@ def label_table(table: Path, labels: pl.DataFrame, out: Path) -> int:
 
     rewrite_rows(table, out, change)
     return labelled
-
-
-def _check_words(words: pl.Series, pattern: re.Pattern[str], form: str, path: Path) -> None:
-    wrong = next((word for word in words.drop_nulls().unique().sort() if not pattern.fullmatch(word)), None)
-    if wrong is not None:
-        raise InputError(f"{path}: {words.name} {wrong!r}: write {form}")

@@ -13,7 +13,7 @@ import polars as pl
 
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_datasets.sources.waymo.frames import CAMERAS, read_images
-from olt_datasets.sources.waymo.index import SHARDS, build_index, positions
+from olt_datasets.sources.waymo.index import SHARDS, build_index
 from olt_datasets.sources.waymo.motion import FramePath, chain_paths
 from olt_datasets.sources.waymo.tfrecord import map_records, read_record
 from olt_generator.errors import InputError
@@ -117,7 +117,7 @@ class WaymoE2E:
             },
             ego=chain_paths(
                 [
-                    FramePath.from_states(time_us, positions(past), positions(future))
+                    FramePath.from_states(time_us, past, future)
                     for time_us, past, future in frames.select("time_us", "past", "future").iter_rows()
                 ],
                 f"Waymo E2E drive {key}",

@@ -5,18 +5,15 @@ without reading an image. All of them together are one table sorted by drive, in
 """
 
 import hashlib
-from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 import polars as pl
 
 from olt_datasets.sources.waymo.frames import read_states
 from olt_datasets.sources.waymo.tfrecord import map_records, record_spans
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_generator.poses import Array
 from olt_toolkit.runtime.workers import default_workers, map_parallel
 
 SHARDS = "*.tfrecord*"
@@ -78,11 +75,6 @@ def index_shard(task: ShardTask) -> None:
         rows.append(states | flat | {"shard": task.name, "offset": offset, "length": length})
     with write_whole(task.index) as path:
         pl.DataFrame(rows, schema=SCHEMA).write_parquet(path)
-
-
-def positions(values: Sequence[float]) -> Array:
-    """Positions (n, 2) of a cell of `past` or `future`."""
-    return np.array(values, dtype=np.float64).reshape(-1, 2)
 
 
 def _digest(words: list[str]) -> str:

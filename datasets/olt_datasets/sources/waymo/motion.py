@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from olt_datasets.sources.waymo.frames import STATE_US
@@ -36,8 +36,9 @@ class FramePath:
     positions: Array
 
     @classmethod
-    def from_states(cls, time_us: int, past: Array, future: Array) -> "FramePath":
-        """The path of past states (n, 2), the last of them now, and future states (m, 2)."""
+    def from_states(cls, time_us: int, past: ArrayLike, future: ArrayLike) -> "FramePath":
+        """The path of past states (n, 2), the last of them now, and future states (m, 2); either may be flat."""
+        past, future = np.reshape(past, (-1, 2)), np.reshape(future, (-1, 2))
         offsets_us = STATE_US * np.arange(1 - len(past), len(future) + 1, dtype=np.int64)
         return cls(time_us, offsets_us, np.concatenate([past, future]))
 
