@@ -221,16 +221,10 @@ def fake(
     as_json: JsonOption = False,
 ) -> None:
     """Write a fake table of clips, to try recipes, splits and checks on at any size; no clip can be built of it."""
-    from olt_datasets.tables.clip_frame import TABLE_SUFFIX
     from olt_datasets.tables.fake_table import write_fake_table
-    from olt_generator.errors import InputError
-    from olt_generator.files import write_whole
     from olt_toolkit.runtime.console import print_json, print_line
 
-    if out.suffix != TABLE_SUFFIX:
-        raise InputError(f"{out}: a table of clips is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
-    with write_whole(out) as temporary:
-        write_fake_table(temporary, clips)
+    write_fake_table(out, clips)
     if as_json:
         print_json({"table": str(out), "clips": clips})
     else:

@@ -59,15 +59,13 @@ class KittiRawDrive:
         self._calibration = _read_calibration(calibration / CAMERA_FILE, fields)
         self._T_imu_camera = _imu_to_camera(calibration, self._calibration)
         self._oxts = sorted(oxts.glob("*.txt"))
-        if len(self._oxts) != len(oxts_ns):
-            raise InputError(
-                f"{oxts}: {len(self._oxts)} GPS/IMU files for {len(oxts_ns)} timestamps; copy the drive again"
-            )
         self._images = list_images(images)
-        if len(self._images) != len(image_ns):
-            raise InputError(
-                f"{images}: {len(self._images)} images for {len(image_ns)} timestamps; copy the drive again"
-            )
+        for folder, what, files, times in (
+            (oxts, "GPS/IMU files", self._oxts, oxts_ns),
+            (images, "images", self._images, image_ns),
+        ):
+            if len(files) != len(times):
+                raise InputError(f"{folder}: {len(files)} {what} for {len(times)} timestamps; copy the drive again")
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """See `KittiDrive.record`."""

@@ -71,12 +71,11 @@ class Nexar:
             if not (root / table).is_file():
                 continue
             for number, row in enumerate(_read_rows(root / table), start=2):
-                video = _read_video(row, root / folder, split, f"{root / table}, line {number}")
+                where = f"{root / table}, line {number}"
+                video = _read_video(row, root / folder, split, where)
                 key = video.path.relative_to(root).with_suffix("").as_posix()
                 if key in self._videos:
-                    raise InputError(
-                        f"{root / table}, line {number}: video {key} is listed twice; keep one of the rows"
-                    )
+                    raise InputError(f"{where}: video {key} is listed twice; keep one of the rows")
                 self._videos[key] = video
         if not self._videos:
             raise InputError(f"{root}: no train.csv, test.csv or metadata.csv lists a video; give Nexar's folder")

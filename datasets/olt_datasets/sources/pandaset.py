@@ -12,7 +12,7 @@ distortion, which the images have; the static calibration does.
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -182,8 +182,7 @@ def _read_json(path: Path, content: TypeAdapter[Content]) -> Content:
     try:
         if path.stat().st_size > _LARGEST_JSON_BYTES:
             raise InputError(f"{path}: {path.stat().st_size} bytes are too many for this file; copy it again")
-        parsed: Any = json.loads(path.read_text(encoding="utf-8"))
-        return content.validate_python(parsed)
+        return content.validate_python(json.loads(path.read_text(encoding="utf-8")))
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file; copy the sequence again") from error
     except ValidationError as error:

@@ -169,7 +169,7 @@ def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int6
 
 
 def assume_camera(width: int, height: int, field_of_view: float) -> Camera:
-    """A centred pinhole camera, or equidistant where its field of view, radians (10 to 200 degrees), is wide."""
+    """A centred camera, pinhole or f-theta, that sees so many radians across; InputError beyond 10 to 200 degrees."""
     low, high = FIELD_OF_VIEW_RANGE
     if not low <= field_of_view <= high:
         raise InputError(

@@ -50,6 +50,12 @@ def read_clip_tables(paths: Sequence[Path]) -> pl.DataFrame:
     return scan_clip_tables(paths).collect()
 
 
+def check_table_name(path: Path) -> None:
+    """InputError unless a path is that of a table of indexed clips."""
+    if path.suffix != TABLE_SUFFIX:
+        raise InputError(f"{path}: a table of clips is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
+
+
 def rewrite_rows(table: Path, out: Path, change: Callable[[pa.Table, int], pa.Table]) -> None:
     """Write a table of indexed clips, checked before, again; it appears whole and may replace the old.
 

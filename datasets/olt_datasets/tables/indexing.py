@@ -14,7 +14,7 @@ from pathlib import Path
 import polars as pl
 import pyarrow.parquet as pq
 
-from olt_datasets.tables.clip_frame import TABLE_SUFFIX, scan_clip_tables
+from olt_datasets.tables.clip_frame import TABLE_SUFFIX, check_table_name, scan_clip_tables
 from olt_datasets.tables.cutting import Cutting, cut_drive
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
@@ -70,8 +70,7 @@ def index_dataset(
     Raises:
         InputError: the data set or one of its drives cannot be used, or a table at that path cannot be read.
     """
-    if table.suffix != TABLE_SUFFIX:
-        raise InputError(f"{table}: a table of clips is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
+    check_table_name(table)
     known = table if table.is_file() else None
     if known is not None:
         scan_clip_tables([known])  # refuses a table that cannot be used before any drive is described

@@ -39,9 +39,7 @@ def find_leaks(
       not overlap may be in different splits: that is the paper's seen-scenario split.
     - near-duplicate: a clip of another scene in another split looks like a chosen one (`tables.fingerprints`).
 
-    Args:
-        chosen: the rows of the clip table that the mixture uses.
-        table: the whole clip table; it is only scanned.
+    Chosen are the rows that the mixture uses; the whole clip table is only scanned.
     """
     clips, others = chosen.lazy(), table.lazy().filter(pl.col("split") != split)
     wrong = clips.filter(pl.col("split").ne_missing(split)).select("scene_id", "clip_id", "split")

@@ -105,23 +105,14 @@ class WaymoE2E:
         mounted = records[0].calibrated
         # Cameras that have images throughout.
         steady = [name for name in CAMERAS.values() if front["cameras"].list.contains(name).all()]
+        images = {name: tuple(_RecordImage(record, name, mounted[name]) for record in records) for name in steady}
+        paths = [FramePath.from_states(*row) for row in frames.select("time_us", "past", "future").iter_rows()]
         return SurroundDrive(
             source=NAME,
             key=key,
             front=FRONT,
-            cameras={
-                name: CameraImages(
-                    mounted[name], tuple(_RecordImage(record, name, mounted[name]) for record in records), times_us
-                )
-                for name in steady
-            },
-            ego=chain_paths(
-                [
-                    FramePath.from_states(time_us, past, future)
-                    for time_us, past, future in frames.select("time_us", "past", "future").iter_rows()
-                ],
-                f"Waymo E2E drive {key}",
-            ),
+            cameras={name: CameraImages(mounted[name], images[name], times_us) for name in steady},
+            ego=chain_paths(paths, f"Waymo E2E drive {key}"),
             vehicle=JAGUAR_I_PACE,
             assumptions=_ASSUMPTIONS,
         )

@@ -65,7 +65,10 @@ def read_states(record: memoryview, where: str) -> dict[str, Any]:
 def read_images(
     record: bytes | memoryview, where: str, with_images: bool = True
 ) -> tuple[dict[str, bytes], dict[str, MountedCamera]]:
-    """The images of a record by camera, JPEG files or empty, and their cameras; InputError names what is wrong."""
+    """The images of a record, JPEG files by camera, and their cameras; InputError names a field that is wrong.
+
+    Without images their bytes are jumped over, and each is empty.
+    """
     frame = read_frame(record, where, with_images).frame
     cameras = dict(_calibration(each, f"{where}: camera_calibrations") for each in frame.context.camera_calibrations)
     jpegs = {_camera_name(image.name, where): image.image for image in frame.images}
