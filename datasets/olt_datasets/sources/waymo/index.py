@@ -41,7 +41,7 @@ class ShardTask(NamedTuple):
 
     path: Path
     name: str
-    index: Path
+    target: Path
 
 
 def build_index(root: Path, cache: Path) -> Path:
@@ -54,12 +54,12 @@ def build_index(root: Path, cache: Path) -> Path:
         state, name = shard.stat(), shard.relative_to(root).as_posix()
         digest = _digest([name, str(state.st_size), str(state.st_mtime_ns), str(SCHEMA)])
         tasks.append(ShardTask(shard, name, cache / f"shard-{digest}.parquet"))
-    missing = [task for task in tasks if not task.index.is_file()]
+    missing = [task for task in tasks if not task.target.is_file()]
     worth_workers = sum(task.path.stat().st_size for task in missing) > _WORTH_WORKERS
     map_parallel(index_shard, missing, default_workers() if worth_workers else 1)
-    together = cache / f"frames-{_digest([task.index.name for task in tasks])}.parquet"
+    together = cache / f"frames-{_digest([task.target.name for task in tasks])}.parquet"
     if not together.is_file():
-        frames = pl.concat([pl.read_parquet(task.index) for task in tasks]).sort("sequence", "index", "shard")
+        frames = pl.concat([pl.read_parquet(task.target) for task in tasks]).sort("sequence", "index", "shard")
         with write_whole(together) as path:
             frames.write_parquet(path, row_group_size=_ROWS_IN_GROUP)
     return together
@@ -73,7 +73,7 @@ def index_shard(task: ShardTask) -> None:
         states = read_states(content[offset : offset + length], f"{task.path}: record at byte {offset}")
         flat = {name: states[name].ravel() for name in ("past", "future")}
         rows.append(states | flat | {"shard": task.name, "offset": offset, "length": length})
-    with write_whole(task.index) as path:
+    with write_whole(task.target) as path:
         pl.DataFrame(rows, schema=SCHEMA).write_parquet(path)
 
 
