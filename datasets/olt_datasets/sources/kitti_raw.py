@@ -10,6 +10,7 @@ IMU itself is mounted with its nose up to a degree off the road.
 """
 
 import re
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -140,15 +141,18 @@ def _read_times(path: Path) -> NDArray[np.int64]:
         text = line.strip()
         if not text:
             continue
+        seconds, _, fraction = text.partition(".")
         try:
-            times.append(np.datetime64(text, "ns"))
+            since_epoch = datetime.fromisoformat(seconds) - datetime(1970, 1, 1)
+            whole = since_epoch.days * 86400 + since_epoch.seconds
+            times.append(whole * 1_000_000_000 + int(fraction[:9].ljust(9, "0")))
         except ValueError as error:
             raise InputError(
                 f"{path}: line {number}: {text!r} is no time of the form 2011-09-26 13:10:51.168593664"
             ) from error
     if len(times) < 2:
         raise InputError(f"{path}: holds {len(times)} timestamps; give a drive of at least 2 frames")
-    return check_increasing(np.array(times).astype(np.int64), path)
+    return check_increasing(np.array(times, dtype=np.int64), path)
 
 
 def _read_oxts(files: list[Path]) -> Array:
