@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 
@@ -20,14 +21,16 @@ class Setting:
     default: bool = False
 
 
-def after(build_input: Callable[[], object], call: Callable[[], Any]) -> Callable[[], Callable[[], Any]]:
-    """A `Setting.prepare` for a call whose input is cached: builds the input, so that its time is not the call's."""
+def list_settings(
+    build_input: Callable[[], object], calls: Mapping[str, Callable[[], Any]], default: str
+) -> list[Setting]:
+    """Settings of calls by name that share a cached input: it is built first, so that its time is not the calls'."""
 
-    def prepare() -> Callable[[], Any]:
+    def prepare(call: Callable[[], Any]) -> Callable[[], Any]:
         build_input()
         return call
 
-    return prepare
+    return [Setting(name, partial(prepare, call), name == default) for name, call in calls.items()]
 
 
 @dataclass(frozen=True)
@@ -45,10 +48,9 @@ class Grid:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Settings of one component, measured against a reference that does not use them.
+    """Settings of one component, measured against a reference that does not use them: an entry of `olt.benchmarks`.
 
     Attributes:
-        name: name of the entry point in the group `olt.benchmarks`.
         title: what is measured, in one line.
         error_name, error_unit: what the error is and its unit.
         reference: what the error is measured against, in one sentence.
@@ -58,7 +60,6 @@ class Benchmark:
         grid: drives the stiff and extreme cases, or None where the component has none.
     """
 
-    name: str
     title: str
     error_name: str
     error_unit: str

@@ -11,7 +11,7 @@ from olt_generator.distance.background import FAR_DISTANCE, background_distance
 from olt_generator.distance.depth import SweepSettings, estimate_distance
 from olt_generator.poses import Array, camera_pose_in_rig, invert, planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.bench.benchmark import Benchmark, Setting, after
+from olt_toolkit.bench.benchmark import Benchmark, list_settings
 from olt_toolkit.benchmarks.street import render_street
 
 WIDTH, HEIGHT = 832, 480
@@ -91,21 +91,16 @@ def measure_error(distance: NDArray[np.float32]) -> float:
     return float(100.0 * np.mean(~(np.abs(distance - truth) < RIGHT * truth)))
 
 
-def list_settings() -> list[Setting]:
-    """What is measured."""
-    sweeps = [
-        Setting(name, after(_drive, partial(_sweep, settings)), default=settings == SweepSettings())
-        for name, settings in SETTINGS.items()
-    ]
-    return [*sweeps, Setting("flow of one pair", after(_drive, flow_of_one_pair))]
-
-
 BENCHMARK = Benchmark(
-    name="depth",
     title=f"distances of {len(SHOWN)} of {FRAMES} frames of {WIDTH} x {HEIGHT} pixels, {METRES_PER_FRAME} m apart",
     error_name="wrong by more than a tenth",
     error_unit="% of pixels",
     reference="the distances to which the made-up street is ray-cast, at most 150 m",
-    settings=list_settings,
+    settings=lambda: list_settings(
+        _drive,
+        {name: partial(_sweep, settings) for name, settings in SETTINGS.items()}
+        | {"flow of one pair": flow_of_one_pair},
+        default="24 planes, 2 neighbours, 256 columns",
+    ),
     measure_error=measure_error,
 )

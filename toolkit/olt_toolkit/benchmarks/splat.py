@@ -1,7 +1,6 @@
 """Forward splat of a street scene into a camera two metres to the side: time against wrong surfaces."""
 
-from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,15 +8,13 @@ from numpy.typing import NDArray
 from olt_generator.cameras import Camera, PinholeCamera
 from olt_generator.poses import Array, camera_pose_in_rig, invert
 from olt_generator.views.splat import Warp, land, splat, splat_reference
-from olt_toolkit.bench.benchmark import Benchmark, Setting, after
+from olt_toolkit.bench.benchmark import Benchmark, list_settings
 from olt_toolkit.benchmarks.street import render_street
 
 WIDTH, HEIGHT = 832, 480
 
 # Two distances that differ by less than this share belong to one surface: neighbouring pixels of the road differ less.
 SAME_SURFACE = 0.05
-
-Splat = Callable[[NDArray[np.uint8], NDArray[np.float32], Camera, Camera, Array], Warp]
 
 
 def overwrite(
@@ -93,26 +90,20 @@ def measure_error(distance: NDArray[np.float32]) -> float:
     return float(100.0 * (1.0 - right.mean()))
 
 
-def list_settings() -> list[Setting]:
-    """What is measured."""
-    methods: dict[str, Splat] = {
-        "radius 1": splat,
-        "overwrite without depth test": overwrite,
-        "half size, enlarged": partial(at_reduced_size, 2),
-        "quarter size, enlarged": partial(at_reduced_size, 4),
-    }
-    return [
-        Setting(name, after(_scene, lambda method=method: method(*_scene()).distance), default=method is splat)
-        for name, method in methods.items()
-    ]
-
-
 BENCHMARK = Benchmark(
-    name="splat",
     title=f"forward splat of {WIDTH} x {HEIGHT} pixels with a footprint of 3 x 3, one thread",
     error_name="wrong surface",
     error_unit="% of pixels",
     reference="the painter's algorithm in a plain loop (`splat_reference`); right is within 5 % of its distance",
-    settings=list_settings,
+    settings=lambda: list_settings(
+        _scene,
+        {
+            "radius 1": lambda: splat(*_scene()).distance,
+            "overwrite without depth test": lambda: overwrite(*_scene()).distance,
+            "half size, enlarged": lambda: at_reduced_size(2, *_scene()).distance,
+            "quarter size, enlarged": lambda: at_reduced_size(4, *_scene()).distance,
+        },
+        default="radius 1",
+    ),
     measure_error=measure_error,
 )
