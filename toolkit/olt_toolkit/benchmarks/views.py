@@ -21,7 +21,7 @@ T_RIG_CROSS = tuple(
 )
 # Twenty frames, a metre and a half apart; the views of the last one are made.
 FRAMES, STEP = 20, 1.5
-OTHER_FRAMES = (1, 2, 4, 8)
+OTHER_FRAMES = (0, 1, 2, 4, 8)
 
 
 @lru_cache(maxsize=1)
