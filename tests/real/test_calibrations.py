@@ -8,7 +8,7 @@ import pytest
 
 from olt_generator.cameras import BrownConradyCamera, PinholeCamera
 from olt_generator.poses import invert, make_pose, pose_from_quaternion
-from olt_toolkit.recordings import OpenOptions, open_recording
+from olt_toolkit import OpenOptions, open_recording
 from olt_toolkit.rigs.rig_files import load_rig, pav_rig
 
 KITTI_DRIVE = "kitti_raw_2011_09_26_drive_0013"

@@ -6,8 +6,8 @@ import pytest
 from olt_generator.motion.odometry import estimate_odometry
 from olt_generator.motion.pose_metrics import measure_smoothness
 from olt_generator.motion.smoother import smooth_trajectory
+from olt_toolkit import OpenOptions, open_recording
 from olt_toolkit.clips.trajectory_errors import measure_clips, summarize_clips
-from olt_toolkit.recordings import OpenOptions, open_recording
 
 pytestmark = pytest.mark.slow
 

@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from olt_toolkit.policy.contract import Policy as Policy
     from olt_toolkit.policy.sample import PolicySample as PolicySample
     from olt_toolkit.policy.sample import SampleKey as SampleKey
+    from olt_toolkit.recordings.drives import Dataset as Dataset
     from olt_toolkit.recordings.drives import DatasetPlace as DatasetPlace
+    from olt_toolkit.recordings.drives import DatasetReader as DatasetReader
     from olt_toolkit.recordings.drives import Drive as Drive
+    from olt_toolkit.recordings.drives import Licence as Licence
     from olt_toolkit.recordings.drives import open_dataset as open_dataset
     from olt_toolkit.recordings.drives import open_recording as open_recording
     from olt_toolkit.recordings.recording import OpenOptions as OpenOptions
@@ -42,7 +45,15 @@ _MODULES = {
     "policy.action_space": ("actions_to_trajectory", "trajectory_to_actions"),
     "policy.contract": ("Observation", "PlannedTrajectory", "Policy"),
     "policy.sample": ("PolicySample", "SampleKey"),
-    "recordings.drives": ("DatasetPlace", "Drive", "open_dataset", "open_recording"),
+    "recordings.drives": (
+        "Dataset",
+        "DatasetPlace",
+        "DatasetReader",
+        "Drive",
+        "Licence",
+        "open_dataset",
+        "open_recording",
+    ),
     "recordings.recording": ("OpenOptions", "Recording"),
     "rigs.rig": ("Rig",),
     "rigs.rig_files": ("load_rig", "read_rig"),

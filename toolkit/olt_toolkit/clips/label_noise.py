@@ -18,7 +18,7 @@ from olt_generator.motion.smoother import SmoothedMotion
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import EgoMotion
-from olt_toolkit.policy.action_space import DEFAULT_SETTINGS, trajectory_to_actions
+from olt_toolkit.policy.action_space import physical_actions, trajectory_to_actions
 from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
 
@@ -94,10 +94,9 @@ def _find_labels(trajectory: Trajectory, t0_us: NDArray[np.int64]) -> tuple[Arra
     start = int(trajectory.timestamps_us[0])
     motion = EgoMotion.from_trajectory(Trajectory(trajectory.timestamps_us - start, trajectory.T_world_rig))
     history, future = motion.around(t0_us - start)
-    actions = trajectory_to_actions(
-        history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3], DEFAULT_SETTINGS
+    return physical_actions(
+        trajectory_to_actions(history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3])
     )
-    return DEFAULT_SETTINGS.physical(actions)
 
 
 def _compare(labels: tuple[Array, Array], others: tuple[Array, Array]) -> LabelNoise:
