@@ -24,8 +24,8 @@ def mean_over_clips(recording, stride):
     summary = summarize_clips(motions)
     print(f"\n{summary}")
     for motion in motions:
-        assert motion.motion.errors.metric.ate_m < 1.05 * motion.motion.measured_errors.metric.ate_m
-        assert motion.motion.errors.sim3.ate_m < 0.2
+        assert motion.errors.metric.ate_m < 1.05 * motion.measured_errors.metric.ate_m
+        assert motion.errors.sim3.ate_m < 0.2
         assert motion.to_dict()["jerk_factor"] > 16.7
     return summary
 
