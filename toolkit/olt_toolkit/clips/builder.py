@@ -70,11 +70,6 @@ class BuiltClip:
     assumptions: tuple[str, ...]
 
 
-def clip_id_of(recording: Recording, options: BuildOptions) -> str:
-    """The id of the clip that `build_clip` would build."""
-    return make_clip_id(recording.source, options.name or recording.name, _clip_kind(options), options.seed)
-
-
 def build_clip(
     recording: Recording,
     options: BuildOptions | None = None,
@@ -142,14 +137,6 @@ def build_clip(
     )
 
 
-def nominal_frame_rate(timestamps_us: Indices) -> float:
-    """Whole frames per second nearest to the median spacing of frames at times (n,).
-
-    Video files need one constant rate, and readers take times from the timestamp tables, so it only has to be close.
-    """
-    return float(max(1, round(1e6 / float(np.median(np.diff(timestamps_us))))))
-
-
 def _clip_kind(options: BuildOptions) -> ClipKind:
     if not plan_views(options.cameras).synthesizes:
         return "front_only"
@@ -206,15 +193,17 @@ def _only_frames(recording: Recording, made: Indices) -> Recording:
 
 
 def _assemble(recording: Recording, options: BuildOptions, views: dict[str, View], ego_motion: EgoMotion) -> Clip:
-    times_us = recording.timestamps_us
-    wanted, rate = {camera: views[camera] for camera in options.cameras}, nominal_frame_rate(times_us)
+    times_us, name, kind = recording.timestamps_us, options.name or recording.name, _clip_kind(options)
+    # Video files need one constant rate, and readers take times from the timestamp tables: it only has to be close.
+    rate = float(max(1, round(1e6 / float(np.median(np.diff(times_us))))))
+    wanted = {camera: views[camera] for camera in options.cameras}
     return Clip(
-        clip_id=clip_id_of(recording, options),
-        name=options.name or recording.name,
+        clip_id=make_clip_id(recording.source, name, kind, options.seed),
+        name=name,
         scene_id=options.scene_id or recording.name,
         source=recording.source,
         origin=options.origin or ClipOrigin(recording.name, int(times_us[0]), int(times_us[-1])),
-        kind=_clip_kind(options),
+        kind=kind,
         category=options.category,
         factors=options.factors,
         split=options.split,

@@ -175,9 +175,9 @@ class ClipOrigin:
     licence: str | None = None
 
 
-@dataclass(frozen=True)
-class Clip:
-    """One clip, ready to be stored.
+@dataclass(frozen=True, kw_only=True)
+class ClipDescription:
+    """What a clip is, in memory as in the clip table.
 
     Attributes:
         clip_id: UUID text (`make_clip_id`).
@@ -188,47 +188,7 @@ class Clip:
         kind: whether all views are true images.
         category: long-tail category, "nominal", or `UNLABELLED`.
         factors: scene factors that hold.
-        split: training split.
-        streams: camera streams by camera name.
-        ego_motion: motion of the rig.
-        vehicle: size of the vehicle.
-        provenance: where each stream came from, by camera name.
-        sample_t0_us: the only times t0 at which it may be sampled, such as those before a crash; None for all times
-            that it covers.
-    """
-
-    clip_id: str
-    name: str
-    scene_id: str
-    source: str
-    origin: ClipOrigin
-    kind: ClipKind
-    category: str
-    factors: tuple[str, ...]
-    split: Split
-    streams: dict[str, CameraStream]
-    ego_motion: EgoMotion
-    vehicle: VehicleDimensions
-    provenance: dict[str, ViewProvenance]
-    sample_t0_us: tuple[int, ...] | None = None
-
-
-@dataclass(frozen=True)
-class ClipInfo:
-    """One row of the clip table: everything that choosing clips needs, without opening one.
-
-    Attributes:
         split: training split; None for a clip that is only indexed and that no rule has put into a split yet.
-        duration_us: clip time of the last ego pose.
-        sample_t0_us: times t0, on a grid of 0.1 s, at which the clip gives a policy sample.
-        no_sample_reason: why there is no such time; None where there is one.
-        created_with: the code that wrote the clip (`runtime.version.code_version`).
-        checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
-            the description and the window of its drive where it is only indexed.
-        fingerprint: perceptual hashes of a few front images (`clips.image_hash`); None where none was decoded.
-        views: provenance by camera name.
-
-    The other attributes are those of `Clip`.
     """
 
     clip_id: str
@@ -240,6 +200,43 @@ class ClipInfo:
     category: str
     factors: tuple[str, ...]
     split: Split | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip(ClipDescription):
+    """One clip, ready to be stored.
+
+    Attributes:
+        streams: camera streams by camera name.
+        ego_motion: motion of the rig.
+        vehicle: size of the vehicle.
+        provenance: where each stream came from, by camera name.
+        sample_t0_us: the only times t0 at which it may be sampled, such as those before a crash; None for all times
+            that it covers.
+    """
+
+    streams: dict[str, CameraStream]
+    ego_motion: EgoMotion
+    vehicle: VehicleDimensions
+    provenance: dict[str, ViewProvenance]
+    sample_t0_us: tuple[int, ...] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipInfo(ClipDescription):
+    """One row of the clip table: everything that choosing clips needs, without opening one.
+
+    Attributes:
+        duration_us: clip time of the last ego pose.
+        sample_t0_us: times t0, on a grid of 0.1 s, at which the clip gives a policy sample.
+        no_sample_reason: why there is no such time; None where there is one.
+        created_with: the code that wrote the clip (`runtime.version.code_version`).
+        checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
+            the description and the window of its drive where it is only indexed.
+        fingerprint: perceptual hashes of a few front images (`clips.image_hash`); None where none was decoded.
+        views: provenance by camera name.
+    """
+
     duration_us: int
     sample_t0_us: tuple[int, ...]
     no_sample_reason: str | None

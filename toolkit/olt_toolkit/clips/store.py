@@ -19,37 +19,16 @@ from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole_folder
+from olt_toolkit.clips import pai_layout as layout
+from olt_toolkit.clips import pai_tables as tables
 from olt_toolkit.clips.chunk_archive import ByteRange, ChunkArchive
 from olt_toolkit.clips.clip import Clip, ClipInfo, EgoMotion, check_clip_id
 from olt_toolkit.clips.files import pack_chunk, write_clip_files, write_metadata
-from olt_toolkit.clips.pai_layout import (
-    CALIBRATIONS,
-    CAMERA_INTRINSICS,
-    CLIP_INDEX,
-    EGOMOTION,
-    FEATURES,
-    FRAME_TIMESTAMPS,
-    SENSOR_EXTRINSICS,
-    VEHICLE_DIMENSIONS,
-    VIDEO,
-)
-from olt_toolkit.clips.pai_tables import (
-    read_egomotion,
-    read_indexed,
-    read_mounted_camera,
-    read_table,
-    read_timestamps,
-    read_vehicle,
-)
+from olt_toolkit.clips.pai_layout import CALIBRATIONS, CLIP_INDEX, EGOMOTION, FEATURES, FRAME_TIMESTAMPS, VIDEO
 from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
 from olt_toolkit.clips.video import check_video, decode_frames, decode_images
 from olt_toolkit.policy.sample import PolicySample, SampleKey
-from olt_toolkit.policy.window import (
-    IMAGE_OFFSETS_US,
-    Coverage,
-    check_sample_window,
-    newest_frames,
-)
+from olt_toolkit.policy.window import IMAGE_OFFSETS_US, Coverage, check_sample_window, newest_frames
 from olt_toolkit.rigs.rig import CAMERA_INDEX, POLICY_CAMERAS, MountedCamera, VehicleDimensions
 from olt_toolkit.runtime.version import code_version
 
@@ -85,7 +64,7 @@ class ClipStore:
         path = self._prepared(clip_id) / CLIP_TABLE
         return (
             path.is_file()
-            and read_table(path, ["created_with"], str(path))["created_with"][0].as_py() == code_version()
+            and tables.read_table(path, ["created_with"], str(path))["created_with"][0].as_py() == code_version()
         )
 
     def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
@@ -198,7 +177,7 @@ class ClipStore:
             InputError: the table is missing or damaged, or has no row for the clip.
         """
         path = self._chunk_file(clip_id, feature)
-        table = read_table(path, [], str(path)).to_pandas()
+        table = tables.read_table(path, [], str(path)).to_pandas()
         rows = table[table.index.get_level_values(0) == clip_id]
         if rows.empty:
             raise InputError(f"{path}: no row for {clip_id}")
@@ -206,20 +185,22 @@ class ClipStore:
 
     def read_ego_motion(self, clip_id: str) -> EgoMotion:
         """The motion of the rig in the clip's anchor frame."""
-        return read_egomotion(*self._member(clip_id, EGOMOTION, EGOMOTION))
+        return tables.read_egomotion(*self._member(clip_id, EGOMOTION, EGOMOTION))
 
     def read_camera(self, clip_id: str, camera: str) -> MountedCamera:
         """Lens and mounting of one camera."""
-        intrinsics = self._chunk_file(clip_id, CAMERA_INTRINSICS)
-        return read_mounted_camera(intrinsics, self._chunk_file(clip_id, SENSOR_EXTRINSICS), clip_id, camera)
+        intrinsics = self._chunk_file(clip_id, layout.CAMERA_INTRINSICS)
+        return tables.read_mounted_camera(
+            intrinsics, self._chunk_file(clip_id, layout.SENSOR_EXTRINSICS), clip_id, camera
+        )
 
     def read_vehicle(self, clip_id: str) -> VehicleDimensions:
         """Size of the vehicle."""
-        return read_vehicle(self._chunk_file(clip_id, VEHICLE_DIMENSIONS), clip_id)
+        return tables.read_vehicle(self._chunk_file(clip_id, layout.VEHICLE_DIMENSIONS), clip_id)
 
     def read_timestamps(self, clip_id: str, camera: str) -> NDArray[np.int64]:
         """Clip times (n,) of one camera's frames."""
-        return read_timestamps(*self._member(clip_id, camera, FRAME_TIMESTAMPS))
+        return tables.read_timestamps(*self._member(clip_id, camera, FRAME_TIMESTAMPS))
 
     def read_frames(
         self, clip_id: str, camera: str, times_us: NDArray[np.int64]
@@ -333,7 +314,7 @@ class ClipStore:
     @cached_property
     def _chunks(self) -> dict[str, int]:
         path = self.root / CLIP_INDEX
-        table = read_indexed(path, ["chunk"], ["clip_id"])
+        table = tables.read_indexed(path, ["chunk"], ["clip_id"])
         if table["chunk"].dtype != np.int64:
             raise InputError(f"{path}: column chunk is {table['chunk'].dtype}; it must be int64")
         clip_ids = [check_clip_id(clip_id, str(path)) for clip_id in table.index]

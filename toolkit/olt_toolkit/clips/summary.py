@@ -9,15 +9,14 @@ from olt_toolkit.clips.builder import BuiltClip
 from olt_toolkit.clips.clip import ClipInfo, EgoMotion
 from olt_toolkit.clips.store import ClipStore
 
-# What the numbers of a recovered motion are called among those of a clip.
-_MOTION_KEYS = {
-    "scale_sigma": "scale_sigma",
-    "errors": "pose_errors",
-    "errors_before_smoothing": "pose_errors_before_smoothing",
-    "smoothness": "smoothness",
-    "smoothness_before_smoothing": "smoothness_before_smoothing",
-    "label_noise": "label_noise",
-}
+_OF_MOTION = (
+    "scale_sigma",
+    "errors",
+    "errors_before_smoothing",
+    "smoothness",
+    "smoothness_before_smoothing",
+    "label_noise",
+)
 
 
 def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
@@ -27,11 +26,11 @@ def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
         built: the clip and what it was made from.
         info: its row in the clip table.
     """
-    motion = dict.fromkeys(_MOTION_KEYS) if built.motion is None else built.motion.to_dict()
+    motion = dict.fromkeys(_OF_MOTION) if built.motion is None else built.motion.to_dict()
     return {
         "clip": summarize_info(info),
         "trajectory": summarize_motion(built.clip.ego_motion),
-        **{_MOTION_KEYS[key]: value for key, value in motion.items()},
+        **{f"pose_{key}" if key.startswith("errors") else key: value for key, value in motion.items()},
         "distance_median_relative_error": built.distance_error,
         "view_errors": {name: asdict(error) for name, error in built.view_errors.items()},
         "left_out": [omission.to_dict() for omission in built.left_out],
