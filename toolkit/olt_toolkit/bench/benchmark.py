@@ -8,12 +8,9 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Setting:
-    """One way of doing the work.
+    """One way of doing the work; the default is the one that the project uses.
 
-    Attributes:
-        name: what the setting is called in tables and plots.
-        prepare: builds the input and returns the call that is timed. The call returns plain arrays or numbers.
-        default: whether this is the setting that the project uses.
+    `prepare` builds the input and returns the call that is timed, which returns plain arrays or numbers.
     """
 
     name: str
@@ -35,12 +32,7 @@ def list_settings(
 
 @dataclass(frozen=True)
 class Grid:
-    """What a component does over its stiff and extreme cases.
-
-    Attributes:
-        rows: one JSON-able object for each case, with its outcome.
-        summary: lines that say how the cases came out.
-    """
+    """What a component does over its stiff and extreme cases: a JSON-able object for each, and lines that sum up."""
 
     rows: Sequence[dict[str, Any]]
     summary: Sequence[str]

@@ -31,14 +31,10 @@ PREVIEWS = "previews"
 
 @dataclass(frozen=True)
 class BuildResult:
-    """What became of one job.
+    """What became of one job, which is listed under `path`.
 
-    Attributes:
-        path: what the job is listed under.
-        state: built now, found in the store or prepared by an earlier run, or failed.
-        clip_id: id of the clip; None where it failed.
-        summary: numbers of a clip that was built now.
-        message: why it failed.
+    `clip_id` is None where it failed, and `message` says why. A clip is "found" in the store, or prepared by an earlier
+    run; `summary` holds the numbers of one that is built now.
     """
 
     path: Path
@@ -153,13 +149,9 @@ class BuildJob:
 def build_clips(
     jobs: Sequence[BuildJob], workers: int, on_progress: Progress = silent, engine: Engine = Engine.LOCAL
 ) -> list[BuildResult]:
-    """Build the clips of several jobs and commit them to their store.
+    """Build the clips of several jobs, on so many processes, and commit them to their one store.
 
-    Args:
-        jobs: what to build, all for one store.
-        workers: number of processes.
-        on_progress: told the share of jobs that are done.
-        engine: where the processes run.
+    `on_progress` is told the share of jobs that are done.
 
     Returns:
         A result for each job, in their order.

@@ -78,11 +78,7 @@ def build_clip(
 ) -> BuiltClip:
     """Build the clip of one recording.
 
-    Args:
-        recording: front images, lens and mounting, and the truth where it is known.
-        options: what to build.
-        on_progress: told the share of the work that is done.
-        on_step: told each step's name: odometry, smoothing, distance, views.
+    `on_progress` is told the share of the work that is done; `on_step` odometry, smoothing, distance, views.
 
     Raises:
         InputError: the motion cannot be recovered, a wanted view cannot be made, or a true view is not there.

@@ -35,22 +35,23 @@ def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
         InputError: the clip contradicts itself or cannot be held by the layout.
     """
     check_clip(clip)
+    clip_id = clip.clip_id
     calibration = {
-        layout.CAMERA_INTRINSICS: tables.intrinsics_table(clip.clip_id, clip.streams),
-        layout.SENSOR_EXTRINSICS: tables.extrinsics_table(clip.clip_id, clip.streams),
-        layout.VEHICLE_DIMENSIONS: tables.vehicle_table(clip.clip_id, clip.vehicle),
+        layout.CAMERA_INTRINSICS: tables.intrinsics_table(clip_id, clip.streams),
+        layout.SENSOR_EXTRINSICS: tables.extrinsics_table(clip_id, clip.streams),
+        layout.VEHICLE_DIMENSIONS: tables.vehicle_table(clip_id, clip.vehicle),
     }
     for name, table in calibration.items():
         table.to_parquet(folder / f"{name}.parquet")
     tables.egomotion_table(clip.ego_motion).to_parquet(
-        folder / FEATURES[layout.EGOMOTION].member(layout.EGOMOTION, clip.clip_id)
+        folder / FEATURES[layout.EGOMOTION].member(layout.EGOMOTION, clip_id)
     )
     for camera, stream in clip.streams.items():
         feature = FEATURES[camera]
         tables.timestamps_table(stream.timestamps_us).to_parquet(
-            folder / feature.member(layout.FRAME_TIMESTAMPS, clip.clip_id)
+            folder / feature.member(layout.FRAME_TIMESTAMPS, clip_id)
         )
-        path = folder / feature.member(layout.VIDEO, clip.clip_id)
+        path = folder / feature.member(layout.VIDEO, clip_id)
         write_video(path, stream.frames, stream.frame_rate, frames_per_step(stream.frame_rate))
     digest = hashlib.blake2b(digest_size=16)
     for path in sorted(folder.iterdir()):

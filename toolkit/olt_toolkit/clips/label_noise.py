@@ -56,15 +56,9 @@ class LabelNoiseBudget:
 def measure_label_noise(
     measured: Trajectory, motion: SmoothedMotion, reference: Trajectory | None = None
 ) -> LabelNoiseBudget | None:
-    """What is wrong with the labels of a clip, and what smoothing does about it.
+    """What is wrong with the labels of a clip, by the trajectory before smoothing, after it, and the true one.
 
-    Args:
-        measured: the trajectory before smoothing.
-        motion: the smoothed one.
-        reference: the true one on the same clock, where it is known.
-
-    Returns:
-        The budget, or None where the trajectories have no 7.9 s in common, which one sample needs.
+    None where the trajectories have no 7.9 s in common, which one sample needs.
     """
     trajectories = [measured, motion.trajectory] + ([reference] if reference else [])
     t0_us = _sample_times(trajectories)

@@ -60,14 +60,7 @@ def open_lpips(weights: Path | None, device: str) -> "Lpips | None":
 def score_consistency(
     store: ClipStore, clip_id: str, matcher: Matcher, moments: int, on_progress: Progress = silent
 ) -> dict[str, Any]:
-    """GeoKPM of a clip, over all pairs of neighbouring views and for each.
-
-    Args:
-        store: holds the clip.
-        clip_id: which clip.
-        matcher: finds the matches.
-        moments: how many moments of the clip, spread evenly.
-        on_progress: told the share of the work that is done.
+    """GeoKPM of a clip at so many moments, spread evenly: over all pairs of neighbouring views and for each.
 
     Raises:
         InputError: the clip has no two neighbouring views.

@@ -189,10 +189,8 @@ class ClipStore:
 
     def read_camera(self, clip_id: str, camera: str) -> MountedCamera:
         """Lens and mounting of one camera."""
-        intrinsics = self._chunk_file(clip_id, layout.CAMERA_INTRINSICS)
-        return tables.read_mounted_camera(
-            intrinsics, self._chunk_file(clip_id, layout.SENSOR_EXTRINSICS), clip_id, camera
-        )
+        files = (self._chunk_file(clip_id, name) for name in (layout.CAMERA_INTRINSICS, layout.SENSOR_EXTRINSICS))
+        return tables.read_mounted_camera(*files, clip_id, camera)
 
     def read_vehicle(self, clip_id: str) -> VehicleDimensions:
         """Size of the vehicle."""

@@ -20,12 +20,7 @@ _OF_MOTION = (
 
 
 def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
-    """Numbers of a built clip: trajectory and its errors, views and theirs, what was left out, assumed and timed.
-
-    Args:
-        built: the clip and what it was made from.
-        info: its row in the clip table.
-    """
+    """Numbers of a built clip: trajectory and its errors, views and theirs, what was left out, assumed and timed."""
     motion = dict.fromkeys(_OF_MOTION) if built.motion is None else built.motion.to_dict()
     return {
         "clip": summarize_info(info),

@@ -26,13 +26,9 @@ ADDRESS_VARIABLE = "RAY_ADDRESS"
 def map_on_ray(
     function: Callable[[Item], Result], items: Sequence[Item], workers: int, on_progress: Progress = silent
 ) -> list[Result]:
-    """Apply `function` to all items on Ray; results keep the order of the items.
+    """Apply `function` to all items on Ray, `workers` at the same time at most; results keep the order of the items.
 
-    Args:
-        function: importable on every machine, as the items' types are.
-        items: what to work on.
-        workers: tasks at the same time, at most.
-        on_progress: told the share of items that are done.
+    The function and the items' types must be importable on every machine.
 
     Raises:
         InputError: Ray is not installed, or the cluster cannot be reached, or a worker died too often.
