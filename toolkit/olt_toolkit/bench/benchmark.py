@@ -43,9 +43,6 @@ class Benchmark:
     """Settings of one component, measured against a reference that does not use them: an entry of `olt.benchmarks`.
 
     Attributes:
-        title: what is measured, in one line.
-        error_name, error_unit: what the error is and its unit.
-        reference: what the error is measured against, in one sentence.
         settings: builds the settings; called in the measuring process too, so it must give the same ones each time.
         measure_error: the error of what a setting's call returned; called once per setting.
         figures: what else is told of a setting's call, by name with unit, or None where the error says all.

@@ -49,14 +49,10 @@ class BuildJob:
     """One drive, or a window of one, and how its clip is built; picklable, because workers build.
 
     Attributes:
-        place: the data set.
-        key: key of the drive in it.
-        store: folder of the clip store.
+        place, key: the data set, and the drive in it.
         window_us: drive times of the first and the last image; None for the whole drive, up to the duration of
             `opening`.
-        opening: how to open it.
         options: how to build the clip, but for its estimators; without a name the clip takes that of the drive.
-        estimators: where motion and distances come from.
         measured_motion: whether motion that the data set measured goes before what `estimators` say.
         source: the reader that the data set must have; None for any.
         keep_going: whether input that cannot be used is a result instead of an error.
@@ -149,12 +145,7 @@ class BuildJob:
 def build_clips(
     jobs: Sequence[BuildJob], workers: int, on_progress: Progress = silent, engine: Engine = Engine.LOCAL
 ) -> list[BuildResult]:
-    """Build the clips of several jobs, on so many processes, and commit them to their one store.
-
-    `on_progress` is told the share of jobs that are done.
-
-    Returns:
-        A result for each job, in their order.
+    """Build the clips of several jobs and commit them to their one store; gives a result for each, in their order.
 
     Raises:
         InputError: something cannot be used and its job does not keep going. Clips prepared by then are found by the

@@ -36,25 +36,16 @@ _NOTED_LENS_ERROR = 0.05
 
 
 @dataclass(frozen=True)
-class ViewError:
-    """PSNR in dB of a synthesized view against the true one, mean over frames: all pixels, and those observed."""
-
-    psnr: float
-    psnr_observed: float
-
-
-@dataclass(frozen=True)
 class BuiltClip:
     """A clip, what it was made from, and how good that is. What could not be measured is None.
 
     Attributes:
-        clip: the clip.
-        plan: which views were made, and how.
-        left_out: what was not made, and why.
-        motion: the motion as it was measured and smoothed, with its errors; None where the reference was taken.
+        plan, left_out: which views were made, and how; what was not, and why.
+        motion: as it was measured and smoothed, with its errors; None where the reference was taken.
         observed: (m, h, w) pixels taken from what the front camera saw, by synthesized view.
         distance_error: median relative error of the distances.
-        view_errors: errors of synthesized views, by camera.
+        view_errors: PSNR in dB of synthesized views against the true ones, mean over frames, by camera: "psnr" over all
+            pixels, "psnr_observed" over those observed.
         seconds: run time by step.
         assumptions: a sentence for everything assumed instead of measured.
     """
@@ -65,7 +56,7 @@ class BuiltClip:
     motion: RecoveredMotion | None
     observed: dict[str, NDArray[np.bool_]]
     distance_error: float | None
-    view_errors: dict[str, ViewError]
+    view_errors: dict[str, dict[str, float]]
     seconds: dict[str, float]
     assumptions: tuple[str, ...]
 
@@ -243,7 +234,7 @@ def _distance_error(distance: NDArray[np.float32], recording: Recording, frames:
     return float(np.median(np.abs(distance[both] - truth[both]) / truth[both]))
 
 
-def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, ViewError]:
+def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, dict[str, float]]:
     """Errors of the synthesized views whose true images are known: whole, by the same lens, from the same place."""
     errors = {}
     for name, view in views.items():
@@ -258,8 +249,7 @@ def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, View
             continue
         truth = fit_images(recording.views[name], width, height)
         triples = list(zip(view.images, truth, view.observed, strict=True))
-        errors[name] = ViewError(
-            float(np.mean([psnr(image, true_image) for image, true_image, _ in triples])),
-            float(np.mean([psnr(image, true_image, seen) for image, true_image, seen in triples if seen.any()])),
-        )
+        all_pixels = [psnr(image, true_image) for image, true_image, _ in triples]
+        observed = [psnr(image, true_image, seen) for image, true_image, seen in triples if seen.any()]
+        errors[name] = {"psnr": float(np.mean(all_pixels)), "psnr_observed": float(np.mean(observed))}
     return errors

@@ -139,13 +139,10 @@ class ViewProvenance:
     """Where the pixels of one view came from.
 
     Attributes:
-        kind: how the images came to be.
-        engine, version: what made them.
-        seed: seed of whatever was random; None where nothing was.
-        observed_share: share of pixels taken from what the vehicle's cameras saw, 0 to 1.
-        invented_share: share of pixels that no camera saw, 0 to 1.
-        other_times_share: share of pixels taken from what the front camera saw at other times than that of the image,
-            0 to 1; a part of `observed_share`.
+        engine, version: what made the images.
+        seed: of whatever was random; None where nothing was.
+        observed_share, invented_share: shares of pixels, 0 to 1, that the vehicle's cameras saw, and that none saw.
+        other_times_share: the part of `observed_share` that the front camera saw at other times than the image's.
     """
 
     kind: ViewKind
@@ -164,8 +161,7 @@ class ClipOrigin:
     Attributes:
         recording: key of the drive in its data set; the recording's name where it is a single file.
         start_us, end_us: times of the first and the last front image, counted from the start of the scene.
-        country: ISO 3166 code of two letters; None where it is not told.
-        licence: name of the licence; None where it is not told.
+        country, licence: ISO 3166 code of two letters, and name of the licence; None where not told.
     """
 
     recording: str
@@ -184,10 +180,7 @@ class ClipDescription:
         name: what people call the clip.
         scene_id: the scene it shows; clips of one scene belong in one split.
         source: the reader of the recording.
-        origin: what it was cut from, and when.
-        kind: whether all views are true images.
-        category: long-tail category, "nominal", or `UNLABELLED`.
-        factors: scene factors that hold.
+        category, factors: long-tail category, "nominal", or `UNLABELLED`; the scene factors that hold.
         split: training split; None for a clip that is only indexed and that no rule has put into a split yet.
     """
 
@@ -204,15 +197,10 @@ class ClipDescription:
 
 @dataclass(frozen=True, kw_only=True)
 class Clip(ClipDescription):
-    """One clip, ready to be stored.
+    """One clip, ready to be stored; its streams, and where they came from, by camera name.
 
-    Attributes:
-        streams: camera streams by camera name.
-        ego_motion: motion of the rig.
-        vehicle: size of the vehicle.
-        provenance: where each stream came from, by camera name.
-        sample_t0_us: the only times t0 at which it may be sampled, such as those before a crash; None for all times
-            that it covers.
+    `sample_t0_us` are the only times t0 at which it may be sampled, such as those before a crash; None for all times
+    that it covers.
     """
 
     streams: dict[str, CameraStream]
@@ -234,7 +222,6 @@ class ClipInfo(ClipDescription):
         checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
             the description and the window of its drive where it is only indexed.
         fingerprint: perceptual hashes of a few front images (`clips.image_hash`); None where none was decoded.
-        views: provenance by camera name.
     """
 
     duration_us: int

@@ -26,10 +26,7 @@ _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
-    """Write everything a chunk takes from one clip: zip members, calibration rows and the row of the clip table.
-
-    Returns:
-        The row of the clip table.
+    """Write what a chunk takes from one clip: zip members, calibration rows and, returned too, its row of the clip table.
 
     Raises:
         InputError: the clip contradicts itself or cannot be held by the layout.
@@ -48,9 +45,8 @@ def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
     )
     for camera, stream in clip.streams.items():
         feature = FEATURES[camera]
-        tables.timestamps_table(stream.timestamps_us).to_parquet(
-            folder / feature.member(layout.FRAME_TIMESTAMPS, clip_id)
-        )
+        timestamps = pd.DataFrame({"timestamp": stream.timestamps_us})
+        timestamps.to_parquet(folder / feature.member(layout.FRAME_TIMESTAMPS, clip_id))
         path = folder / feature.member(layout.VIDEO, clip_id)
         write_video(path, stream.frames, stream.frame_rate, frames_per_step(stream.frame_rate))
     digest = hashlib.blake2b(digest_size=16)

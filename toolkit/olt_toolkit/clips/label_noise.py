@@ -36,14 +36,12 @@ class LabelNoise:
 
 @dataclass(frozen=True)
 class LabelNoiseBudget:
-    """Label noise of one clip. What could not be measured is None.
+    """Label noise of one clip, over so many times t0. What could not be measured is None.
 
     Attributes:
-        samples: how many times t0 were looked at.
-        expected: of the smoothed trajectory, by the smoother's own account.
+        expected: after smoothing, by the smoother's own account.
         taken_out: difference that the smoothing makes.
-        actual: of the smoothed trajectory, against the reference.
-        raw: of the trajectory before smoothing, against the reference.
+        actual, raw: after and before smoothing, against the reference.
     """
 
     samples: int

@@ -62,13 +62,8 @@ def read_egomotion(data: bytes, where: str) -> EgoMotion:
     )
 
 
-def timestamps_table(timestamps_us: NDArray[np.int64]) -> pd.DataFrame:
-    """The table `{clip}.<camera>.timestamps.parquet`: one row for each of the frames at clip times (n,)."""
-    return pd.DataFrame({"timestamp": timestamps_us})
-
-
 def read_timestamps(data: bytes, where: str) -> NDArray[np.int64]:
-    """Read the (n,) clip times of a camera's frames.
+    """Read the (n,) clip times of a camera's frames, `{clip}.<camera>.timestamps.parquet`.
 
     Raises:
         InputError: the column is missing, not integer, shorter than two rows or not increasing.

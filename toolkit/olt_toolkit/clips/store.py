@@ -48,10 +48,9 @@ class ClipStore:
     # Writing
 
     def prepare(self, clip: Clip) -> ClipInfo:
-        """Encode a clip beside the store, ready to be committed. Different clips may be prepared at the same time.
+        """Encode a clip beside the store, ready to be committed; returns its row in the clip table.
 
-        Returns:
-            The clip's row in the clip table.
+        Different clips may be prepared at the same time.
 
         Raises:
             InputError: the clip contradicts itself, or the layout cannot hold it.
@@ -68,10 +67,7 @@ class ClipStore:
         )
 
     def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
-        """Add prepared clips to the store; those that it holds already stay as they are.
-
-        Returns:
-            The ids that were added, in the order given.
+        """Add prepared clips to the store; returns the ids of those that it did not hold already.
 
         Raises:
             InputError: a clip is neither prepared nor in the store, or another process is committing.
@@ -203,12 +199,7 @@ class ClipStore:
     def read_frames(
         self, clip_id: str, camera: str, times_us: NDArray[np.int64]
     ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-        """The newest frame of one camera at or before each time.
-
-        Args:
-            clip_id: which clip.
-            camera: name of the camera.
-            times_us: (m,) ascending clip times.
+        """The newest frame of one camera at or before each of the ascending clip times (m,).
 
         Returns:
             Frames (m, H, W, 3) RGB and the times (m,) of these frames.
@@ -227,11 +218,7 @@ class ClipStore:
         return decode_frames(video, indices, where), timestamps_us[indices]
 
     def load_sample(self, key: SampleKey, image_size: tuple[int, int] | None = None) -> PolicySample:
-        """Load what the public loader gives for a clip and t0, by the same rules.
-
-        Args:
-            key: clip and t0; `key.store` tells which store to open and is not looked at here.
-            image_size: height and width to which images are scaled; None keeps those of the clip.
+        """Load what the public loader gives for a clip and t0, by the same rules; see `load_samples`.
 
         Raises:
             InputError: the clip does not cover the sample, or its files are damaged.
@@ -240,6 +227,8 @@ class ClipStore:
 
     def load_samples(self, keys: Sequence[SampleKey], image_size: tuple[int, int] | None = None) -> list[PolicySample]:
         """Load samples in the order of `keys`; every clip is opened and decoded once, whatever their order.
+
+        The stores of the keys are not looked at. Images are scaled to a height and width where these are given.
 
         Raises:
             InputError: see `load_sample`.

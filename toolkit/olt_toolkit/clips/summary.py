@@ -27,7 +27,7 @@ def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
         "trajectory": summarize_motion(built.clip.ego_motion),
         **{f"pose_{key}" if key.startswith("errors") else key: value for key, value in motion.items()},
         "distance_median_relative_error": built.distance_error,
-        "view_errors": {name: asdict(error) for name, error in built.view_errors.items()},
+        "view_errors": built.view_errors,
         "left_out": [omission.to_dict() for omission in built.left_out],
         "assumptions": list(built.assumptions),
         "seconds": dict(built.seconds),

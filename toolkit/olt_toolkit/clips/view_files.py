@@ -76,10 +76,7 @@ def leave_out_motion(recording: Recording, options: BuildOptions) -> BuildOption
 def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
     """Write one mp4 per view, a contact sheet, an animated preview, and the plan of what was made and left out.
 
-    Each file appears whole; the plan is written last.
-
-    Returns:
-        What the plan holds.
+    Each file appears whole; the plan, which is returned, is written last.
 
     Raises:
         InputError: the folder cannot be written to.

@@ -1,8 +1,8 @@
 """The acceleration-curvature action space of a unicycle, in which the policy plans.
 
 An action is (acceleration, curvature) for one step of 0.1 s, normalised to zero mean and unit spread. Equations and
-constants: docs/formats/alpamayo.md. Trajectories are in the rig frame at t0 (x forward, y left),
-where the vehicle stands at the origin with heading 0.
+constants: docs/formats/alpamayo.md. Trajectories are in the rig frame at t0 (x forward, y left), where the vehicle
+stands at the origin with heading 0.
 
 Everything here is float64 and takes leading batch dimensions `...`. In float64 the ridge terms keep every normal matrix
 positive definite, so the reference's retries with a larger ridge are not needed.
@@ -40,11 +40,7 @@ def physical_actions(actions: Array) -> tuple[Array, Array]:
 
 
 def actions_to_trajectory(actions: Array, initial_speed: Array | float) -> tuple[Array, Array]:
-    """Roll normalised actions out.
-
-    Args:
-        actions: (..., n, 2) normalised.
-        initial_speed: (...) m/s at t0.
+    """Roll normalised actions (..., n, 2) out from a speed (...) in m/s at t0.
 
     Returns:
         xyz (..., n, 3) in metres and rotation (..., n, 3, 3) about z, at the ends of the steps.
@@ -62,16 +58,10 @@ def actions_to_trajectory(actions: Array, initial_speed: Array | float) -> tuple
 def trajectory_to_actions(
     history_xyz: Array, history_rotation: Array, future_xyz: Array, future_rotation: Array
 ) -> Array:
-    """Fit the actions that drive the given future.
+    """Fit the normalised actions (..., 64, 2) that drive the given future.
 
-    Args:
-        history_xyz: (..., 16, 3) metres; the last pose is the origin.
-        history_rotation: (..., 16, 3, 3).
-        future_xyz: (..., 64, 3) metres.
-        future_rotation: (..., 64, 3, 3).
-
-    Returns:
-        Normalised actions (..., 64, 2).
+    Positions are (..., 16, 3) and (..., 64, 3) metres, rotations (..., 16, 3, 3) and (..., 64, 3, 3); the last pose of
+    the history is the origin.
     """
     dt = STEP_SECONDS
     initial_speed = estimate_initial_speed(history_xyz, history_rotation)

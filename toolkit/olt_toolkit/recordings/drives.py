@@ -117,7 +117,6 @@ class DatasetReader:
 
     Attributes:
         name: what the data set is called as the source of clips.
-        licence: its licence.
         recognises: whether a folder or file looks like this layout, judged cheaply by names.
         open: opens the data set at a path, which is only read, with a folder for what takes long to find again. It
             raises an `InputError` where the tables that list the drives are missing or damaged.
