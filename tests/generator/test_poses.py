@@ -110,3 +110,13 @@ def test_a_camera_turns_by_roll_then_pitch_then_yaw():
     forward, right = camera_pose_in_rig(np.zeros(3), 0.1, 0.2, 0.3)[:3, [2, 0]].T
     np.testing.assert_allclose(forward, [np.cos(0.2) * np.cos(0.3), np.cos(0.2) * np.sin(0.3), -np.sin(0.2)])
     assert right[2] == pytest.approx(-np.sin(0.1) * np.cos(0.2))
+
+
+@pytest.mark.parametrize("shape", [(), (4,), (3, 5), (2, 3, 4)])
+def test_poses_of_any_shape_are_inverted(shape):
+    poses = random_poses(7, *shape)
+    assert invert(poses) == pytest.approx(np.linalg.inv(poses), abs=1e-9)
+
+
+def test_a_planar_pose_stands_on_the_ground_unless_it_is_told_otherwise():
+    assert planar_pose(1.0, 2.0, 0.3)[:3, 3].tolist() == [1.0, 2.0, 0.0]

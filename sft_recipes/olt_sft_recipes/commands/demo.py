@@ -13,11 +13,12 @@ app = typer.Typer(add_completion=False)
 @app.command(help="Run the main job: one front video to four views, two mixtures, two policies, closed-loop scores.")
 @unpack_options
 def demo(
-    camera: CameraOptions,
     out: Annotated[Path, typer.Option(help="Folder of the run; an interrupted run there goes on.")] = Path("runs/demo"),
     video: Annotated[
         Path | None, typer.Option(help="A front-camera video; without it a drive of the synthetic world is taken.")
     ] = None,
+    *,
+    camera: CameraOptions,
     seed: Annotated[int, typer.Option(min=0, help="The one seed of the run.")] = 0,
     workers: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core. Results are the same.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,

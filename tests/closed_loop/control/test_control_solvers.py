@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -61,6 +63,17 @@ def test_a_predicted_step_is_close_to_the_exact_one_and_its_slope_true(parameter
     change = np.array([1e-3, 1e-2])
     moved = [np.asarray(predict(state, control + sign * change)).ravel() for sign in (1.0, -1.0)]
     np.testing.assert_allclose(by_control @ change, 0.5 * (moved[0] - moved[1]), atol=2e-4)
+
+
+@pytest.mark.parametrize("index", [4, 5, 6, 7], ids=["steering", "acceleration", "lateral speed", "yaw rate"])
+def test_a_predicted_step_lets_fast_quantities_decay(index):
+    """Quick actuators, and tyres at walking speed: explicit steps of 0.1 s would explode."""
+    predict = predicted_step(replace(alpasim_vehicle(), steering_lag=0.01, acceleration_lag=0.01))
+    state = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    state[index] = 0.1
+    for _ in range(10):
+        state = np.asarray(predict(state, np.zeros(2))).ravel()
+    assert np.abs(state[4:]).max() < 0.02
 
 
 @pytest.mark.parametrize("parameters", VEHICLES.values(), ids=VEHICLES)

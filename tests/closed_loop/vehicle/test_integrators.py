@@ -15,6 +15,7 @@ from olt_closed_loop.benchmarks.vehicle import (
 )
 from olt_closed_loop.benchmarks.vehicle_grid import Cell, cell_errors, special_cases, special_row
 from olt_closed_loop.vehicle import compiled
+from olt_closed_loop.vehicle.integration_plan import stiffness_plan
 from olt_closed_loop.vehicle.integrators import make_stepper
 from olt_closed_loop.vehicle.parameters import MODELS
 from olt_generator.errors import InputError
@@ -96,6 +97,29 @@ def test_compiled_and_interpreted_steps_are_equal(monkeypatch):
     without = make_stepper([vehicle] * len(states))
     np.testing.assert_array_equal(without(states, controls[:, 2]), with_compiler(states, controls[:, 2]))
     assert without.report() == with_compiler.report()
+
+
+def test_a_slide_takes_the_same_substeps_in_every_direction():
+    vehicle, ends, reports = alpasim_vehicle(friction=0.3), [], []
+    for yaw in (0.0, np.pi / 2):
+        stepper = make_stepper(vehicle)
+        end = drive_along(stepper, np.array([0.0, 0.0, yaw, 15.0, 0.0, 0.0, 0.0, 0.0]), np.full((10, 2), [0.3, 0.0]))[
+            -1
+        ]
+        ends.append(end)
+        reports.append(stepper.report())
+    assert reports[0] == reports[1]
+    np.testing.assert_allclose(ends[1][:2], [-ends[0][1], ends[0][0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("step", [0.05, 0.2])
+def test_the_tolerance_is_that_of_a_tenth_of_a_second(step):
+    stepper = make_stepper(VEHICLES["linear"], "rk4", step=step, tolerance=1e-9)
+    state, control = np.array([0.0, 0.0, 0.0, 20.0, 0.0, 0.0, 0.0, 0.0]), np.array([0.2, 0.0])
+    stepper(state, control)
+    (count,) = stepper.report().substeps.values()
+    plan = stiffness_plan("linear", "rk4", 1e-9 * step / 0.1)
+    assert count == np.asarray(plan(state, control, VEHICLES["linear"].numbers, step))[1, 0]
 
 
 def test_results_are_not_overwritten_by_the_next_call():

@@ -48,6 +48,13 @@ def test_lags_reach_63_percent_after_one_time_constant():
     assert state[STATE.acceleration] == pytest.approx(2.0 * share, rel=1e-6)
 
 
+def test_each_actuator_has_its_own_lag():
+    vehicle = replace(PARAMETERS, steering_lag=0.05, acceleration_lag=0.3)
+    state = drive(make_state(speed=10.0), [0.3, 2.0], 0.1, vehicle)[-1]
+    assert state[STATE.steering] == pytest.approx(0.3 * (1.0 - np.exp(-2.0)), rel=1e-6)
+    assert state[STATE.acceleration] == pytest.approx(2.0 * (1.0 - np.exp(-1.0 / 3.0)), rel=1e-6)
+
+
 def test_commands_are_cut_at_the_limits():
     beyond = drive(make_state(speed=10.0), [5.0, 50.0], 2.0)[-1]
     at_limit = drive(make_state(speed=10.0), [PARAMETERS.max_steering, PARAMETERS.max_acceleration], 2.0)[-1]
