@@ -26,11 +26,7 @@ def benchmark_names() -> list[str]:
 
 
 def load_benchmark(name: str) -> Benchmark:
-    """The registered benchmark of that name.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The registered benchmark of that name; an `InputError` where there is none."""
     found = entry_points(group=GROUP, name=name)
     if not found:
         raise InputError(f"no benchmark {name!r}; there are {', '.join(benchmark_names())}")

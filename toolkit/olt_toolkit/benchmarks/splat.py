@@ -17,14 +17,13 @@ WIDTH, HEIGHT = 832, 480
 SAME_SURFACE = 0.05
 
 
-def overwrite(
-    image: NDArray[np.uint8], distance: NDArray[np.float32], source: Camera, target: Camera, T_target_source: Array
-) -> Warp:
-    """Warp an image (H, W, 3) as the released generator does (docs/formats/generator.md), without a depth test.
+def overwrite() -> Warp:
+    """Warp the image as the released generator does (docs/formats/generator.md), without a depth test.
 
     Points are sorted from far to near and written once for each of the nine offsets of the footprint, so that a
     later offset of a far point overwrites an earlier one of a near point.
     """
+    image, distance, source, target, T_target_source = _scene()
     landings = list(land(distance, source, target, T_target_source))
     pixel, row, column, depth = (
         np.concatenate([getattr(landing, name) for landing in landings])
@@ -47,15 +46,9 @@ def overwrite(
     return warp
 
 
-def at_reduced_size(
-    factor: int,
-    image: NDArray[np.uint8],
-    distance: NDArray[np.float32],
-    source: Camera,
-    target: Camera,
-    T_target_source: Array,
-) -> Warp:
-    """Splat every `factor`-th pixel of an image (H, W, 3) into one smaller by `factor` and enlarge the result."""
+def at_reduced_size(factor: int) -> Warp:
+    """Splat every `factor`-th pixel of the image into one smaller by `factor` and enlarge the result."""
+    image, distance, source, target, T_target_source = _scene()
     height, width = distance.shape
     small = splat(
         np.ascontiguousarray(image[::factor, ::factor]),
@@ -99,9 +92,9 @@ BENCHMARK = Benchmark(
         _scene,
         {
             "radius 1": lambda: splat(*_scene()).distance,
-            "overwrite without depth test": lambda: overwrite(*_scene()).distance,
-            "half size, enlarged": lambda: at_reduced_size(2, *_scene()).distance,
-            "quarter size, enlarged": lambda: at_reduced_size(4, *_scene()).distance,
+            "overwrite without depth test": lambda: overwrite().distance,
+            "half size, enlarged": lambda: at_reduced_size(2).distance,
+            "quarter size, enlarged": lambda: at_reduced_size(4).distance,
         },
         default="radius 1",
     ),

@@ -76,20 +76,12 @@ class BuildJob:
 
     @property
     def clip_id(self) -> str:
-        """Id of the clip that will be built.
-
-        Raises:
-            InputError: no reader knows the data set.
-        """
+        """Id of the clip that will be built; an `InputError` where no reader knows the data set."""
         source = self.source or self.place.open().source
         return make_clip_id(source, self.name, "GT" if self.options.use_reference_views else "Syn", self.options.seed)
 
     def open(self) -> Recording:
-        """Open what the clip is built of.
-
-        Raises:
-            InputError: the input cannot be used, or is not of the `source`.
-        """
+        """Open what the clip is built of; an `InputError` where it cannot be used, or is not of the `source`."""
         dataset = self.place.open()
         if self.source not in (None, dataset.source):
             raise InputError(
@@ -102,11 +94,7 @@ class BuildJob:
     def prepare(
         self, recording: Recording, on_progress: Progress = silent, on_step: OnStep = unnoticed
     ) -> dict[str, Any]:
-        """Build the clip of the opened recording and prepare it in the store; returns its numbers.
-
-        Raises:
-            InputError: see `build_clip`.
-        """
+        """Build the clip of the opened recording and prepare it in the store; returns its numbers."""
         options = replace(self.options, name=self.name)
         if self.measured_motion and recording.reference is not None:
             options = replace(options, use_reference_motion=True)

@@ -99,7 +99,14 @@ def build_clip(
         front = replace(front, moving=distance.moving | find_moving(front))
         distance_error = _distance_error(distance.distance, recording, with_distance)
 
-    shown = _only_frames(recording, made)
+    shown = recording
+    if len(made) < len(recording.frames):
+        shown = replace(
+            recording,
+            frames=recording.frames[made],
+            timestamps_us=recording.timestamps_us[made],
+            views={name: images[made] for name, images in recording.views.items()},
+        )
     maker = ViewMaker(shown, options, T_rig_camera, front, np.searchsorted(with_distance, made))
     views: dict[str, View] = {}
     with steps.step("views") as on_part:
@@ -165,18 +172,6 @@ def _choose_frames(recording: Recording, options: BuildOptions, plan: ViewPlan) 
     offsets = [LOOKBACK_LATENTS[name] for name in plan.methods if name in LOOKBACK_LATENTS]
     looked_back_to = [lookback_frame(frame, offset) for offset in offsets for frame in made.tolist()]
     return made, drawn_on, np.unique(np.concatenate([made, drawn_on, np.array(looked_back_to, np.int64)]))
-
-
-def _only_frames(recording: Recording, made: Indices) -> Recording:
-    """The recording with these of its images; its reference trajectory stays whole."""
-    if len(made) == len(recording.frames):
-        return recording
-    return replace(
-        recording,
-        frames=recording.frames[made],
-        timestamps_us=recording.timestamps_us[made],
-        views={name: images[made] for name, images in recording.views.items()},
-    )
 
 
 def _assemble(recording: Recording, options: BuildOptions, views: dict[str, View], ego_motion: EgoMotion) -> Clip:

@@ -34,11 +34,7 @@ class ByteRange:
 
 
 class ChunkArchive:
-    """The members of one zip file.
-
-    Raises:
-        InputError: the file is missing or no readable zip file.
-    """
+    """The members of one zip file; an `InputError` where the file is missing or no readable zip file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -69,11 +65,7 @@ class ChunkArchive:
         return data
 
     def locate(self, name: str) -> ByteRange | None:
-        """Where an uncompressed member lies in the file; None for a compressed one.
-
-        Raises:
-            InputError: see `read`.
-        """
+        """Where an uncompressed member lies in the file; None for a compressed one. Errors are those of `read`."""
         member = self._member(name)
         if member.compress_type != zipfile.ZIP_STORED:
             return None

@@ -239,11 +239,7 @@ def make_clip_id(*keys: int | str) -> str:
 
 
 def check_clip_id(clip_id: object, where: str) -> str:
-    """The clip id as lower-case UUID text.
-
-    Raises:
-        InputError: it is anything else.
-    """
+    """The clip id as lower-case UUID text; an `InputError` where it is anything else."""
     try:
         if isinstance(clip_id, str) and str(uuid.UUID(clip_id)) == clip_id:
             return clip_id

@@ -50,11 +50,7 @@ class Estimators:
             raise InputError("--depth-weights belongs to --depth depthanything or depthcrafter; give both or neither")
 
     def apply(self, options: "BuildOptions") -> "BuildOptions":
-        """The options with these estimators.
-
-        Raises:
-            InputError: weights are missing or those of another network.
-        """
+        """The options with these estimators; an `InputError` where weights are missing or those of another network."""
         from olt_generator.motion.map_anything import MapAnything
         from olt_generator.motion.pose_sources import VisualOdometry
 

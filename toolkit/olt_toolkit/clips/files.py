@@ -60,11 +60,7 @@ def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
 
 
 def check_clip(clip: Clip) -> None:
-    """Check that a clip's parts agree.
-
-    Raises:
-        InputError: naming the clip and the part.
-    """
+    """Check that a clip's parts agree, with an `InputError` that names the clip and the part."""
     where = f"clip {clip.name}"
     check_clip_id(clip.clip_id, where)
     if clip.streams.keys() != clip.provenance.keys():

@@ -44,11 +44,7 @@ def egomotion_table(motion: EgoMotion) -> pd.DataFrame:
 
 
 def read_egomotion(data: bytes, where: str) -> EgoMotion:
-    """Read `{clip}.egomotion.parquet`.
-
-    Raises:
-        InputError: a column is missing, or times or poses cannot be used.
-    """
+    """Read `{clip}.egomotion.parquet`; an `InputError` where a column is missing, or times or poses cannot be used."""
     table = read_table(data, ["timestamp", *QUATERNION, *POSITION, *VELOCITY, *ACCELERATION, "curvature"], where)
     timestamps_us = _timestamps(table, where)
     quaternion, position = _array(table, QUATERNION, where), _array(table, POSITION, where)
@@ -123,11 +119,7 @@ def read_mounted_camera(intrinsics: Path, extrinsics: Path, clip_id: str, camera
 
 
 def read_vehicle(path: Path, clip_id: str) -> VehicleDimensions:
-    """Read the size of a clip's vehicle.
-
-    Raises:
-        InputError: the file, a column, the index or the row is missing.
-    """
+    """Read the size of a clip's vehicle; an `InputError` where the file, a column, the index or the row is missing."""
     return VehicleDimensions(**_row(read_indexed(path, DIMENSIONS, ["clip_id"]), clip_id, DIMENSIONS, path))
 
 

@@ -73,11 +73,7 @@ def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
 
 
 def read_clip_table(path: Path) -> list[ClipInfo]:
-    """Read the table.
-
-    Raises:
-        InputError: the file is missing, of another version, or holds what no clip can have.
-    """
+    """Read the table; an `InputError` where it is missing, of another version, or holds what no clip can have."""
     table = read_table(path, SCHEMA.names, str(path))
     check_table_version((table.schema.metadata or {}).get(VERSION_KEY), path)
     for name in SCHEMA.names:

@@ -143,11 +143,7 @@ class DatasetPlace:
     source: str | None = None
 
     def open(self) -> Dataset:
-        """Open the data set, once in each process.
-
-        Raises:
-            InputError: see `open_dataset`.
-        """
+        """Open the data set, once in each process; errors are those of `open_dataset`."""
         return _open_once(self)
 
     def drive_name(self, key: str) -> str:
@@ -202,11 +198,7 @@ def open_recording(path: Path, options: OpenOptions | None = None, cache: Path |
 
 
 def open_start(dataset: Dataset, key: str, options: OpenOptions) -> Recording:
-    """Open a drive from its start, up to the duration of the options; motion is known while images last.
-
-    Raises:
-        InputError: see `Dataset.open`.
-    """
+    """Open a drive from its start, up to the duration of the options; motion is known while images last."""
     end_us = math.ceil(min(options.duration * 1e6, 2.0**62)) - 1
     recording = dataset.open(key, (0, end_us), options)
     if recording.reference is None:
