@@ -45,11 +45,7 @@ class ChunkArchive:
         return name in self._members
 
     def read(self, name: str) -> bytes:
-        """One whole member, held against its checksum.
-
-        Raises:
-            InputError: it is missing, damaged, encrypted, too large, or packed in an unusual way.
-        """
+        """One whole member; an `InputError` where it is missing, damaged, encrypted, too large, or oddly packed."""
         member = self._member(name)
         with _readable(self.path), self.path.open("rb") as file:
             file.seek(self._find_start(member))

@@ -26,11 +26,7 @@ _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
-    """Write what a chunk takes from one clip: zip members, calibration rows, and its row of the clip table, returned.
-
-    Raises:
-        InputError: the clip contradicts itself or cannot be held by the layout.
-    """
+    """Write what a chunk takes from one clip: zip members, calibration rows, its row of the clip table, returned."""
     check_clip(clip)
     clip_id = clip.clip_id
     calibration = {

@@ -60,11 +60,7 @@ def open_lpips(weights: Path | None, device: str) -> "Lpips | None":
 def score_consistency(
     store: ClipStore, clip_id: str, matcher: Matcher, moments: int, on_progress: Progress = silent
 ) -> dict[str, Any]:
-    """GeoKPM of a clip at so many moments, spread evenly: over all pairs of neighbouring views and for each.
-
-    Raises:
-        InputError: the clip has no two neighbouring views.
-    """
+    """GeoKPM of a clip at so many moments, spread evenly: over all pairs of neighbouring views, and for each."""
     views = store.info(clip_id).views
     pairs = [pair for pair in NEIGHBOURS if set(pair) <= views.keys()]
     if not pairs:

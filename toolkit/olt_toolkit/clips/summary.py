@@ -52,11 +52,7 @@ def summarize_motion(motion: EgoMotion) -> dict[str, float]:
 
 
 def summarize_stored(store: ClipStore, clip_id: str) -> dict[str, Any]:
-    """A clip as it is stored: its row in the clip table, motion, vehicle and cameras.
-
-    Raises:
-        InputError: the store has no such clip, or its files are damaged.
-    """
+    """A clip as it is stored: row in the clip table, motion, vehicle, cameras; an `InputError` where files are damaged."""
     info, cameras = store.info(clip_id), {}
     for name in info.views:
         mounted, times_us = store.read_camera(clip_id, name), store.read_timestamps(clip_id, name)

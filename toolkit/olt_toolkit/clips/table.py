@@ -85,11 +85,7 @@ def read_clip_table(path: Path) -> list[ClipInfo]:
 
 
 def check_table_version(version: bytes | str | None, path: Path) -> None:
-    """Check the version that the metadata of a table tell.
-
-    Raises:
-        InputError: there is none, or it is not the one that this release reads.
-    """
+    """Check the version that the metadata of a table tell; an `InputError` where this release does not read it."""
     text = version.decode(errors="replace") if isinstance(version, bytes) else version
     if text is None or not text.isdecimal():
         raise InputError(f"{path}: table_version is {text!r}; this is no clip table")

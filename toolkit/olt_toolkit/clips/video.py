@@ -67,11 +67,7 @@ def decode_images(
 
 
 def check_video(video: ByteRange | bytes, count: int, where: str) -> None:
-    """Check that the public reader finds `count` frames; decodes them only where the file's tables do not tell.
-
-    Raises:
-        InputError: the video is damaged, of changing rate, or has fewer frames.
-    """
+    """Check (`InputError`) that the public reader finds `count` frames; decodes only where the tables do not tell."""
     with _open(video) as (read, length):
         index = read_mp4_index(read, length)
     if index is None:

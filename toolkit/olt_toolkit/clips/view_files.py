@@ -26,11 +26,7 @@ PICTURES_NAME = "views"
 
 
 def parse_cameras(text: str) -> tuple[str, ...]:
-    """Camera names out of a list with commas; short ones (`cross_left`) stand for whole ones.
-
-    Raises:
-        InputError: a name is not one of the rig's cameras, or there is none.
-    """
+    """The rig's cameras out of a list with commas, short names (`cross_left`) for whole ones, or an `InputError`."""
     whole_names = {short_name(name): name for name in CAMERA_INDEX} | {name: name for name in CAMERA_INDEX}
     names = [name.strip() for name in text.split(",") if name.strip()]
     unknown = [name for name in names if name not in whole_names]
@@ -41,11 +37,7 @@ def parse_cameras(text: str) -> tuple[str, ...]:
 
 
 def reopen_clip(store: ClipStore, clip_id: str) -> Recording:
-    """The front view of a stored clip as a recording whose motion is known, so that more views can be made of it.
-
-    Raises:
-        InputError: the store has no such clip, or the clip no front view.
-    """
+    """A stored clip, which needs a front view, as a recording of known motion, so that more views can be made of it."""
     info = store.info(clip_id)
     if FRONT_WIDE not in info.views:
         raise InputError(f"{store.root}: clip {clip_id} has no {FRONT_WIDE} view, from which all others are made")

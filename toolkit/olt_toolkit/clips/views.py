@@ -105,11 +105,7 @@ class ViewMaker:
     indices: NDArray[np.int64]
 
     def make(self, name: str, on_progress: Progress = silent) -> View:
-        """Make one view.
-
-        Raises:
-            InputError: its true images are wanted and not there, or the front lens cannot give it.
-        """
+        """Make one view; an `InputError` where its true images are not there, or the front lens cannot give it."""
         recording, size = self.recording, (self.options.width, self.options.height)
         if self.options.use_reference_views and name in recording.views:
             return self._true_view(name)

@@ -58,11 +58,7 @@ class BuildingOptions(CameraOptions):
     device: DeviceOption = "cpu"
 
     def estimators(self) -> Estimators:
-        """What measures motion and distances.
-
-        Raises:
-            InputError: weights are given without their estimator, or the other way round.
-        """
+        """What measures motion and distances; an `InputError` where weights and their estimator are not given together."""
         return Estimators(self.poses, self.mapanything_weights, self.depth, self.depth_weights, self.device)
 
 

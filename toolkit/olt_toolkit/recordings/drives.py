@@ -92,11 +92,7 @@ class Dataset(Protocol):
         ...
 
     def drive(self, key: str) -> Drive:
-        """Describe one drive without decoding its images.
-
-        Raises:
-            InputError: its files are missing or damaged; names file and field.
-        """
+        """Describe one drive without decoding its images; an `InputError` names file and field that are damaged."""
         ...
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:

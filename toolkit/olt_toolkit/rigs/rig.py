@@ -66,11 +66,7 @@ class Rig:
     assumptions: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> MountedCamera:
-        """The named camera.
-
-        Raises:
-            InputError: the rig has no such camera.
-        """
+        """The named camera; an `InputError` where the rig has no such camera."""
         if name not in self.cameras:
             raise InputError(f"rig {self.name} has no camera {name!r}; it has {', '.join(self.cameras)}")
         return self.cameras[name]
