@@ -67,10 +67,7 @@ def run_benchmark(name: str, repeats: int, on_progress: Progress = silent) -> di
         row["pareto"] = on_front
     return {
         "benchmark": name,
-        "title": benchmark.title,
-        "error_name": benchmark.error_name,
-        "error_unit": benchmark.error_unit,
-        "reference": benchmark.reference,
+        **{name: getattr(benchmark, name) for name in ("title", "error_name", "error_unit", "reference")},
         "settings": rows,
         "machine": describe_machine(),
     }

@@ -111,7 +111,7 @@ class BuildJob:
         return summarize_build(built, info) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
 
     def run(self) -> BuildResult:
-        """Build and prepare the clip on one thread unless an earlier run did; fails only if the job does not keep going."""
+        """Build and prepare the clip on one thread, unless an earlier run did; an error unless the job keeps going."""
         use_one_thread()
         path, store = Path(self.options.name or self.place.path / self.key), ClipStore(self.store)
         try:

@@ -159,11 +159,7 @@ class ClipStore:
             self.read_rows(clip_id, feature)
 
     def read_member(self, clip_id: str, feature: str, alias: str) -> bytes:
-        """One file of a clip out of its chunk's zip, as it is.
-
-        Raises:
-            InputError: it is missing or damaged.
-        """
+        """One file of a clip out of its chunk's zip, as it is; an `InputError` where it is missing or damaged."""
         return self._member(clip_id, feature, alias)[0]
 
     def read_rows(self, clip_id: str, feature: str) -> pd.DataFrame:
@@ -185,8 +181,9 @@ class ClipStore:
 
     def read_camera(self, clip_id: str, camera: str) -> MountedCamera:
         """Lens and mounting of one camera."""
-        files = (self._chunk_file(clip_id, name) for name in (layout.CAMERA_INTRINSICS, layout.SENSOR_EXTRINSICS))
-        return tables.read_mounted_camera(*files, clip_id, camera)
+        lenses = self._chunk_file(clip_id, layout.CAMERA_INTRINSICS)
+        mountings = self._chunk_file(clip_id, layout.SENSOR_EXTRINSICS)
+        return tables.read_mounted_camera(lenses, mountings, clip_id, camera)
 
     def read_vehicle(self, clip_id: str) -> VehicleDimensions:
         """Size of the vehicle."""

@@ -9,23 +9,19 @@ from olt_toolkit.clips.builder import BuiltClip
 from olt_toolkit.clips.clip import ClipInfo, EgoMotion
 from olt_toolkit.clips.store import ClipStore
 
-_OF_MOTION = (
-    "scale_sigma",
-    "errors",
-    "errors_before_smoothing",
-    "smoothness",
-    "smoothness_before_smoothing",
-    "label_noise",
-)
-
 
 def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
     """Numbers of a built clip: trajectory and its errors, views and theirs, what was left out, assumed and timed."""
-    motion = dict.fromkeys(_OF_MOTION) if built.motion is None else built.motion.to_dict()
+    motion = {} if built.motion is None else built.motion.to_dict()
     return {
         "clip": summarize_info(info),
         "trajectory": summarize_motion(built.clip.ego_motion),
-        **{f"pose_{key}" if key.startswith("errors") else key: value for key, value in motion.items()},
+        "scale_sigma": motion.get("scale_sigma"),
+        "pose_errors_before_smoothing": motion.get("errors_before_smoothing"),
+        "pose_errors": motion.get("errors"),
+        "smoothness_before_smoothing": motion.get("smoothness_before_smoothing"),
+        "smoothness": motion.get("smoothness"),
+        "label_noise": motion.get("label_noise"),
         "distance_median_relative_error": built.distance_error,
         "view_errors": built.view_errors,
         "left_out": [omission.to_dict() for omission in built.left_out],
@@ -52,7 +48,7 @@ def summarize_motion(motion: EgoMotion) -> dict[str, float]:
 
 
 def summarize_stored(store: ClipStore, clip_id: str) -> dict[str, Any]:
-    """A clip as it is stored: row in the clip table, motion, vehicle, cameras; an `InputError` where files are damaged."""
+    """A clip as it is stored: row of the clip table, motion, vehicle, cameras; an `InputError` where damaged."""
     info, cameras = store.info(clip_id), {}
     for name in info.views:
         mounted, times_us = store.read_camera(clip_id, name), store.read_timestamps(clip_id, name)

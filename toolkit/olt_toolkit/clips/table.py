@@ -96,18 +96,12 @@ def check_table_version(version: bytes | str | None, path: Path) -> None:
 
 def _info(row: dict[str, Any], where: str) -> ClipInfo:
     check_clip_id(row["clip_id"], where)
-    _check_word(row["kind"], get_args(ClipKind), f"{where}: kind")
-    if row["split"] is not None:
-        _check_word(row["split"], get_args(Split), f"{where}: split")
-    for view in row["views"]:
-        _check_word(view["kind"], get_args(ViewKind), f"{where}: view {view['camera']}: kind")
+    views = [(f"view {view['camera']}: kind", view["kind"], ViewKind) for view in row["views"]]
+    for name, word, words in [("kind", row["kind"], ClipKind), ("split", row["split"], Split), *views]:
+        if word is not None and word not in get_args(words):
+            raise InputError(f"{where}: {name} is {word!r}; it must be one of {', '.join(get_args(words))}")
     row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
     row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
     row["fingerprint"] = None if row["fingerprint"] is None else tuple(row["fingerprint"])
     origin = ClipOrigin(**{field.name: row.pop(field.name) for field in fields(ClipOrigin)})
     return ClipInfo(**row, origin=origin)
-
-
-def _check_word(word: str, allowed: tuple[str, ...], where: str) -> None:
-    if word not in allowed:
-        raise InputError(f"{where} is {word!r}; it must be one of {', '.join(allowed)}")

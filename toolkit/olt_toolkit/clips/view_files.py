@@ -21,9 +21,6 @@ from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, short_name
 
-PLAN_FILE = "plan.json"
-PICTURES_NAME = "views"
-
 
 def parse_cameras(text: str) -> tuple[str, ...]:
     """The rig's cameras out of a list with commas, short names (`cross_left`) for whole ones, or an `InputError`."""
@@ -79,7 +76,7 @@ def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
         write_video(folder / f"{name}.mp4", stream.frames, stream.frame_rate)
     times_us = next(iter(streams.values())).timestamps_us
     images = {name: stream.frames for name, stream in streams.items()}
-    pictures = write_clip_pictures(folder, PICTURES_NAME, images, built.observed, times_us)
+    pictures = write_clip_pictures(folder, "views", images, built.observed, times_us)
     left_out = built.left_out
     if not built.plan.synthesizes:
         left_out += (Omission("motion of the vehicle", "no wanted view needs it"),)
@@ -95,6 +92,6 @@ def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
         "seconds": dict(built.seconds),
         "pictures": pictures,
     }
-    with write_whole(folder / PLAN_FILE) as temporary:
+    with write_whole(folder / "plan.json") as temporary:
         temporary.write_text(json.dumps(plan, indent=2, allow_nan=False) + "\n")
     return plan

@@ -85,10 +85,13 @@ class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _Pinhole(_Part):
-    model: Literal["pinhole"]
+class _Focal(_Part):
     focal: tuple[Positive, Positive]
     centre: Pair
+
+
+class _Pinhole(_Focal):
+    model: Literal["pinhole"]
 
     def camera(self, width: int, height: int) -> Camera:
         return PinholeCamera(width, height, *self.focal, *self.centre)
@@ -103,24 +106,20 @@ class _Perspective(_Part):
         return PinholeCamera.from_field_of_view(width, height, field_of_view)
 
 
-class _BrownConrady(_Part):
+class _BrownConrady(_Focal):
     """Distortion k1, k2, p1, p2, k3 and, for the rational model, k4, k5, k6."""
 
     model: Literal["brown_conrady"]
-    focal: tuple[Positive, Positive]
-    centre: Pair
     distortion: Annotated[tuple[Number, ...], Field(min_length=5, max_length=8)]
 
     def camera(self, width: int, height: int) -> Camera:
         return BrownConradyCamera(width, height, *self.focal, *self.centre, *self.distortion)
 
 
-class _KannalaBrandt(_Part):
+class _KannalaBrandt(_Focal):
     """Distortion k1 ... k4."""
 
     model: Literal["kannala_brandt"]
-    focal: tuple[Positive, Positive]
-    centre: Pair
     distortion: tuple[Number, Number, Number, Number]
 
     def camera(self, width: int, height: int) -> Camera:
