@@ -14,7 +14,7 @@ from olt_generator.version import __version__
 from olt_toolkit.runtime.threads import THREAD_VARIABLES
 from olt_toolkit.runtime.workers import default_workers
 
-CORE_PACKAGES = ("torch", "kornia", "casadi", "opencv-contrib-python-headless", "usd-core", "numpy", "scipy", "av")
+CORE_PACKAGES = ("torch", "casadi", "opencv-contrib-python-headless", "usd-core", "numpy", "scipy", "av")
 
 # What each extra of the distribution enables; which packages it takes stands in the distribution's metadata.
 OPTIONAL_PARTS = {
