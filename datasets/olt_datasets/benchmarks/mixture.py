@@ -131,7 +131,6 @@ def _grid() -> Grid:
 
 
 BENCHMARK = Benchmark(
-    name="mixture",
     title=f"An epoch of {BATCHES:,} batches of {BATCH_SIZE}, of which a share of {SHARE} is synthesized",
     error_name="largest distance of a batch from its share",
     error_unit="items",

@@ -175,7 +175,6 @@ def _settings() -> Sequence[Setting]:
 
 
 BENCHMARK = Benchmark(
-    name="samples",
     title=f"{len(T0S_US)} samples of one exported clip, 4 cameras x 4 frames at 320 x 576, one thread",
     error_name="rms error",
     error_unit="grey levels",

@@ -45,7 +45,7 @@ from olt_toolkit import (
 from olt_toolkit.clips.clip import Clip, Split
 from olt_toolkit.clips.pictures import contact_sheet, write_picture
 from olt_toolkit.clips.summary import summarize_build
-from olt_toolkit.report.drawings import draw_trajectory
+from olt_toolkit.clips.trajectory_errors import draw_motions
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, POLICY_CAMERAS
 from olt_toolkit.runtime.console import make_progress
 from olt_toolkit.runtime.environment import describe_machine
@@ -322,9 +322,7 @@ def draw_clip(pictures: Path, recording: Recording, built: BuiltClip) -> None:
     if recording.views:
         write_picture(pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
     if built.motion is not None:
-        drawing = draw_trajectory(built.motion.measured, built.motion.smoothed.trajectory, recording.reference)
-        with write_whole(pictures / TRAJECTORY) as path:
-            path.write_text(drawing)
+        draw_motions(pictures / TRAJECTORY, {"after smoothing": built.motion})
 
 
 def train_policy(out: Path, settings: DemoSettings, name: str, mixture: Mixture) -> dict[str, Any]:
