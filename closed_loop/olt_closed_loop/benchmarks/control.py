@@ -113,7 +113,6 @@ def tracking_figures(tracking: Tracking) -> dict[str, float]:
 
 
 BENCHMARK = Benchmark(
-    name="control",
     title="Tracking of AlpaSim's 120 references of 10 s on AlpaSim's vehicle; time of 400 calls",
     error_name="position error, rms",
     error_unit="m",

@@ -81,7 +81,6 @@ def _sampled_settings(
 
 
 SCORE = Benchmark(
-    name="score",
     title=f"Scoring {DRIVES} drives of 8 s with one agent each, sampled at different steps",
     error_name="larger error of AS and CR",
     error_unit="share",
@@ -95,7 +94,6 @@ SCORE = Benchmark(
 )
 
 CONTACTS = Benchmark(
-    name="contacts",
     title=f"First contact in {DRIVES} drives of 8 s with one agent each, sampled at different steps",
     error_name="mean error of the contact time",
     error_unit="s",
@@ -120,7 +118,6 @@ def _prepare_crowd(definition: Definition, count: int) -> Callable[[], tuple[int
 
 
 TRAFFIC = Benchmark(
-    name="score_traffic",
     title="Scoring one rollout of 20 s, with a plan every 0.1 s, among vehicles on a busy road",
     error_name="error of the smallest distance to an agent",
     error_unit="m",

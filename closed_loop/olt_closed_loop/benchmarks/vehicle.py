@@ -170,7 +170,6 @@ def _measure_error(result: tuple[Model, Array, float]) -> float:
 
 DEFAULT = Integration("kinematic", "auto", None, 0.1)
 BENCHMARK = Benchmark(
-    name="vehicle",
     title="Vehicle models, 7 manoeuvres of 2 s: 140 steps of 0.1 s",
     error_name="largest position error",
     error_unit="m",
