@@ -5,7 +5,9 @@ import platform
 import re
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
 from typing import Any
 
 from olt_generator.version import __version__
@@ -64,13 +66,9 @@ def _packages_of(distribution: str, extra: str) -> Iterator[str]:
 
 
 def _processor_name() -> str:
-    try:
-        with open("/proc/cpuinfo") as file:  # noqa: PTH123 - a pseudo file, read line by line
-            for line in file:
-                if line.startswith("model name"):
-                    return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
+    with suppress(OSError):
+        if found := re.search(r"^model name\s*:(.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE):
+            return found[1].strip()
     return platform.processor() or sys.platform
 
 
