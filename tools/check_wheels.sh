@@ -1,28 +1,27 @@
 #!/bin/sh
-# Build what is shipped, install it outside the checkout as a user would, and run it there.
+# Build what is shipped into dist/, install it outside the checkout as a user would, and run it there.
 set -eu
 bin=$(cd "$1/bin" && pwd)
 root=$(pwd)
 work=$(mktemp -d)
 trap 'rm -rf "$work"' EXIT
 
-echo "building"
+echo "wheels and sdists"
+rm -rf dist
 for project in toolkit/generator .; do
-    (cd "$project" && "$bin/hatchling" build -d "$work/dist" >/dev/null)
+    (cd "$project" && "$bin/hatchling" build -d "$root/dist" >/dev/null)
 done
-mkdir "$work/unpacked"
-for sdist in "$work"/dist/*.tar.gz; do
-    tar -xzf "$sdist" -C "$work/unpacked"
+for sdist in dist/*.tar.gz; do # a wheel made from the sdist is the wheel made from the checkout
     name=$(basename "$sdist" .tar.gz)
-    (cd "$work/unpacked/$name" && "$bin/hatchling" build -t wheel -d "$work/from_sdist" >/dev/null)
-    cmp "$work/dist/$name-py3-none-any.whl" "$work/from_sdist/$name-py3-none-any.whl"
+    tar -xzf "$sdist" -C "$work"
+    (cd "$work/$name" && "$bin/hatchling" build -t wheel -d "$work/from_sdist" >/dev/null)
+    cmp "dist/$name-py3-none-any.whl" "$work/from_sdist/$name-py3-none-any.whl"
 done
+ls dist
 
-install() { # ENVIRONMENT REQUIREMENT...
-    environment=$1
-    shift
-    "$bin/uv" venv --quiet --python "$bin/python" "$environment"
-    VIRTUAL_ENV=$environment "$bin/uv" pip install --quiet --find-links "$work/dist" --constraint "$root/requirements.txt" "$@"
+install() { # ENVIRONMENT DISTRIBUTION
+    "$bin/uv" venv --quiet --python "$bin/python" "$1"
+    VIRTUAL_ENV=$1 "$bin/uv" pip install --quiet --find-links "$root/dist" --constraint "$root/requirements.txt" "$2"
 }
 
 cd "$work"
@@ -42,11 +41,9 @@ PYTHON
 
 echo "the toolkit"
 install "$work/toolkit" openlongtail
-olt=$work/toolkit/bin/olt
-"$olt" --version
-"$olt" doctor >/dev/null
-"$olt" closed-loop run nominal:1
-"$olt" demo --quick --out demo
+"$work/toolkit/bin/olt" --version
+"$work/toolkit/bin/olt" doctor >/dev/null
+"$work/toolkit/bin/olt" closed-loop run nominal:1
+"$work/toolkit/bin/olt" demo --quick --out demo
 test -s demo/summary.json
 test -s demo/report.html
-"$olt" data fake --help >/dev/null

@@ -64,7 +64,7 @@ class Integrator(StrEnum):
 
 @app.command()
 def run(
-    policy: Annotated[str, typer.Option(help="NAME or NAME:PATH, for example route or toy:CHECKPOINT.")],
+    policy: Annotated[str, typer.Option(help="NAME or NAME:PATH, for example route or toy:CHECKPOINT.")] = "route",
     scenes: Annotated[
         list[str] | None, typer.Argument(help="Scene files, recorded drives (file or folder), or CATEGORY:SEED.")
     ] = None,

@@ -26,16 +26,13 @@ from bisect import bisect_right
 from fractions import Fraction
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from olt_generator.errors import InputError
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
-
-if TYPE_CHECKING:
-    from pydantic_core import ErrorDetails
 
 RECIPE_VERSION = 1
 RECIPE_SUFFIXES = (".yaml", ".yml")
@@ -270,12 +267,12 @@ def _validate(model: type[Model], content: object, where: str) -> Model:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        first = error.errors(include_url=False)[0]
-        raise InputError(f"{where}: {_explain(model, first)}") from error
+        raise InputError(f"{where}: {_explain(model, error)}") from error
 
 
-def _explain(model: type[BaseModel], error: "ErrorDetails") -> str:
-    """What is wrong with a field and what to do, in one line."""
+def _explain(model: type[BaseModel], errors: ValidationError) -> str:
+    """What is wrong with the first field that is, and what to do, in one line."""
+    error = errors.errors(include_url=False)[0]
     location, value, message = error["loc"], error["input"], error["msg"]
     field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
     prefix = f"{field}: " if field else ""

@@ -20,6 +20,9 @@ def demo(
     *,
     camera: CameraOptions,
     seed: Annotated[int, typer.Option(min=0, help="The one seed of the run.")] = 0,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A small run that shows every step; its scores tell nothing.")
+    ] = False,
     workers: Annotated[int, typer.Option(min=0, help="Processes; 0 for one per core. Results are the same.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as one JSON object.")] = False,
 ) -> None:
@@ -33,7 +36,7 @@ def demo(
         raise InputError("olt demo: --fov and --camera-height tell of a --video; give one, or leave them out")
     opening = camera.opening()
     settings = DemoSettings(seed=seed, video_fov=opening.horizontal_fov, video_camera_height=opening.camera_height)
-    summary = run_demo(out, settings, video, workers)
+    summary = run_demo(out, settings.quick() if quick else settings, video, workers)
     if as_json:
         print_json(summary)
         return

@@ -23,6 +23,7 @@ from olt_closed_loop.scenes.procedural import CATEGORIES
 from olt_closed_loop.sensors.recorder import record_drive
 from olt_datasets import Mixture, compose_mixture, read_clip_tables
 from olt_datasets.mixtures.recipe import builtin_recipe
+from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.omissions import Omission
 from olt_generator.progress import Progress
@@ -42,7 +43,7 @@ from olt_toolkit import (
     build_clip,
     open_recording,
 )
-from olt_toolkit.clips.clip import Split
+from olt_toolkit.clips.clip import Clip, Split
 from olt_toolkit.clips.pictures import contact_sheet, write_picture
 from olt_toolkit.clips.summary import summarize_build
 from olt_toolkit.report.drawings import draw_trajectory
@@ -82,6 +83,7 @@ class DemoSettings:
         input_size: height and width of the synthetic input video and of the views made from the input.
         training_front_size: height and width of the front videos behind the training clips.
         training_size: height and width of the training clips.
+        training_epochs: epochs of each stage of training; None for those of the stage configs.
     """
 
     seed: int = 0
@@ -97,6 +99,12 @@ class DemoSettings:
     input_size: tuple[int, int] = (270, 480)
     training_front_size: tuple[int, int] = (144, 256)
     training_size: tuple[int, int] = (64, 112)
+    training_epochs: int | None = None
+
+    def quick(self) -> "DemoSettings":
+        """The smallest job that takes every step; its policies have learned nothing, so its scores tell nothing."""
+        sizes = {"input_size": (144, 256), "nominal_clips": 1, "long_tail_clips": 1, "rollouts": 1}
+        return replace(self, **sizes, training_epochs=1)
 
 
 def run_demo(out: Path, settings: DemoSettings, video: Path | None = None, workers: int = 0) -> dict[str, Any]:
@@ -150,7 +158,7 @@ def run_demo(out: Path, settings: DemoSettings, video: Path | None = None, worke
 
         # A policy for each mixture, trained in two stages and judged in open loop.
         def train(on_progress: Progress) -> dict[str, Any]:
-            trainings = [partial(train_policy, out, settings.seed, name, compose(name)) for name in RECIPES]
+            trainings = [partial(train_policy, out, settings, name, compose(name)) for name in RECIPES]
             return dict(zip(RECIPES, map_parallel(call, trainings, workers, on_progress), strict=True))
 
         training = log.run("training", train)
@@ -230,7 +238,7 @@ def open_video(video: Path, settings: DemoSettings) -> Recording:
 
 
 def build_input_clip(out: Path, settings: DemoSettings, video: Path | None, scene_names: list[str]) -> dict[str, Any]:
-    """Build, draw and prepare the clip of the user's video, or else of a drive whose truth is known."""
+    """Build, draw and store the clip of the user's video, or else of a drive whose truth is known."""
     height, width = settings.input_size
     options = BuildOptions(width, height, seed=settings.seed, name="input")
     if video is not None:
@@ -241,7 +249,24 @@ def build_input_clip(out: Path, settings: DemoSettings, video: Path | None, scen
         options = replace(options, category=scene.category, factors=scene.factors, image_kind="rendered")
     built = build_clip(recording, options)
     draw_clip(out / "pictures", recording, built)
-    return summarize_build(built, ClipStore(out / "clips").prepare(built.clip))
+    store = ClipStore(out / "clips")
+    info = store.prepare(built.clip)
+    store.commit([info.clip_id])
+    check_reads_back(store, built.clip)
+    return summarize_build(built, info)
+
+
+def check_reads_back(store: ClipStore, clip: Clip) -> None:
+    """Check that the clip on disk is the clip that was built.
+
+    Raises:
+        InputError: its motion or its times are others.
+    """
+    read, motion = store.read_ego_motion(clip.clip_id).trajectory, clip.ego_motion.trajectory
+    times_us = store.read_timestamps(clip.clip_id, FRONT_WIDE)
+    same_motion = np.allclose(read.T_world_rig, motion.T_world_rig, atol=1e-6)
+    if not same_motion or not np.array_equal(times_us, clip.streams[FRONT_WIDE].timestamps_us):
+        raise InputError(f"{store.root}: clip {clip.clip_id} reads back as something else; check the disk")
 
 
 def build_training_clip(
@@ -270,10 +295,9 @@ def build_training_clip(
 
 
 def store_clips(out: Path, made: list[dict[str, Any]]) -> dict[str, Any]:
-    """Commit the prepared clips; returns the numbers of the input, and those of the training clips together."""
-    store, (given, *training) = ClipStore(out / "clips"), made
-    store.commit([given["clip"]["clip_id"]])
-    store.commit([clip["clip"]["clip_id"] for clip in training])
+    """Commit the training clips; returns the numbers of the input, and those of the training clips together."""
+    given, *training = made
+    ClipStore(out / "clips").commit([clip["clip"]["clip_id"] for clip in training])
     kinds = [clip["clip"]["kind"] for clip in training]
     errors = [clip["pose_errors"]["metric"]["ate_m"] for clip in training if clip["pose_errors"]]
     views = [view for clip in training for view in clip["clip"]["views"].values() if view["kind"] == "warped"]
@@ -304,10 +328,14 @@ def draw_clip(pictures: Path, recording: Recording, built: BuiltClip) -> None:
             path.write_text(drawing)
 
 
-def train_policy(out: Path, seed: int, name: str, mixture: Mixture) -> dict[str, Any]:
+def train_policy(out: Path, settings: DemoSettings, name: str, mixture: Mixture) -> dict[str, Any]:
     """Train a policy on one mixture; returns losses, open-loop errors on the held-out drives, and the run time."""
     folder, store = out / "training" / name, ClipStore(out / "clips")
-    results = train_on_mixture(mixture, (builtin_stage_config(1), builtin_stage_config(2)), seed, folder)
+    stages = builtin_stage_config(1), builtin_stage_config(2)
+    if epochs := settings.training_epochs:
+        shorter = {"num_train_epochs": epochs, "regression_warmup_epochs": 0}
+        stages = stages[0].model_copy(update=shorter), stages[1].model_copy(update=shorter)
+    results = train_on_mixture(mixture, stages, settings.seed, folder)
     samples = store.load_samples(spread_keys(store, "val", samples=6))
     return {
         "stages": [without_seconds(vars(result)) for result in results],

@@ -126,9 +126,9 @@ def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fract
         stream.options = {"crf": QUALITY, "preset": "fast", "threads": "1", "bf": str(grid - 1)}
         if grid > 1:
             # Always as many B-frames, which no other frame refers to, between two frames of the grid; and variable
-            # length codes, which take a fifth more room than arithmetic ones and are decoded 1.7 times as fast. With
-            # fixed frame types and no scene cuts x264 costs no frame ahead, and its macroblock tree would weigh blocks
-            # by memory that nobody wrote: equal frames gave unequal bytes.
+            # length codes, which take a fifth more room than arithmetic ones and are decoded 1.7 times as fast. No
+            # macroblock tree: with fixed frame types x264 weighs blocks by memory that it did not write,
+            # and equal frames give unequal bytes.
             stream.options |= {"x264-params": "b-adapt=0:b-pyramid=none:scenecut=0:cabac=0:mbtree=0"}
         for index, image in enumerate(frames):
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
