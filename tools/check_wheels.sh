@@ -19,9 +19,10 @@ for sdist in dist/*.tar.gz; do # a wheel made from the sdist is the wheel made f
 done
 ls dist
 
-install() { # ENVIRONMENT DISTRIBUTION
+install() { # ENVIRONMENT DISTRIBUTION; without --refresh-package uv takes a wheel of the same version from its cache
     "$bin/uv" venv --quiet --python "$bin/python" "$1"
-    VIRTUAL_ENV=$1 "$bin/uv" pip install --quiet --find-links "$root/dist" --constraint "$root/requirements.txt" "$2"
+    VIRTUAL_ENV=$1 "$bin/uv" pip install --quiet --find-links "$root/dist" --constraint "$root/requirements.txt" \
+        --refresh-package openlongtail --refresh-package olt-generator "$2"
 }
 
 cd "$work"
@@ -42,7 +43,7 @@ PYTHON
 echo "the toolkit"
 install "$work/toolkit" openlongtail
 "$work/toolkit/bin/olt" --version
-"$work/toolkit/bin/olt" doctor >/dev/null
+"$work/toolkit/bin/olt" doctor
 "$work/toolkit/bin/olt" closed-loop run nominal:1
 "$work/toolkit/bin/olt" demo --quick --out demo
 test -s demo/summary.json

@@ -4,8 +4,9 @@ What a user of the package needs is here by name, and loaded when it is first as
 and who only scores loads no vehicle model.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from olt_generator.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from olt_closed_loop.control.tracking import ControlSettings as ControlSettings
@@ -32,29 +33,21 @@ if TYPE_CHECKING:
     from olt_closed_loop.simulation.policies import make_policy as make_policy
     from olt_closed_loop.simulation.settings import SimulationSettings as SimulationSettings
 
-_MODULES = {
-    "control.tracking": ("ControlSettings",),
-    "evaluation.evaluation": ("count_left_out", "load_scene", "pass_gate", "run_closed_loop", "save_results"),
-    "evaluation.gate": ("check_gate",),
-    "evaluation.score_table": ("summarize_scores",),
-    "rollouts.rollout": ("Rollout", "load_rollouts", "save_rollouts"),
-    "rollouts.rollout_files": ("read_rollout_file",),
-    "scenes.procedural": ("generate_scene",),
-    "scenes.scene": ("Scene",),
-    "scenes.scene_file": ("read_scene", "write_scene"),
-    "scoring.definitions": ("RolloutScore", "score_record", "score_rollout"),
-    "simulation.closed_loop": ("replay", "simulate"),
-    "simulation.policies": ("make_policy",),
-    "simulation.settings": ("SimulationSettings",),
-}
-_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *_MODULE_OF]
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "control.tracking": ("ControlSettings",),
+        "evaluation.evaluation": ("count_left_out", "load_scene", "pass_gate", "run_closed_loop", "save_results"),
+        "evaluation.gate": ("check_gate",),
+        "evaluation.score_table": ("summarize_scores",),
+        "rollouts.rollout": ("Rollout", "load_rollouts", "save_rollouts"),
+        "rollouts.rollout_files": ("read_rollout_file",),
+        "scenes.procedural": ("generate_scene",),
+        "scenes.scene": ("Scene",),
+        "scenes.scene_file": ("read_scene", "write_scene"),
+        "scoring.definitions": ("RolloutScore", "score_record", "score_rollout"),
+        "simulation.closed_loop": ("replay", "simulate"),
+        "simulation.policies": ("make_policy",),
+        "simulation.settings": ("SimulationSettings",),
+    },
+)

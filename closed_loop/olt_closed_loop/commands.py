@@ -1,8 +1,7 @@
 """`olt closed-loop`: drive scenes and score the drives."""
 
-from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -17,49 +16,19 @@ INCIDENT_WORDS = {
     "saturations": "a command reached a limit of the vehicle",
     "solves_failed": "the controller found no command and held the last ones",
     "solves_late": "the controller was late and held the last commands",
+    "solves_given_up": "fatrop gave up and Gauss-Newton was asked",
 }
 """What the counts of `rollouts.rollout.Incidents` are called in print."""
 
 app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and score them.")
 
 
-class ScoreDefinition(StrEnum):
-    """The definitions of a score (`scoring.definitions`)."""
-
-    strict = "strict"
-    alpasim = "alpasim"
-
-
-class TrafficModel(StrEnum):
-    """How agents move: as recorded, or braking for the ego (`simulation.reactive_agents`)."""
-
-    recorded = "recorded"
-    idm = "idm"
-
-
-class VehicleModel(StrEnum):
-    """How the ego moves (`simulation.settings`)."""
-
-    kinematic = "kinematic"
-    tyres = "tyres"
-
-
-class Controller(StrEnum):
-    """What follows the planned trajectory (`control.tracking`)."""
-
-    lqr = "lqr"
-    linear = "linear"
-    nonlinear = "nonlinear"
-
-
-class Integrator(StrEnum):
-    """How the vehicle is integrated (`vehicle.integrators`)."""
-
-    auto = "auto"
-    midpoint = "midpoint"
-    rk4 = "rk4"
-    radau = "radau"
-    cvodes = "cvodes"
+# What the options take, as the modules named beside them have it; those are loaded only when a command runs.
+Definition = Literal["strict", "alpasim"]  # scoring.definitions
+Traffic = Literal["recorded", "idm"]  # rollouts.rollout
+Vehicle = Literal["kinematic", "tyres"]  # simulation.settings
+Controller = Literal["lqr", "linear", "nonlinear"]  # control.tracking
+Integrator = Literal["auto", "midpoint", "rk4", "radau", "cvodes"]  # vehicle.integrators
 
 
 @app.command()
@@ -73,41 +42,33 @@ def run(
     seed: Annotated[int, typer.Option(help="Seed of the first drive; the next has the next number.")] = 0,
     duration: Annotated[float, typer.Option(help="Seconds of a drive, 1.7 s of warm-up included.")] = 20.0,
     planner_delay: Annotated[float, typer.Option(help="Seconds from asking for a plan until it is in force.")] = 0.0,
-    traffic: Annotated[TrafficModel, typer.Option(help="How agents move.")] = TrafficModel.recorded,
-    vehicle: Annotated[VehicleModel, typer.Option(help="How the ego moves.")] = VehicleModel.kinematic,
+    traffic: Annotated[Traffic, typer.Option(help="How agents move.")] = "recorded",
+    vehicle: Annotated[Vehicle, typer.Option(help="How the ego moves.")] = "kinematic",
     controller: Annotated[
         Controller, typer.Option(help="What follows the plan: LQR, linear or nonlinear MPC.")
-    ] = Controller.linear,
+    ] = "linear",
     integrator: Annotated[
         Integrator, typer.Option(help="How the vehicle is integrated; auto: the cheapest within 3e-7 m a step.")
-    ] = Integrator.auto,
-    definition: Annotated[ScoreDefinition, typer.Option(help="How the score is defined.")] = ScoreDefinition.strict,
+    ] = "auto",
+    definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
     skip: Annotated[bool, typer.Option(help="Leave out what cannot change the result.")] = True,
     workers: Annotated[int | None, typer.Option(help="Processes; by default one for each processor.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for rollouts.json and scores.json.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Drive scenes with a policy and print AS and CR by category; the gate must hold on every scene."""
-    from olt_closed_loop.control.tracking import ControlSettings
-    from olt_closed_loop.evaluation.evaluation import (
-        count_left_out,
-        count_vehicle_steps,
-        find_scenes,
-        run_closed_loop,
-        save_results,
-    )
-    from olt_closed_loop.evaluation.score_table import summarize_scores
-    from olt_closed_loop.simulation.settings import SimulationSettings
+    from olt_closed_loop import ControlSettings, SimulationSettings, run_closed_loop, save_results, summarize_scores
+    from olt_closed_loop.evaluation.evaluation import count_left_out, count_vehicle_steps, find_scenes
     from olt_toolkit.runtime.console import make_progress, print_json
     from olt_toolkit.runtime.workers import default_workers
 
     settings = SimulationSettings(
         duration_us=round(duration * 1e6),
         planner_delay_us=round(planner_delay * 1e6),
-        traffic=traffic.value,
-        vehicle=vehicle.value,
-        integrator=integrator.value,
-        control=ControlSettings(method=controller.value),
+        traffic=traffic,
+        vehicle=vehicle,
+        integrator=integrator,
+        control=ControlSettings(method=controller),
         skip=skip,
     )
     sources = find_scenes([*(scenes or []), *(scene or [])])
@@ -124,7 +85,7 @@ def run(
             settings,
             workers=workers or default_workers(),
             on_progress=lambda share: progress.update(task, completed=round(share * total)),
-            definition=definition.value,
+            definition=definition,
         )
     scores = [score for _, score in results]
     table = summarize_scores(scores)
@@ -135,10 +96,10 @@ def run(
         print_json(
             {
                 "policy": policy,
-                "traffic": traffic.value,
-                "vehicle": vehicle.value,
-                "controller": controller.value,
-                "integrator": integrator.value,
+                "traffic": traffic,
+                "vehicle": vehicle,
+                "controller": controller,
+                "integrator": integrator,
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],
                 "left_out": [{**omission.to_dict(), "rollouts": count} for omission, count in left_out.items()],
@@ -146,7 +107,7 @@ def run(
             }
         )
     else:
-        _print_scores(f"{policy}, {traffic.value} traffic", table)
+        _print_scores(f"{policy}, {traffic} traffic", table)
         _print_notes(scores, table.overall.rollout_incidents, vehicle_steps, left_out)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
@@ -182,9 +143,7 @@ def convert_scene(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write a recorded drive as a scene, and say what was assumed and whether the gate holds on it."""
-    from olt_closed_loop.evaluation.evaluation import load_scene
-    from olt_closed_loop.evaluation.gate import check_gate
-    from olt_closed_loop.scenes.scene_file import write_scene
+    from olt_closed_loop import check_gate, load_scene, write_scene
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
     if out.suffix not in (".usda", ".usdc"):
@@ -219,19 +178,18 @@ def convert_scene(
 @app.command()
 def score_rollout(
     file: Annotated[Path, typer.Argument(help="One rollout as JSON (olt_closed_loop.rollouts.rollout_files).")],
-    definition: Annotated[ScoreDefinition, typer.Option(help="How the score is defined.")] = ScoreDefinition.strict,
+    definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Score one recorded rollout."""
-    from olt_closed_loop.rollouts.rollout_files import read_rollout_file
+    from olt_closed_loop import read_rollout_file, score_record
     from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
-    from olt_closed_loop.scoring.definitions import score_record
     from olt_toolkit.runtime.console import print_json, print_table
 
     record = read_rollout_file(file)
-    if definition is ScoreDefinition.alpasim:
+    if definition == "alpasim":
         scores = score_as_alpasim(record)
-        result = {"definition": definition.value, **scores.to_dict()}
+        result = {"definition": definition, **scores.to_dict()}
         figures = {**vars(scores.scene), **scores.final}
     else:
         strict = score_record(record)
@@ -241,7 +199,7 @@ def score_rollout(
     if as_json:
         print_json(result)
     else:
-        print_table(f"{file.name}, definition {definition.value}", ["figure", "value"], list(figures.items()))
+        print_table(f"{file.name}, definition {definition}", ["figure", "value"], list(figures.items()))
 
 
 def _print_scores(title: str, table: "ScoreTable") -> None:

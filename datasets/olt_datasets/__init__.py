@@ -3,8 +3,9 @@
 What a user of the package needs is here by name, and loaded when it is first asked for.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from olt_generator.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from olt_datasets.export.contents import contents_of_mixture as contents_of_mixture
@@ -31,30 +32,22 @@ if TYPE_CHECKING:
     from olt_datasets.tables.leaks import find_leaks as find_leaks
     from olt_datasets.tables.splits import split_table as split_table
 
-_MODULES = {
-    "export.contents": ("contents_of_mixture", "contents_of_stores"),
-    "export.lerobot": ("export_lerobot",),
-    "export.pai": ("export_pai",),
-    "mixtures.comparison": ("compare_mixtures",),
-    "mixtures.dataset": ("MixtureBatchSampler", "MixtureDataset"),
-    "mixtures.mixture": ("Mixture", "check_recipe", "compose_mixture"),
-    "mixtures.mixture_file": ("read_mixture", "write_mixture"),
-    "mixtures.recipe": ("Recipe", "find_recipe", "read_recipe"),
-    "mixtures.source_alignment": ("align_sources", "measure_coverage"),
-    "tables.clip_frame": ("read_clip_tables", "scan_clip_tables"),
-    "tables.indexing": ("index_dataset",),
-    "tables.labels": ("label_table",),
-    "tables.leaks": ("find_leaks",),
-    "tables.splits": ("split_table",),
-}
-_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *_MODULE_OF]
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "export.contents": ("contents_of_mixture", "contents_of_stores"),
+        "export.lerobot": ("export_lerobot",),
+        "export.pai": ("export_pai",),
+        "mixtures.comparison": ("compare_mixtures",),
+        "mixtures.dataset": ("MixtureBatchSampler", "MixtureDataset"),
+        "mixtures.mixture": ("Mixture", "check_recipe", "compose_mixture"),
+        "mixtures.mixture_file": ("read_mixture", "write_mixture"),
+        "mixtures.recipe": ("Recipe", "find_recipe", "read_recipe"),
+        "mixtures.source_alignment": ("align_sources", "measure_coverage"),
+        "tables.clip_frame": ("read_clip_tables", "scan_clip_tables"),
+        "tables.indexing": ("index_dataset",),
+        "tables.labels": ("label_table",),
+        "tables.leaks": ("find_leaks",),
+        "tables.splits": ("split_table",),
+    },
+)

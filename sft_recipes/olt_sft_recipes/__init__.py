@@ -3,8 +3,9 @@
 What a user of the package needs is here by name, and loaded when it is first asked for.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from olt_generator.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from olt_sft_recipes.demo.main_job import DemoSettings as DemoSettings
@@ -16,21 +17,13 @@ if TYPE_CHECKING:
     from olt_sft_recipes.training.stage_config import read_stage_config as read_stage_config
     from olt_sft_recipes.training.two_stages import train_on_mixture as train_on_mixture
 
-_MODULES = {
-    "demo.main_job": ("DemoSettings", "run_demo"),
-    "open_loop": ("evaluate_open_loop",),
-    "toy.policy": ("load_toy",),
-    "training.stage_config": ("StageConfig", "builtin_stage_config", "read_stage_config"),
-    "training.two_stages": ("train_on_mixture",),
-}
-_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *_MODULE_OF]
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "demo.main_job": ("DemoSettings", "run_demo"),
+        "open_loop": ("evaluate_open_loop",),
+        "toy.policy": ("load_toy",),
+        "training.stage_config": ("StageConfig", "builtin_stage_config", "read_stage_config"),
+        "training.two_stages": ("train_on_mixture",),
+    },
+)

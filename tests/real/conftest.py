@@ -8,9 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from olt_generator.cameras import PinholeCamera
+from olt_generator.cameras import FthetaCamera, PinholeCamera
 from olt_generator.poses import invert, pose_from_quaternion, transform
 from olt_generator.trajectory import Trajectory
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, MountedCamera, short_name
+from olt_toolkit.rigs.rig_files import pav_rig
 
 FOLDER = "six_camera_surround_three_steps"
 NAMES = {"front": "CAMERA_01", "front left": "CAMERA_05", "front right": "CAMERA_06"}
@@ -72,3 +74,20 @@ def _pose(record: dict) -> np.ndarray:
 @pytest.fixture(scope="session")
 def six_cameras(shared_real) -> SixCameras:
     return SixCameras(shared_real / FOLDER)
+
+
+@pytest.fixture
+def nvidia_rig(shared_real) -> dict[str, MountedCamera]:
+    """NVIDIA's median calibration of the target rig; the front camera, which it places nowhere, is the nominal one."""
+    path = shared_real / "nvidia_seven_camera_rig_calibration" / "median_calibration.json"
+    content = json.loads(path.read_text())
+    poses = {"front": np.eye(4), **content["relative_camera_poses_front_optical_from_camera"]}
+    cameras = {}
+    for name in CAMERA_INDEX:
+        called = "front" if name == FRONT_WIDE else short_name(name)
+        lens = content["ftheta_intrinsics"][called]
+        camera = FthetaCamera.from_radius_to_angle(
+            lens["width"], lens["height"], *lens["principal_point_px"], tuple(lens["pixel_radius_to_angle_poly"])
+        )
+        cameras[name] = MountedCamera(camera, pav_rig()[FRONT_WIDE].T_rig_camera @ np.array(poses[called]))
+    return cameras

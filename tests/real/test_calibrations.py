@@ -7,9 +7,9 @@ import polars as pl
 import pytest
 
 from olt_generator.cameras import BrownConradyCamera, PinholeCamera
-from olt_generator.poses import make_pose, pose_from_quaternion
-from olt_toolkit.recordings import OpenOptions, open_recording
-from olt_toolkit.rigs.rig_files import load_rig, read_nvidia_calibration
+from olt_generator.poses import invert, make_pose, pose_from_quaternion
+from olt_toolkit import OpenOptions, open_recording
+from olt_toolkit.rigs.rig_files import load_rig, pav_rig
 
 KITTI_DRIVE = "kitti_raw_2011_09_26_drive_0013"
 ARGOVERSE = "argoverse2_sensor_log_7fab2350/calibration"
@@ -37,11 +37,17 @@ def kitti_field(text, name):
     return [float(value) for value in line.split()[1:]]
 
 
-def test_the_seven_nvidia_lenses(shared_real):
-    rig = read_nvidia_calibration(shared_real / "nvidia_seven_camera_rig_calibration" / "median_calibration.json")
-    for mounted in rig.cameras.values():
+def test_the_seven_nvidia_lenses(nvidia_rig):
+    for mounted in nvidia_rig.values():
         for camera in (mounted.camera, mounted.camera.resized(1920, 1080), mounted.camera.resized(832, 480)):
             check_round_trip(camera)
+
+
+def test_the_measured_rig_is_close_to_the_nominal_one(nvidia_rig):
+    for name, mounted in nvidia_rig.items():
+        T_nominal_measured = invert(pav_rig()[name].T_rig_camera) @ mounted.T_rig_camera
+        assert np.linalg.norm(T_nominal_measured[:3, 3]) < 0.5, name
+        assert np.degrees(np.arccos(min(1.0, 0.5 * (np.trace(T_nominal_measured[:3, :3]) - 1.0)))) < 6.0, name
 
 
 def test_the_raw_kitti_lenses(shared_real):

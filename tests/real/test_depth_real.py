@@ -7,7 +7,7 @@ import pytest
 from olt_generator.cameras import pixel_rays
 from olt_generator.distance.depth import FAR_DISTANCE, DistanceOrigin, estimate_distance
 from olt_generator.poses import invert, transform
-from olt_toolkit.recordings import OpenOptions, open_recording
+from olt_toolkit import OpenOptions, open_recording
 
 pytestmark = pytest.mark.slow
 

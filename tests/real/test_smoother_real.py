@@ -17,8 +17,8 @@ from olt_generator.motion.smoother import smooth_trajectories, smooth_trajectory
 from olt_generator.poses import camera_pose_in_rig, invert, make_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.twists import exponential
+from olt_toolkit import OpenOptions, open_recording
 from olt_toolkit.clips.label_noise import measure_label_noise
-from olt_toolkit.recordings import OpenOptions, open_recording
 
 pytestmark = pytest.mark.slow
 

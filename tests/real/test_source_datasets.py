@@ -6,7 +6,7 @@ import pytest
 from olt_datasets.sources.argoverse2 import DATASET as ARGOVERSE2
 from olt_generator.poses import yaw_of
 from olt_generator.video import read_video
-from olt_toolkit.recordings import OpenOptions, open_recording
+from olt_toolkit import OpenOptions, open_recording
 from olt_toolkit.recordings.drives import open_dataset
 
 NARROW = OpenOptions(width=160)

@@ -15,7 +15,7 @@ from olt_generator.poses import make_pose, pose_from_quaternion
 from olt_toolkit.recordings.drives import open_dataset
 from olt_toolkit.recordings.recording import OpenOptions
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera
-from olt_toolkit.rigs.rig_files import pav_rig, read_nvidia_calibration
+from olt_toolkit.rigs.rig_files import pav_rig
 
 FOLDER = "nuscenes_scene_0061_six_cameras"
 STEP_US = 83_333
@@ -148,12 +148,11 @@ def read_rgb(path):
     return np.ascontiguousarray(cv2.imread(str(path))[..., ::-1])
 
 
-def test_the_measured_rig_is_covered_as_far_as_the_nominal_one(shared_real, real_cameras):
+def test_the_measured_rig_is_covered_as_far_as_the_nominal_one(nvidia_rig, real_cameras):
     """The median calibration of the target rig, whose lenses look higher up than they look down."""
     sources = {name: mounted(record) for name, record in real_cameras[0].items()}
-    rig = read_nvidia_calibration(shared_real / "nvidia_seven_camera_rig_calibration" / "median_calibration.json")
     for name in POLICY_CAMERAS:
-        assert coverage(rig[name], sources) == pytest.approx(coverage(pav_rig()[name], sources), abs=0.08)
+        assert coverage(nvidia_rig[name], sources) == pytest.approx(coverage(pav_rig()[name], sources), abs=0.08)
 
 
 def test_another_vehicle_with_other_lenses(shared_real):

@@ -3,9 +3,9 @@
 What a user of the package needs is here by name, and loaded when it is first asked for.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from olt_generator.lazy_names import lazy_names
 from olt_generator.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -24,8 +24,11 @@ if TYPE_CHECKING:
     from olt_toolkit.policy.contract import Policy as Policy
     from olt_toolkit.policy.sample import PolicySample as PolicySample
     from olt_toolkit.policy.sample import SampleKey as SampleKey
+    from olt_toolkit.recordings.drives import Dataset as Dataset
     from olt_toolkit.recordings.drives import DatasetPlace as DatasetPlace
+    from olt_toolkit.recordings.drives import DatasetReader as DatasetReader
     from olt_toolkit.recordings.drives import Drive as Drive
+    from olt_toolkit.recordings.drives import Licence as Licence
     from olt_toolkit.recordings.drives import open_dataset as open_dataset
     from olt_toolkit.recordings.drives import open_recording as open_recording
     from olt_toolkit.recordings.recording import OpenOptions as OpenOptions
@@ -34,27 +37,27 @@ if TYPE_CHECKING:
     from olt_toolkit.rigs.rig_files import load_rig as load_rig
     from olt_toolkit.rigs.rig_files import read_rig as read_rig
 
-_MODULES = {
-    "clips.builder": ("BuiltClip", "build_clip"),
-    "clips.clip": ("CameraStream", "Clip", "ClipInfo", "EgoMotion"),
-    "clips.store": ("ClipStore",),
-    "clips.views": ("BuildOptions",),
-    "policy.action_space": ("actions_to_trajectory", "trajectory_to_actions"),
-    "policy.contract": ("Observation", "PlannedTrajectory", "Policy"),
-    "policy.sample": ("PolicySample", "SampleKey"),
-    "recordings.drives": ("DatasetPlace", "Drive", "open_dataset", "open_recording"),
-    "recordings.recording": ("OpenOptions", "Recording"),
-    "rigs.rig": ("Rig",),
-    "rigs.rig_files": ("load_rig", "read_rig"),
-}
-_MODULE_OF = {name: f"{__name__}.{module}" for module, names in _MODULES.items() for name in names}
-
-
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_MODULE_OF[name]), name)
-
-
-def __dir__() -> list[str]:
-    return [*globals(), *_MODULE_OF]
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "clips.builder": ("BuiltClip", "build_clip"),
+        "clips.clip": ("CameraStream", "Clip", "ClipInfo", "EgoMotion"),
+        "clips.store": ("ClipStore",),
+        "clips.views": ("BuildOptions",),
+        "policy.action_space": ("actions_to_trajectory", "trajectory_to_actions"),
+        "policy.contract": ("Observation", "PlannedTrajectory", "Policy"),
+        "policy.sample": ("PolicySample", "SampleKey"),
+        "recordings.drives": (
+            "Dataset",
+            "DatasetPlace",
+            "DatasetReader",
+            "Drive",
+            "Licence",
+            "open_dataset",
+            "open_recording",
+        ),
+        "recordings.recording": ("OpenOptions", "Recording"),
+        "rigs.rig": ("Rig",),
+        "rigs.rig_files": ("load_rig", "read_rig"),
+    },
+)

@@ -39,12 +39,14 @@ def drive_step(state: Array, control: Array, step: float) -> Array:
 
 def _derivative(state: Array, control: Array) -> Array:
     _, _, yaw, forward, left, yaw_rate, steering, acceleration = state.T
-    fast = forward >= SWITCH_SPEED
-    slip_change, yaw_acceleration = np.where(
-        fast,
-        _tyre_forces(np.maximum(forward, SWITCH_SPEED), left, yaw_rate, steering),
-        _rolling(forward, left, yaw_rate, steering),
-    )
+    fast, rolling = forward >= SWITCH_SPEED, np.maximum(forward, SWITCH_SPEED)
+    # Linear tyres; below the switch speed relaxation towards rolling without slip.
+    front_arm = WHEELBASE - REAR_TO_GRAVITY
+    front = FRONT_STIFFNESS * (steering - (left + front_arm * yaw_rate) / rolling)
+    rear = -REAR_STIFFNESS * (left - REAR_TO_GRAVITY * yaw_rate) / rolling
+    slipping = (front + rear) / MASS - rolling * yaw_rate
+    yawing = (front_arm * front - REAR_TO_GRAVITY * rear) / YAW_INERTIA
+    turning = forward * steering / WHEELBASE
     sideways = np.where(fast, left - REAR_TO_GRAVITY * yaw_rate, 0.0)  # at the rear axle
     return np.stack(
         [
@@ -52,24 +54,10 @@ def _derivative(state: Array, control: Array) -> Array:
             forward * np.sin(yaw) + sideways * np.cos(yaw),
             yaw_rate,
             acceleration,
-            slip_change,
-            yaw_acceleration,
+            np.where(fast, slipping, 10.0 * (turning * REAR_TO_GRAVITY - left)),
+            np.where(fast, yawing, 10.0 * (turning - yaw_rate)),
             (control[:, 0] - steering) / LAG,
             (control[:, 1] - acceleration) / LAG,
         ],
         axis=-1,
     )
-
-
-def _tyre_forces(forward: Array, left: Array, yaw_rate: Array, steering: Array) -> tuple[Array, Array]:
-    """Changes of the speed to the left and of the yaw rate under linear tyres."""
-    front_arm = WHEELBASE - REAR_TO_GRAVITY
-    front = FRONT_STIFFNESS * (steering - (left + front_arm * yaw_rate) / forward)
-    rear = -REAR_STIFFNESS * (left - REAR_TO_GRAVITY * yaw_rate) / forward
-    return (front + rear) / MASS - forward * yaw_rate, (front_arm * front - REAR_TO_GRAVITY * rear) / YAW_INERTIA
-
-
-def _rolling(forward: Array, left: Array, yaw_rate: Array, steering: Array) -> tuple[Array, Array]:
-    """The same below the switch speed: relaxation towards rolling without slip."""
-    turning = forward * steering / WHEELBASE
-    return 10.0 * (turning * REAR_TO_GRAVITY - left), 10.0 * (turning - yaw_rate)

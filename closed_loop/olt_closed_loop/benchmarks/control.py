@@ -88,7 +88,7 @@ WAYS: dict[str, tuple[VehicleParameters, ControlSettings]] = {
 
 def _prepare(parameters: VehicleParameters, settings: ControlSettings) -> Callable[[], Tracking]:
     """All drives, once; the call that is timed makes the solves of some again, from what was seen there."""
-    references = alpasim_references()
+    references = list(alpasim_references())
     tracking = track(references, parameters, settings)
 
     def solve_again() -> Tracking:
@@ -113,7 +113,6 @@ def tracking_figures(tracking: Tracking) -> dict[str, float]:
 
 
 BENCHMARK = Benchmark(
-    name="control",
     title="Tracking of AlpaSim's 120 references of 10 s on AlpaSim's vehicle; time of 400 calls",
     error_name="position error, rms",
     error_unit="m",

@@ -17,7 +17,7 @@ import numpy as np
 from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.control.plans import PlanRefused, WorldPlan
 from olt_closed_loop.control.tracking import ControlMethod, ControlSettings, SolveCounts, TrackingController
-from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.parameters import VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle.tyres import GRAVITY
 from olt_generator.errors import InputError
@@ -82,19 +82,13 @@ class Case:
     lost: tuple[float, float] = (np.inf, np.inf)
     reverse: bool = False
 
-    def plan(self, now: float) -> WorldPlan:
-        """The plan that the controller is given at a time."""
-        meant = self.meant(now)
-        if self.lost[0] <= now < self.lost[1]:
-            return replace(meant, poses=meant.poses + OUT_OF_REACH)
-        return meant
-
-    def meant(self, now: float) -> WorldPlan:
-        """The plan that the vehicle is judged by."""
+    def plan(self, now: float, meant: bool = False) -> WorldPlan:
+        """The plan that the controller is given at a time, or the one `meant`, which the vehicle is judged by."""
         made = min(now, self.last_plan) - self.age
         steps = np.arange(round(self.plan_seconds / STEP_SECONDS) + 1, dtype=np.int64)
         poses = self.path(made + STEP_SECONDS * steps.astype(np.float64))
         poses[:, 1] += self.jump * (made >= JUMP_AFTER)
+        poses += OUT_OF_REACH * (not meant and self.lost[0] <= now < self.lost[1])
         return WorldPlan(round(1e6 * made) + STEP_US * steps, poses)
 
 
@@ -177,14 +171,14 @@ def drive(case: Case, parameters: VehicleParameters, method: ControlMethod) -> D
     """Track a case with a vehicle that moves as its own equations say."""
     parameters = replace(parameters, reverse_gear=case.reverse)
     controller = TrackingController(parameters, ControlSettings(method=method, deadline_seconds=case.deadline))
-    stepper = make_stepper(parameters)
+    stepper = VehicleStepper(parameters)
     state = with_rolling_tyres(np.array([0.0, 0.0, 0.0, case.speed, 0.0, 0.0]), parameters)
     errors = np.zeros(round(SECONDS / STEP_SECONDS))
     try:
         for step in range(len(errors)):
             now = step * STEP_SECONDS
             state = stepper(state, controller.control(state, case.plan(now), step * STEP_US))
-            wanted = case.meant(now).at(np.array([(step + 1) * STEP_US]))[0]
+            wanted = case.plan(now, meant=True).at(np.array([(step + 1) * STEP_US]))[0]
             errors[step] = np.linalg.norm(state[:2] - wanted[:2])
     except (PlanRefused, InputError) as refusal:
         return DrivenCase(refused=str(refusal))

@@ -5,7 +5,7 @@ turns of radius 50 and 100 m at both speeds for moving off and for stopping, and
 the straight speeds.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import product
 
@@ -32,13 +32,11 @@ class Reference:
     """What is to be driven.
 
     Attributes:
-        name: kind and numbers of the drive.
         copies: how often it counts among the 120.
         poses: (151, 3) x, y (m) and yaw (rad) of the rig every 0.1 s.
         speed: at the start, m/s.
     """
 
-    name: str
     copies: int
     poses: Array
     speed: float
@@ -49,41 +47,32 @@ class Reference:
         return WorldPlan(times, self.poses[index : index + PLAN_POINTS])
 
 
-def alpasim_references() -> list[Reference]:
-    """The 70 different drives, with their numbers of copies."""
-    return list(_different_drives())
-
-
-def _different_drives() -> Iterator[Reference]:
+def alpasim_references() -> Iterator[Reference]:
     """Straights and circles at even speed; straights and turns of changing speed; turns from rest and to rest."""
     spread = make_generator(42, "control", "straight").uniform(-1.0, 1.0, size=(6, 4))
     for speed in (np.array([[1.0], [5.0], [10.0], [15.0], [20.0], [25.0]]) + spread).ravel():
         x = speed * _TIME
-        yield Reference(f"straight {speed:.1f} m/s", 1, np.stack([x, 0.0 * x, 0.0 * x], axis=-1), float(speed))
+        yield Reference(1, np.stack([x, 0.0 * x, 0.0 * x], axis=-1), float(speed))
     for side, radius in product((1.0, -1.0), (20.0, 50.0, 100.0, 200.0, 500.0)):
         speed = min(TOP_CIRCLE_SPEED, float(np.sqrt(LATERAL_ACCELERATION * radius)))
         angle = speed * _TIME / radius
         poses = np.stack([radius * np.sin(angle), side * radius * (1.0 - np.cos(angle)), side * angle], axis=-1)
-        yield Reference(f"circle {side * radius:.0f} m", 4, poses, speed)
+        yield Reference(4, poses, speed)
     for first, last in _RAMPS:
-        yield _integrated(f"straight {first}-{last} m/s", 3, _ramp(0.0, 7.5, first, last), np.inf)
+        yield _ramp(3, (0.0, 7.5), (first, last))
     for (radius, first, last), (wider, slower, faster) in product(_TURNING_RAMPS, ((1, 1, 1), (1.2, 0.9, 1.1))):
-        name = f"turn {wider * radius:.0f} m, {slower * first:.1f}-{faster * last:.1f} m/s"
-        yield _integrated(name, 1, _ramp(0.0, 7.5, slower * first, faster * last), wider * radius)
-    for speed, radius in product((10.0, 15.0), (50.0, -50.0, 100.0, -100.0)):
-        yield _integrated(f"turn {radius:.0f} m, moving off to {speed:.0f} m/s", 1, _ramp(7.5, 15.0, 0, speed), radius)
-    for speed, radius in product((10.0, 15.0), (50.0, -50.0, 100.0, -100.0)):
-        yield _integrated(f"turn {radius:.0f} m, {speed:.0f} m/s to rest", 1, _ramp(3.75, 11.25, speed, 0), radius)
+        yield _ramp(1, (0.0, 7.5), (slower * first, faster * last), wider * radius)
+    turns = list(product((10.0, 15.0), (50.0, -50.0, 100.0, -100.0)))
+    for speed, radius in turns:
+        yield _ramp(1, (7.5, 15.0), (0, speed), radius)
+    for speed, radius in turns:
+        yield _ramp(1, (3.75, 11.25), (speed, 0), radius)
 
 
-def _ramp(start: float, end: float, first: float, last: float) -> Callable[[Array], Array]:
-    return lambda time: np.interp(time, [start, end], [first, last])
-
-
-def _integrated(name: str, copies: int, speed_at: Callable[[Array], Array], radius: float) -> Reference:
-    """A drive of varying speed: Euler steps of 0.1 s, the yaw before the position."""
-    speed = speed_at(_TIME[:-1])
+def _ramp(copies: int, seconds: tuple[float, float], speeds: tuple[float, float], radius: float = np.inf) -> Reference:
+    """A drive whose speed changes evenly between two times: Euler steps of 0.1 s, the yaw before the position."""
+    speed = np.interp(_TIME[:-1], seconds, speeds)
     yaw = np.concatenate([[0.0], np.cumsum(STEP_SECONDS * speed / radius)])
     x = np.concatenate([[0.0], np.cumsum(STEP_SECONDS * speed * np.cos(yaw[1:]))])
     y = np.concatenate([[0.0], np.cumsum(STEP_SECONDS * speed * np.sin(yaw[1:]))])
-    return Reference(name, copies, np.stack([x, y, yaw], axis=-1), float(speed[0]))
+    return Reference(copies, np.stack([x, y, yaw], axis=-1), float(speed[0]))

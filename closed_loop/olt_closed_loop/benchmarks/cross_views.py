@@ -76,7 +76,6 @@ def _prepare(other_frames: int, true_geometry: bool = False) -> Callable[[], NDA
 
 
 BENCHMARK = Benchmark(
-    name="cross_views",
     title=f"{len(VIEWS) * len(MADE)} cross images of {VIEW_SIZE[0]} x {VIEW_SIZE[1]} from a front video",
     error_name="rms colour error",
     error_unit="of 255",

@@ -43,7 +43,6 @@ def _measure_error(results: list[Result]) -> float:
 
 
 BENCHMARK = Benchmark(
-    name="rollouts",
     title=f"{SCENES * ROLLOUTS} rollouts of 20 s in {SCENES} scenes with the route policy, gate and scores included",
     error_name="largest deviation of the ego",
     error_unit="m",

@@ -7,8 +7,8 @@ import shapely
 from numpy.typing import NDArray
 
 from olt_closed_loop.rollouts.rollout_record import PLAN_STEP_US, EgoBox, LaneLines, PlanRecord, RolloutRecord
+from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.scoring.moving_boxes import corners
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 from olt_toolkit.policy.contract import FUTURE_STEPS
@@ -45,32 +45,62 @@ class Weaving:
 
 @dataclass(frozen=True)
 class KnownDrive:
-    """An ego and one agent that meets it or just misses it."""
+    """An ego among agents, all of whose motion is known at every instant; the recording is the drive itself."""
 
     name: str
     ego: Weaving
-    agent: Weaving
+    agents: tuple[Weaving, ...]
+    end_us: int = DURATION_US
 
-    def sampled(self, step_us: int) -> RolloutRecord:
-        """The drive as a record with a sample every `step_us`; the recording is the drive itself."""
-        times = np.arange(0, DURATION_US + 1, step_us, dtype=np.int64)
-        rig = _rig(self.ego, times)
-        agent = Agent("other", "automobile", *self.agent.size, times, self.agent.poses(times))
-        lanes, edges = _road()
-        return RolloutRecord(self.name, HANDOVER_US, times, rig, EGO, (agent,), times, rig, lanes, edges)
+    def sampled(self, step_us: int, with_plans: bool = False) -> RolloutRecord:
+        """The drive with a sample every `step_us` and, if asked for, a plan at each after the hand-over."""
+        times = np.arange(0, self.end_us + 1, step_us, dtype=np.int64)
+        rig = self._rig(times)
+        agents = tuple(
+            Agent(str(index), "automobile", *agent.size, times, agent.poses(times))
+            for index, agent in enumerate(self.agents)
+        )
+        plans = []
+        for now_us in times[times >= HANDOVER_US][:-1].tolist() if with_plans else ():
+            planned_us = now_us + PLAN_STEP_US * np.arange(FUTURE_STEPS + 1, dtype=np.int64)
+            poses = self._rig(planned_us)[:, [0, 1, 3]]
+            plans.append(PlanRecord(now_us, now_us + PLAN_STEP_US, planned_us, poses, (poses,)))
+        # A lane of 5 m about the x axis, 100 m beyond both ends of the drive, and edges 10 m from it.
+        x = np.arange(-100.0, 300.0, 2.0)
+        line = {y: np.stack([x, np.full_like(x, y), np.zeros_like(x)], axis=-1) for y in (0.0, 2.5, -2.5, -10.0, 10.0)}
+        lanes, edges = (LaneLines(line[0.0], line[2.5], line[-2.5]),), (line[-10.0], line[10.0])
+        return RolloutRecord(
+            self.name, HANDOVER_US, times, rig, EGO, agents, times, rig, lanes, edges, plans=tuple(plans)
+        )
 
     def contact_us(self) -> float:
-        """When the outlines first touch after the hand-over, by bisection of the exact motion; infinite if never."""
-        times = np.arange(HANDOVER_US, DURATION_US + 1, FINE_US)
-        touching = np.flatnonzero(self._touch(times))
+        """When outlines first touch after the hand-over, by bisection of the exact motion; infinite if never."""
+        times = np.arange(HANDOVER_US, self.end_us + 1, FINE_US)
+        touching = np.flatnonzero(self._distances(times) == 0.0)
         if len(touching) == 0:
             return np.inf
         first = int(touching[0])
         between = np.arange(int(times[max(first - 1, 0)]), int(times[first]) + 1)
-        return float(between[np.argmax(self._touch(between))])
+        return float(between[np.argmax(self._distances(between) == 0.0)])
 
-    def _touch(self, times_us: NDArray[np.int64]) -> NDArray[np.bool_]:
-        return np.asarray(shapely.intersects(*(_outlines(body, times_us) for body in (self.ego, self.agent))))
+    def nearest_m(self) -> float:
+        """Smallest distance in metres to an agent after the hand-over, of the exact outlines every millisecond."""
+        return float(self._distances(np.arange(HANDOVER_US, self.end_us + 1, FINE_US)).min())
+
+    def _distances(self, times_us: NDArray[np.int64]) -> Array:
+        """Distances (n,) in metres to the nearest agent, 0 in a contact."""
+        ego, *others = (
+            np.asarray(shapely.polygons(corners(body.poses(times_us), 0.5 * np.array(body.size))))
+            for body in (self.ego, *self.agents)
+        )
+        return np.min([shapely.distance(ego, other) for other in others], axis=0)
+
+    def _rig(self, times_us: NDArray[np.int64]) -> Array:
+        """Poses (n, 4) of the rig, whose box weaves."""
+        rig = self.ego.poses(times_us)
+        rig[:, :2] -= EGO.rear_axle_to_center * np.stack([np.cos(rig[:, 3]), np.sin(rig[:, 3])], axis=-1)
+        rig[:, 2] = 0.0
+        return rig
 
 
 def known_drives(count: int) -> list[KnownDrive]:
@@ -97,72 +127,21 @@ def _known_drive(kind: str, index: int) -> KnownDrive:
     else:
         towards = generator.uniform(8.0, 14.0)
         agent = Weaving((place + towards * meeting, beside + offset), np.pi, towards, 0.3, 4.0, size)
-    return KnownDrive(f"{kind} {index}", ego, agent)
+    return KnownDrive(f"{kind} {index}", ego, (agent,))
 
 
-def _rig(ego: Weaving, times_us: NDArray[np.int64]) -> Array:
-    """Poses (n, 4) of the rig of an ego whose box weaves."""
-    rig = ego.poses(times_us)
-    rig[:, :2] -= EGO.rear_axle_to_center * np.stack([np.cos(rig[:, 3]), np.sin(rig[:, 3])], axis=-1)
-    rig[:, 2] = 0.0
-    return rig
+def crowded_drive(count: int) -> KnownDrive:
+    """A drive of 20 s that meets no one of `count` vehicles on three lanes to each side.
 
-
-def _outlines(body: Weaving, times_us: NDArray[np.int64]) -> NDArray[np.object_]:
-    return np.asarray(shapely.polygons(corners(body.poses(times_us), 0.5 * np.array(body.size))))
-
-
-def _road(end: float = 200.0) -> tuple[tuple[LaneLines, ...], tuple[Array, ...]]:
-    """A lane of 5 m about the x axis, 100 m beyond both ends of the drive, and edges 10 m from it."""
-    x = np.arange(-100.0, end + 100.0, 2.0)
-
-    def line(y: float) -> Array:
-        return np.stack([x, np.full_like(x, y), np.zeros_like(x)], axis=-1)
-
-    return (LaneLines(line(0.0), line(2.5), line(-2.5)),), (line(-10.0), line(10.0))
-
-
-@dataclass(frozen=True)
-class CrowdedDrive:
-    """An ego that meets no one on a busy road: vehicles on three lanes to each side, at every instant known."""
-
-    ego: Weaving
-    agents: tuple[Weaving, ...]
-
-    def record(self) -> RolloutRecord:
-        """The drive with a sample and, after the hand-over, a plan every 0.1 s; the recording is the drive itself."""
-        times = np.arange(0, CROWDED_US + 1, PLAN_STEP_US, dtype=np.int64)
-        agents = tuple(
-            Agent(str(index), "automobile", *agent.size, times, agent.poses(times))
-            for index, agent in enumerate(self.agents)
-        )
-        rig, (lanes, edges) = _rig(self.ego, times), _road(CROWDED_US * 1e-6 * self.ego.speed)
-        plans = tuple(self._plan(int(now_us)) for now_us in times[times >= HANDOVER_US][:-1])
-        return RolloutRecord("crowded", HANDOVER_US, times, rig, EGO, agents, times, rig, lanes, edges, plans=plans)
-
-    def _plan(self, now_us: int) -> PlanRecord:
-        times = now_us + PLAN_STEP_US * np.arange(FUTURE_STEPS + 1, dtype=np.int64)
-        poses = _rig(self.ego, times)[:, [0, 1, 3]]
-        return PlanRecord(now_us, now_us + PLAN_STEP_US, times, poses, (poses,))
-
-    def nearest_m(self, start_us: int) -> float:
-        """Smallest distance in metres to an agent from a time on, of the exact outlines every millisecond."""
-        times = np.arange(start_us, CROWDED_US + 1, FINE_US, dtype=np.int64)
-        ego, *others = (_outlines(body, times) for body in (self.ego, *self.agents))
-        return min(float(shapely.distance(ego, other).min()) for other in others)
-
-
-def crowded_drive(count: int) -> CrowdedDrive:
-    """A drive of 20 s among `count` vehicles."""
+    Those to its right go its way, those to its left come towards it.
+    """
     generator = make_generator("score benchmark", "crowded", count)
     ego = Weaving((0.0, 0.0), 0.0, 10.0, 0.3, 5.0, (EGO.length, EGO.width, EGO.height))
-    return CrowdedDrive(ego, tuple(_neighbour(index, generator) for index in range(count)))
-
-
-def _neighbour(index: int, generator: np.random.Generator) -> Weaving:
-    """A vehicle that keeps to a lane beside the ego's: ahead the same way to its right, towards it to its left."""
-    lane, side = 1 + index % 3, -1.0 if index % 2 else 1.0
-    size = (float(generator.uniform(4.0, 5.0)), float(generator.uniform(1.7, 2.0)), 1.6)
-    start = (float(generator.uniform(-50.0, 350.0)), side * 4.0 * lane)
-    heading = np.pi if side > 0.0 else 0.0
-    return Weaving(start, heading, float(generator.uniform(0.0, 12.0)), 0.2, 4.0, size)
+    agents = []
+    for index in range(count):
+        lane, side = 1 + index % 3, -1.0 if index % 2 else 1.0
+        size = (float(generator.uniform(4.0, 5.0)), float(generator.uniform(1.7, 2.0)), 1.6)
+        start = (float(generator.uniform(-50.0, 350.0)), side * 4.0 * lane)
+        speed = float(generator.uniform(0.0, 12.0))
+        agents.append(Weaving(start, np.pi if side > 0.0 else 0.0, speed, 0.2, 4.0, size))
+    return KnownDrive("crowded", ego, tuple(agents), CROWDED_US)

@@ -2,15 +2,15 @@
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import NamedTuple
 
 import numpy as np
 from scipy.integrate import solve_ivp
 
 from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.benchmarks.vehicle_grid import vehicle_grid
-from olt_closed_loop.vehicle.integrators import Method, make_stepper
+from olt_closed_loop.vehicle.integrators import Method, VehicleStepper
 from olt_closed_loop.vehicle.parameters import DRY_FRICTION, MODELS, Model, VehicleParameters, with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import Array
@@ -29,8 +29,7 @@ VEHICLES: dict[Model, VehicleParameters] = {
 }
 
 
-@dataclass(frozen=True)
-class Integration:
+class Integration(NamedTuple):
     """A way of integrating that the benchmark measures."""
 
     model: Model
@@ -72,13 +71,9 @@ def manoeuvres(model: Model) -> tuple[Array, Array]:
     return with_rolling_tyres(states, VEHICLES[model]), controls
 
 
-def drive(integration: Integration) -> Array:
-    """Positions (n, 10, 2) after every hold, metres."""
-    return _prepare_drive(integration)()
-
-
-def _prepare_drive(integration: Integration) -> Callable[[], Array]:
-    stepper = make_stepper(VEHICLES[integration.model], integration.method, integration.substeps, integration.step)
+def prepare_drive(integration: Integration) -> Callable[[], Array]:
+    """The call that gives positions (n, 10, 2) after every hold, metres."""
+    stepper = VehicleStepper(VEHICLES[integration.model], integration.method, integration.substeps, integration.step)
     return partial(_positions, stepper, *manoeuvres(integration.model), round(HOLD / integration.step))
 
 
@@ -107,11 +102,9 @@ def reference_positions(model: Model) -> Array:
 def exact_derivative(_time: float, state: Array, control: Array, vehicle: VehicleParameters) -> Array:
     """The equations of `vehicle.models` for a state (s,) in the forward gear, written a second time without CasADi."""
     yaw, speed, steering, acceleration = state[2:6]
-    command = np.clip(control, *vehicle.control_limits)
-    fade = speed / (speed**4 + vehicle.standing_speed**4) ** 0.25 if acceleration < 0.0 else 1.0
-    pull = acceleration * fade
-    lags = np.array([vehicle.steering_lag, vehicle.acceleration_lag])
-    actuators = (command - state[4:6]) / lags
+    actuators = np.clip(control, *vehicle.control_limits) - state[4:6]
+    actuators /= vehicle.steering_lag, vehicle.acceleration_lag
+    pull = acceleration * (speed / (speed**4 + vehicle.standing_speed**4) ** 0.25 if acceleration < 0.0 else 1.0)
     if vehicle.tyres is None:
         yaw_rate = speed * np.tan(steering) / vehicle.wheelbase
         return np.array([speed * np.cos(yaw), speed * np.sin(yaw), yaw_rate, pull, *actuators])
@@ -154,7 +147,7 @@ def _rotation(angle: float) -> Array:
 def batch_microseconds(integration: Integration) -> float:
     """Median CPU time of a step for each vehicle of a batch, all under a steering step of 0.3 rad at 20 m/s."""
     vehicle = VEHICLES[integration.model]
-    stepper = make_stepper([vehicle] * BATCH, integration.method, integration.substeps, integration.step)
+    stepper = VehicleStepper([vehicle] * BATCH, integration.method, integration.substeps, integration.step)
     states = with_rolling_tyres(np.tile([0.0, 0.0, 0.0, 20.0, 0.0, 0.0], (BATCH, 1)), vehicle)
     controls = np.tile([0.3, 0.0], (BATCH, 1))
     seconds = []
@@ -166,7 +159,7 @@ def batch_microseconds(integration: Integration) -> float:
 
 
 def _prepare(integration: Integration) -> Callable[[], tuple[Model, Array, float]]:
-    call, batch = _prepare_drive(integration), batch_microseconds(integration)
+    call, batch = prepare_drive(integration), batch_microseconds(integration)
     return lambda: (integration.model, call(), batch)
 
 
@@ -177,7 +170,6 @@ def _measure_error(result: tuple[Model, Array, float]) -> float:
 
 DEFAULT = Integration("kinematic", "auto", None, 0.1)
 BENCHMARK = Benchmark(
-    name="vehicle",
     title="Vehicle models, 7 manoeuvres of 2 s: 140 steps of 0.1 s",
     error_name="largest position error",
     error_unit="m",

@@ -14,7 +14,7 @@ import numpy as np
 
 from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.vehicle.implicit import cvodes_function
-from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.parameters import DRY_FRICTION, VehicleParameters
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
@@ -59,12 +59,6 @@ class Cell:
         return replace(vehicle, tyres=tyres)
 
 
-def grid_cells() -> list[Cell]:
-    """All cells."""
-    axes = (SPEEDS, FRICTIONS, STIFFNESSES, MASSES, STEPS, STEERINGS)
-    return [Cell(*values) for values in itertools.product(*axes)]
-
-
 def cell_errors(cells: Sequence[Cell]) -> Array:
     """Position errors (n,) of `auto` after a second, metres."""
     errors = np.zeros(len(cells))
@@ -72,7 +66,7 @@ def cell_errors(cells: Sequence[Cell]) -> Array:
     for step in {cell.step for cell in cells}:
         rows = [index for index, cell in enumerate(cells) if cell.step == step]
         chosen = [cells[index] for index in rows]
-        stepper = make_stepper([cell.vehicle for cell in chosen], step=step)
+        stepper = VehicleStepper([cell.vehicle for cell in chosen], step=step)
         states, controls = _start(chosen)
         for _ in range(round(SECONDS / step)):
             states = stepper(states, controls)
@@ -81,9 +75,8 @@ def cell_errors(cells: Sequence[Cell]) -> Array:
 
 
 def reference_states(cells: Sequence[Cell]) -> Array:
-    """States (n, 8) after a second, by CVODES at 1e-12."""
-    exact = cvodes_function("saturating", 1e-12)
-    known: dict[Cell, Array] = {}
+    """States (n, 8) after a second, by CVODES at 1e-12; cells that differ in the step alone share one."""
+    exact, known = cvodes_function("saturating", 1e-12), dict[Cell, Array]()
     for cell in {replace(cell, step=0.0) for cell in cells}:
         states, controls = _start([cell])
         known[cell] = exact(states[0], controls[0], cell.vehicle.numbers, SECONDS).full().ravel()
@@ -95,13 +88,6 @@ def _start(cells: Sequence[Cell]) -> tuple[Array, Array]:
     states[:, STATE.speed] = [cell.speed for cell in cells]
     controls[:, 0] = [cell.steering for cell in cells]
     return states, controls
-
-
-def classify(error: float) -> str:
-    """`accurate`, `stable` or `unstable`."""
-    if error <= ACCURATE:
-        return "accurate"
-    return "stable" if error <= STABLE else "unstable"
 
 
 class SpecialCase(NamedTuple):
@@ -139,7 +125,7 @@ def _drive_alone(
     speed: float, acceleration: float, seconds: float, reverse: bool = False, offset: float = 0.0
 ) -> Array:
     """States (n, 8), the steering commanded to 0.2 rad."""
-    stepper = make_stepper(replace(alpasim_vehicle(DRY_FRICTION), reverse_gear=reverse))
+    stepper = VehicleStepper(replace(alpasim_vehicle(DRY_FRICTION), reverse_gear=reverse))
     states = [np.array([offset, offset, 0.0, speed, 0.0, 0.0, 0.0, 0.0])]
     for _ in range(round(seconds / 0.1)):
         states.append(stepper(states[-1], np.array([0.2, acceleration])))
@@ -157,11 +143,12 @@ def special_row(case: SpecialCase) -> dict[str, object]:
 
 def vehicle_grid() -> Grid:
     """Drive every cell and every special case."""
-    cells = grid_cells()
-    rows: list[dict[str, Any]] = [
-        {**asdict(cell), "error_m": float(error), "outcome": classify(error)}
-        for cell, error in zip(cells, cell_errors(cells), strict=True)
-    ]
+    axes = (SPEEDS, FRICTIONS, STIFFNESSES, MASSES, STEPS, STEERINGS)
+    cells = [Cell(*values) for values in itertools.product(*axes)]
+    rows: list[dict[str, Any]] = []
+    for cell, error in zip(cells, cell_errors(cells).tolist(), strict=True):
+        outcome = "accurate" if error <= ACCURATE else "stable" if error <= STABLE else "unstable"
+        rows.append({**asdict(cell), "error_m": error, "outcome": outcome})
     summary = [f"{len(cells)} cells of {SECONDS:g} s: accurate within {ACCURATE:g} m, stable within {STABLE:g} m"]
     for friction in FRICTIONS:
         chosen = [row for row in rows if row["friction"] == friction]

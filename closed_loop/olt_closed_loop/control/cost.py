@@ -44,7 +44,3 @@ class TrackingCost:
         cos, sin = ca.cos(target[STATE.yaw]), ca.sin(target[STATE.yaw])
         along, across = cos * x + sin * y, cos * y - sin * x
         return ca.vertcat(along / self.position_scale, across / self.position_scale, yaw / self.yaw_scale)
-
-    def command_changes(self, control: ca.SX, previous: ca.SX) -> ca.SX:
-        """Scaled changes (2,) of the commands."""
-        return (control - previous) / ca.DM(self.change_scales)

@@ -92,7 +92,7 @@ def _program(parameters: VehicleParameters, cost: TrackingCost, horizon: int) ->
         unknowns += [state, control]
         constraints += [*ties, control]
         equalities += [True] * len(ties) * (size + CONTROL_SIZE) + [False] * CONTROL_SIZE
-        total += ca.sumsqr(cost.command_changes(control, state[size:]))
+        total += ca.sumsqr((control - state[size:]) / ca.DM(cost.change_scales))
         total += ca.sumsqr(cost.pose_errors(following[: STATE.speed], targets[:, index]))
     problem = {
         "x": ca.vertcat(*unknowns, states[-1]),

@@ -18,7 +18,6 @@ from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.omissions import Omission
 from olt_generator.progress import Progress, silent
-from olt_toolkit.policy.contract import Policy
 from olt_toolkit.runtime.workers import map_parallel
 
 SceneSource = str | Scene
@@ -28,6 +27,7 @@ Result = tuple[Rollout, RolloutScore]
 
 LARGEST_BATCH = 16
 """Rollouts that run in step: enough to share the calls of the policy, few enough to show progress."""
+_load_policy = lru_cache(maxsize=2)(make_policy)
 
 
 def run_closed_loop(
@@ -72,26 +72,18 @@ def _run_batch(
     runs: list[tuple[SceneSource, int]], policy_spec: str, settings: SimulationSettings, definition: Definition
 ) -> list[Result]:
     policy = _load_policy(policy_spec)
-    scenes = [load_scene(source) for source, _ in runs]
-    pass_gate(list({id(scene): scene for scene in scenes}.values()), settings)
-    requests = [RolloutRequest(scene, seed) for scene, (_, seed) in zip(scenes, runs, strict=True)]
+    driven = [(load_scene(source), seed) for source, seed in runs]
+    pass_gate(list({id(scene): scene for scene, _ in driven}.values()), settings)
     if policy.cameras:  # one after another, so that one scene's textures are held at a time
-        from olt_closed_loop.sensors.rig_sensors import RigSensors
+        from olt_closed_loop.sensors.ray_casting import rig_sensors
 
-        rollouts = [
-            simulate(request.scene, policy, settings, request.seed, RigSensors(request.scene)) for request in requests
-        ]
+        rollouts = [simulate(scene, policy, settings, seed, rig_sensors(scene)) for scene, seed in driven]
     else:
-        rollouts = simulate_batch(requests, policy, settings)
+        rollouts = simulate_batch([RolloutRequest(scene, seed) for scene, seed in driven], policy, settings)
     return [
         (rollout, score_rollout(scene, rollout, settings.skip, definition))
-        for scene, rollout in zip(scenes, rollouts, strict=True)
+        for (scene, _), rollout in zip(driven, rollouts, strict=True)
     ]
-
-
-@lru_cache(maxsize=2)
-def _load_policy(spec: str) -> Policy:
-    return make_policy(spec)
 
 
 def pass_gate(scenes: Sequence[SceneSource], settings: SimulationSettings | None = None) -> list[GateResult]:

@@ -17,8 +17,6 @@ from olt_generator.omissions import Omission
 from olt_generator.poses import Array
 
 Traffic = Literal["recorded", "idm"]
-
-
 FILE_VERSION = 2
 """Of files of rollouts; those of other versions are refused."""
 
@@ -33,6 +31,7 @@ class Incidents:
         saturations: steps in which a command reached a limit of the vehicle.
         solves_failed: steps in which the controller found no command; its last feasible ones were held.
         solves_late: steps in which it found them after its deadline; its last feasible ones were held.
+        solves_given_up: steps in which fatrop gave up, whether or not the fallback of `nonlinear` found commands.
     """
 
     policy_errors: int = 0
@@ -40,6 +39,7 @@ class Incidents:
     saturations: int = 0
     solves_failed: int = 0
     solves_late: int = 0
+    solves_given_up: int = 0
 
 
 @dataclass(frozen=True)
@@ -110,6 +110,7 @@ class Rollout:
             InputError: a field is missing, unknown, or of another form.
         """
         try:
+            arrays = {"timestamps_us": np.int64, "poses": np.float64}
             controls = [[np.nan, np.nan] if control is None else control for control in values["controls"]]
             parts = {
                 "timestamps_us": np.array(values["timestamps_us"], dtype=np.int64),
@@ -121,13 +122,7 @@ class Rollout:
                 "incidents": Incidents(**values["incidents"]),
                 "left_out": tuple(Omission(**omission) for omission in values["left_out"]),
                 "reacted": tuple(
-                    Agent(
-                        **agent
-                        | {
-                            "timestamps_us": np.array(agent["timestamps_us"], dtype=np.int64),
-                            "poses": np.array(agent["poses"], dtype=np.float64),
-                        }
-                    )
+                    Agent(**agent | {name: np.array(agent[name], dtype=kind) for name, kind in arrays.items()})
                     for agent in values["reacted"]
                 ),
             }

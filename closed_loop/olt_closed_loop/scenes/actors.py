@@ -11,6 +11,7 @@ from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
 
 AGENT_SAMPLE_US = 100_000
+_SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 
 # Length, width and height in metres.
 SIZES: dict[str, tuple[float, float, float]] = {
@@ -42,15 +43,9 @@ def standing_row(
 def moving(
     name: str, label: str, road: Road, times: Array, stations: Array, offsets: Array, turn: float = 0.0
 ) -> list[Agent]:
-    """An agent at road coordinates over time, which exists while it is on the road; none if it never is.
+    """An agent whose box centre is at stations and offsets (n,) at times (n,) in seconds; none if it never is there.
 
-    Args:
-        name: id of the agent.
-        label: class of the agent.
-        road: the road.
-        times: (n,) seconds.
-        stations, offsets: (n,) road coordinates of the box centre.
-        turn: angle from the road's direction, radians.
+    It exists while it is on the road, and is turned by `turn` radians from the road's direction.
     """
     margin = SIZES[label][0]
     present = (stations > margin) & (stations < road.length - margin)
@@ -70,35 +65,33 @@ def agent_poses(agent: Agent, timestamps_us: NDArray[np.int64]) -> Array:
     """Poses (n, 4) x, y, z, yaw of the box centre at times within the agent's samples; yaw takes the shorter way."""
     known = agent.timestamps_us - agent.timestamps_us[0]
     query = timestamps_us - agent.timestamps_us[0]
-    poses = np.empty((len(query), 4))
-    for axis, known_values in enumerate((*agent.poses[:, :3].T, np.unwrap(agent.poses[:, 3]))):
-        poses[:, axis] = np.interp(query, known, known_values)
-    return poses
+    columns = (*agent.poses[:, :3].T, np.unwrap(agent.poses[:, 3]))
+    return np.stack([np.interp(query, known, column) for column in columns], axis=-1)
+
+
+def corners(poses: Array, half_size: Array) -> Array:
+    """Corners (..., 4, 2) in the plane, metres, of boxes at poses (..., 4) x, y, z, yaw of their centres.
+
+    They are front left, rear left, rear right, front right; half sizes are (3,) or (..., 3), metres.
+    """
+    cos, sin = np.cos(poses[..., 3, None]), np.sin(poses[..., 3, None])
+    along, across = np.moveaxis(_SIGNS * half_size[..., None, :2], -1, 0)
+    x = poses[..., 0, None] + cos * along - sin * across
+    return np.stack([x, poses[..., 1, None] + sin * along + cos * across], axis=-1)
 
 
 def footprints(poses: Array, length: float, width: float) -> NDArray[np.object_]:
     """Rectangles (n,) on the ground, as shapely polygons, of boxes at poses (n, 4) x, y, z, yaw."""
-    corners = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]]) * (length / 2, width / 2)
-    along, across = corners.T
-    x, y, _, yaw = poses.T[:, :, None]
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    rings = np.stack([x + cos * along - sin * across, y + sin * along + cos * across], axis=-1)
-    return np.asarray(shapely.polygons(rings))
+    return np.asarray(shapely.polygons(corners(poses, np.array([length, width]) / 2)))
 
 
-def ego_boxes(ego: Trajectory, vehicle: VehicleDimensions, timestamps_us: NDArray[np.int64]) -> Array:
-    """Poses (n, 4) x, y, z, yaw of the centre of the ego's box at the given times."""
-    poses = ego.interpolate(timestamps_us)
-    offset = np.array([[vehicle.rear_axle_to_bbox_center, 0.0, vehicle.height / 2]])
-    return np.concatenate([transform(poses, offset)[:, 0], yaw_of(poses)[:, None]], axis=1)
-
-
-def ego_clearance(ego: Trajectory, vehicle: VehicleDimensions, agent: Agent) -> float:
-    """Smallest distance in metres between the boxes of ego and agent, sampled every 0.1 s; inf if they never meet."""
+def ego_agent(ego: Trajectory, vehicle: VehicleDimensions) -> Agent:
+    """The ego as an agent, sampled every 0.1 s."""
     times = np.arange(0, ego.timestamps_us[-1] + 1, AGENT_SAMPLE_US)
-    times = times[(times >= agent.timestamps_us[0]) & (times <= agent.timestamps_us[-1])]
-    base, other = (vehicle.length, vehicle.width), (agent.length, agent.width)
-    return _smallest_distance(ego_boxes(ego, vehicle, times), base, agent_poses(agent, times), other)
+    T_world_rig = ego.interpolate(times)
+    offset = np.array([[vehicle.rear_axle_to_bbox_center, 0.0, vehicle.height / 2]])
+    poses = np.concatenate([transform(T_world_rig, offset)[:, 0], yaw_of(T_world_rig)[:, None]], axis=1)
+    return Agent("ego", "automobile", vehicle.length, vehicle.width, vehicle.height, times, poses)
 
 
 def clearance(first: Agent, second: Agent) -> float:
@@ -106,18 +99,13 @@ def clearance(first: Agent, second: Agent) -> float:
     start = max(first.timestamps_us[0], second.timestamps_us[0])
     end = min(first.timestamps_us[-1], second.timestamps_us[-1])
     times = np.arange(start, end + 1, AGENT_SAMPLE_US)
-    base, other = (first.length, first.width), (second.length, second.width)
-    return _smallest_distance(agent_poses(first, times), base, agent_poses(second, times), other)
-
-
-def _smallest_distance(first: Array, base: tuple[float, float], second: Array, other: tuple[float, float]) -> float:
-    """Smallest distance between rectangles of fixed size that are at poses (n, 4) at the same times."""
-    if len(first) == 0:
+    if len(times) == 0:
         return float("inf")
-    apart = np.hypot(*(first[:, :2] - second[:, :2]).T)
+    (ours, base), (theirs, other) = ((agent_poses(one, times), (one.length, one.width)) for one in (first, second))
+    apart = np.hypot(*(ours[:, :2] - theirs[:, :2]).T)
     # The distance lies between `apart` less both radii and `apart`: only times that can hold the smallest are measured.
     close = apart - (np.hypot(*base) + np.hypot(*other)) / 2 <= apart.min()
-    return float(shapely.distance(footprints(first[close], *base), footprints(second[close], *other)).min())
+    return float(shapely.distance(footprints(ours[close], *base), footprints(theirs[close], *other)).min())
 
 
 def _poses(label: str, road: Road, stations: Array, offsets: Array, turn: float) -> Array:

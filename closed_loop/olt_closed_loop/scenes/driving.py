@@ -21,26 +21,10 @@ _BRAKING = 2.2
 _PATH_STEP = 0.25
 _SPEED_SMOOTHING = 4.0
 
-
 Knots = tuple[tuple[float, float], ...]
+"""(station, offset) of a path, sorted; between two knots it moves over smoothly."""
 Limits = tuple[tuple[float, float, float], ...]
-
-
-@dataclass(frozen=True)
-class Intention:
-    """What the driver means to do.
-
-    Attributes:
-        offsets: (station, offset) knots of the path, sorted; between two knots the path moves over smoothly.
-        start_slope: tangent of the angle between path and road at the first knot.
-        cruise: speed in m/s where nothing asks for less.
-        limits: (from station, to station, speed) stretches with a lower speed.
-    """
-
-    offsets: Knots
-    start_slope: float
-    cruise: float
-    limits: Limits = ()
+"""(from station, to station, speed) of stretches with a lower speed."""
 
 
 @dataclass(frozen=True)
@@ -64,42 +48,39 @@ class EgoMotion:
         return np.interp(times, self.trajectory.times, self.stations)
 
 
-def offset_profile(intention: Intention) -> BPoly:
-    """Offset by station: quintic pieces whose slope and bend are 0 at every knot but the first."""
-    stations, offsets = np.array(intention.offsets).T
+def offset_profile(knots: Knots, start_slope: float = 0.0) -> BPoly:
+    """Offset by station: quintic pieces without bend at the knots, and without slope at all but the first."""
+    stations, offsets = np.array(knots).T
     slopes = np.zeros_like(offsets)
-    slopes[0] = intention.start_slope
+    slopes[0] = start_slope
     return BPoly.from_derivatives(stations, np.stack([offsets, slopes, np.zeros_like(offsets)], axis=-1))
 
 
-def drive(road: Road, intention: Intention, duration_us: int) -> EgoMotion:
-    """Drive for `duration_us` from the first knot of the intention; the rig origin follows the path, tangent to it."""
-    profile = offset_profile(intention)
+def drive(road: Road, profile: BPoly, cruise: float, limits: Limits, duration_us: int) -> EgoMotion:
+    """Drive for `duration_us` from the start of an `offset_profile`; the rig origin follows the path, tangent to it.
+
+    The speed is `cruise` m/s where neither bends nor `limits` ask for less.
+    """
     stations = np.arange(profile.x[0], profile.x[-1], _PATH_STEP)
     points = road.locate(stations, profile(stations))
     arc = arc_lengths(points)
     path = CubicSpline(arc, points)
-    speed = _plan_speed(path, arc, stations, intention)
+    tangent, bend = path(arc, 1), path(arc, 2)
+    curvature = np.abs(tangent[:, 0] * bend[:, 1] - tangent[:, 1] * bend[:, 0])
+    # The speed of each place, reached with the comfortable accelerations, by path length.
+    limit = np.minimum(cruise, np.sqrt(_LATERAL / np.maximum(curvature, 1e-4)))
+    for start, end, speed in limits:
+        limit = np.where((stations >= start) & (stations <= end), np.minimum(limit, speed), limit)
+    squared, steps = limit**2, np.diff(arc)
+    for i in range(1, len(arc)):
+        squared[i] = min(squared[i], squared[i - 1] + 2.0 * _FORWARD * steps[i - 1])
+    for i in range(len(arc) - 2, -1, -1):
+        squared[i] = min(squared[i], squared[i + 1] + 2.0 * _BRAKING * steps[i])
+    speeds = gaussian_filter1d(np.sqrt(squared), _SPEED_SMOOTHING / _PATH_STEP, mode="nearest")
 
-    elapsed = cumulative_trapezoid(1.0 / speed, arc, initial=0.0)
+    elapsed = cumulative_trapezoid(1.0 / speeds, arc, initial=0.0)
     timestamps_us = np.arange(0, duration_us + 1, SAMPLE_US, dtype=np.int64)
     driven = CubicSpline(elapsed, arc)(timestamps_us * 1e-6)
     (x, y), tangent = path(driven).T, path(driven, 1)
     poses = planar_pose(x, y, np.arctan2(tangent[:, 1], tangent[:, 0]))
     return EgoMotion(Trajectory(timestamps_us, poses), np.interp(driven, arc, stations))
-
-
-def _plan_speed(path: CubicSpline, arc: Array, stations: Array, intention: Intention) -> Array:
-    """Speed (n,) by path length: the limit of the place, reached with the comfortable accelerations."""
-    tangent, bend = path(arc, 1), path(arc, 2)
-    curvature = np.abs(tangent[:, 0] * bend[:, 1] - tangent[:, 1] * bend[:, 0])
-    limit = np.minimum(intention.cruise, np.sqrt(_LATERAL / np.maximum(curvature, 1e-4)))
-    for start, end, speed in intention.limits:
-        limit = np.where((stations >= start) & (stations <= end), np.minimum(limit, speed), limit)
-    squared = limit**2
-    steps = np.diff(arc)
-    for i in range(1, len(arc)):
-        squared[i] = min(squared[i], squared[i - 1] + 2.0 * _FORWARD * steps[i - 1])
-    for i in range(len(arc) - 2, -1, -1):
-        squared[i] = min(squared[i], squared[i + 1] + 2.0 * _BRAKING * steps[i])
-    return gaussian_filter1d(np.sqrt(squared), _SPEED_SMOOTHING / _PATH_STEP, mode="nearest")

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from olt_closed_loop.scenes.actors import SIZES, moving, sample_times, standing, standing_row
-from olt_closed_loop.scenes.driving import EgoMotion, Intention, Knots, Limits, offset_profile
+from olt_closed_loop.scenes.driving import EgoMotion, Knots, Limits, offset_profile
 from olt_closed_loop.scenes.roads import LANE_WIDTH, Road
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array
@@ -100,7 +100,7 @@ def path_reassignment(road: Road, approach: Approach, generator: np.random.Gener
     half_channel = generator.uniform(1.85, 2.0)
 
     def place_agents(ego: EgoMotion) -> list[Agent]:
-        path = offset_profile(Intention(((0.0, approach.center), *knots, (road.length, approach.center)), 0.0, 1.0))
+        path = offset_profile(((0.0, approach.center), *knots, (road.length, approach.center)))
         stations = np.arange(approach.onset + 2.0, end + 36.0, 4.0)
         agents: list[Agent] = []
         for side, sign in (("left", 1.0), ("right", -1.0)):

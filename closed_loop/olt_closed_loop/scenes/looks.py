@@ -79,10 +79,8 @@ def generate_looks(scene: Scene) -> Looks:
     sun = (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
     agent_colors = {}
     for agent in scene.agents:
-        chooser, colors = (
-            make_generator("agent color", scene.name, agent.id),
-            _AGENT_COLORS.get(agent.label, _OTHER_AGENT),
-        )
+        chooser = make_generator("agent color", scene.name, agent.id)
+        colors = _AGENT_COLORS.get(agent.label, _OTHER_AGENT)
         agent_colors[agent.id] = _shade(colors[chooser.integers(len(colors))], chooser, 0.08)
     grey, dry = generator.uniform(88.0, 122.0), generator.uniform(0.0, 1.0)
     return Looks(

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from olt_closed_loop.scenes.actors import clearance, ego_clearance, moving, sample_times
-from olt_closed_loop.scenes.driving import EgoMotion, Intention, drive
+from olt_closed_loop.scenes.actors import clearance, ego_agent, moving, sample_times
+from olt_closed_loop.scenes.driving import EgoMotion, drive, offset_profile
 from olt_closed_loop.scenes.events import EVENTS, Approach
 from olt_closed_loop.scenes.roads import Road, generate_road
 from olt_closed_loop.scenes.scene import Agent, Scene
@@ -20,14 +20,10 @@ _RECOVERY_LENGTH = 30.0
 
 
 def generate_scene(category: str, seed: int, duration_us: int = DURATION_US) -> Scene:
-    """Invent a scene; the same category, seed and duration give the same scene.
+    """Invent a scene of one of `CATEGORIES`; the same category, seed and duration give the same scene.
 
-    Half of the recordings start up to 0.6 m off the lane centre and a few degrees askew, and return to it.
-
-    Args:
-        category: one of `CATEGORIES`.
-        seed: which of its scenes.
-        duration_us: how long the recording lasts; the roads are long enough for 20 s.
+    Half of the recordings start up to 0.6 m off the lane centre and a few degrees askew, and return to it. The roads
+    are long enough for recordings of 20 s.
 
     Raises:
         InputError: there is no such category.
@@ -52,7 +48,7 @@ def generate_scene(category: str, seed: int, duration_us: int = DURATION_US) -> 
         *(event.offsets or ((approach.onset, approach.center),)),
         (road.length, approach.center),
     )
-    ego = drive(road, Intention(offsets, slope, approach.cruise, event.limits), duration_us)
+    ego = drive(road, offset_profile(offsets, slope), approach.cruise, event.limits, duration_us)
     agents = event.place_agents(ego)
     agents += _oncoming_traffic(road, ego, agents, generator)
     return Scene(
@@ -72,14 +68,13 @@ def generate_scene(category: str, seed: int, duration_us: int = DURATION_US) -> 
 def _oncoming_traffic(road: Road, ego: EgoMotion, others: list[Agent], generator: np.random.Generator) -> list[Agent]:
     """Cars of the other direction that come close to nobody."""
     times = sample_times(ego.duration_us)
-    traffic: list[Agent] = []
+    everyone, traffic = [ego_agent(ego.trajectory, DEFAULT_VEHICLE), *others], list[Agent]()
     for i in range(int(generator.integers(2, 6))):
         start, speed = generator.uniform(100.0, 1.4 * road.length), generator.uniform(8.0, 13.0)
         offset = road.lane_offset(int(generator.integers(road.lanes)), oncoming=True)
         stations = start - speed * times
         label = "heavy_truck" if generator.random() < 0.2 else "automobile"
         for car in moving(f"oncoming_{i}", label, road, times, stations, np.full_like(times, offset), turn=np.pi):
-            clear_of_ego = ego_clearance(ego.trajectory, DEFAULT_VEHICLE, car) >= _TRAFFIC_CLEARANCE
-            if clear_of_ego and all(clearance(car, other) >= _TRAFFIC_CLEARANCE for other in [*others, *traffic]):
+            if all(clearance(car, other) >= _TRAFFIC_CLEARANCE for other in [*everyone, *traffic]):
                 traffic.append(car)
     return traffic

@@ -6,6 +6,7 @@ to its left. Traffic keeps to the right, so the lanes of the ego's direction hav
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +17,7 @@ from olt_closed_loop.scenes.scene import Lane
 from olt_generator.poses import Array
 
 LANE_WIDTH = 3.5
-SHAPES = ("straight", "curve", "s_curve")
+MOST_BENDS = 2
 
 _GRID_STEP = 0.5
 _MAP_STEP = 2.0
@@ -86,43 +87,22 @@ class Road:
         """All lanes of both directions, cut into sections that follow each other."""
         sections = max(1, round(self.length / _SECTION_LENGTH))
         cuts = np.linspace(0.0, self.length, sections + 1)
-        return tuple(
-            self._lane(lane, section, cuts, oncoming)
-            for oncoming in (False, True)
-            for lane in range(self.lanes)
-            for section in range(sections)
-        )
-
-    def _lane(self, lane: int, section: int, cuts: Array, oncoming: bool) -> Lane:
-        direction = "oncoming" if oncoming else "forward"
-        following = section - 1 if oncoming else section + 1
-        successors = (f"{direction}_{lane}_{following}",) if 0 <= following < len(cuts) - 1 else ()
-        center = self.lane_offset(lane, oncoming)
-        # Seen in driving direction, the reference line is always on the left.
-        inner, outer = (center - LANE_WIDTH / 2, center + LANE_WIDTH / 2)
-        left, right = (inner, outer) if oncoming else (outer, inner)
-        lines = [self.polyline(d, cuts[section], cuts[section + 1]) for d in (center, left, right)]
-        if oncoming:
-            lines = [line[::-1].copy() for line in lines]
-        return Lane(f"{direction}_{lane}_{section}", *lines, successors=successors)
+        lanes = []
+        for oncoming, lane, section in product((False, True), range(self.lanes), range(sections)):
+            name = f"{'oncoming' if oncoming else 'forward'}_{lane}"
+            center, ahead = self.lane_offset(lane, oncoming), -1 if oncoming else 1
+            # Seen in driving direction, the reference line is always on the left.
+            sides = (center, center + ahead * LANE_WIDTH / 2, center - ahead * LANE_WIDTH / 2)
+            lines = [self.polyline(d, cuts[section], cuts[section + 1])[::ahead].copy() for d in sides]
+            successors = (f"{name}_{section + ahead}",) if 0 <= section + ahead < sections else ()
+            lanes.append(Lane(f"{name}_{section}", *lines, successors=successors))
+        return tuple(lanes)
 
 
 def generate_road(generator: np.random.Generator, length: float, lanes: int) -> Road:
     """A road of random shape and direction whose curvature is continuous and never tighter than 80 m."""
-    stations, curvature = _curvature_profile(generator, length)
-    s = np.linspace(0.0, length, round(length / _GRID_STEP) + 1)
-    bend = np.interp(s, stations, curvature)
-    heading = generator.uniform(-np.pi, np.pi) + cumulative_simpson(bend, x=s, initial=0.0)
-    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    points = cumulative_simpson(direction, x=s, axis=0, initial=0.0)
-    return Road(length, lanes, generator.uniform(2.0, 2.5), CubicSpline(s, points))
-
-
-def _curvature_profile(generator: np.random.Generator, length: float) -> tuple[Array, Array]:
-    """Knots of a piecewise linear curvature: straights, clothoids and arcs, as roads are laid out."""
-    shape = SHAPES[generator.integers(len(SHAPES))]
-    bends = {"straight": 0, "curve": 1, "s_curve": 2}[shape]
-    knots = [(0.0, 0.0), (generator.uniform(20.0, 60.0), 0.0)]
+    # Knots (station, curvature) of straights, clothoids and arcs, as roads are laid out.
+    bends, knots = generator.integers(MOST_BENDS + 1), [(0.0, 0.0), (generator.uniform(20.0, 60.0), 0.0)]
     sign = generator.choice([-1.0, 1.0])
     for _ in range(bends):
         radius, turn, clothoid = generator.uniform(80.0, 250.0), generator.uniform(0.3, 0.9), generator.uniform(25, 40)
@@ -132,5 +112,9 @@ def _curvature_profile(generator: np.random.Generator, length: float) -> tuple[A
         knots.append((knots[-1][0] + generator.uniform(5.0, 25.0), 0.0))
         sign = -sign
     knots.append((max(length, knots[-1][0]) + 1.0, 0.0))
-    stations, curvature = np.array(knots).T
-    return stations, curvature
+    s = np.linspace(0.0, length, round(length / _GRID_STEP) + 1)
+    bend = np.interp(s, *np.array(knots).T)
+    heading = generator.uniform(-np.pi, np.pi) + cumulative_simpson(bend, x=s, initial=0.0)
+    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    points = cumulative_simpson(direction, x=s, axis=0, initial=0.0)
+    return Road(length, lanes, generator.uniform(2.0, 2.5), CubicSpline(s, points))

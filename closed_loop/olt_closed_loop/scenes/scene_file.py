@@ -36,6 +36,7 @@ Prim: TypeAlias = Any
 
 # Time codes are microseconds, which a double holds exactly for 285 years.
 TIME_CODES_PER_SECOND = 1e6
+_TEXTS = ("name", "category", "factors", "assumptions")
 _COLORS = ("zenith", "horizon", "grass", "gravel", "asphalt", "paint")
 
 Triple = tuple[float, float, float]
@@ -46,13 +47,7 @@ def write_scene(scene: Scene, path: Path) -> Path:
     looks = generate_looks(scene) if scene.looks is None else read_looks(Path(scene.looks))
     looks_path = path.with_name(f"{path.stem}.looks{path.suffix}")
     stage = _new_stage("/World")
-    _write(
-        stage.GetPrimAtPath("/World"),
-        name=scene.name,
-        category=scene.category,
-        factors=scene.factors,
-        assumptions=scene.assumptions,
-    )
+    _write(stage.GetPrimAtPath("/World"), **{name: getattr(scene, name) for name in _TEXTS})
     _write_road(stage, scene)
     _write_ego(stage, scene)
     UsdGeom.Scope.Define(stage, "/World/Agents")
@@ -69,12 +64,10 @@ def _write_road(stage: Any, scene: Scene) -> None:
     for place in ("/World/Road", "/World/Road/Lanes", "/World/Road/Edges", "/World/Road/Drivable"):
         UsdGeom.Scope.Define(stage, place)
     for index, lane in enumerate(scene.lanes):
-        lines = {side: getattr(lane, side) for side in ("center", "left", "right")}
-        _write_line(stage, f"Lanes/lane_{index:03d}", lane.center, id=lane.id, **lines, successors=lane.successors)
-    for index, edge in enumerate(scene.road_edges):
-        _write_line(stage, f"Edges/edge_{index:03d}", edge, points=edge)
-    for index, outline in enumerate(scene.drivable):
-        _write_line(stage, f"Drivable/outline_{index:03d}", outline, points=outline)
+        _write_line(stage, f"Lanes/lane_{index:03d}", lane.center, **vars(lane))
+    for place, lines in (("Edges/edge", scene.road_edges), ("Drivable/outline", scene.drivable)):
+        for index, line in enumerate(lines):
+            _write_line(stage, f"{place}_{index:03d}", line, points=line)
     _write_line(stage, "Route", scene.route, points=scene.route)
 
 
@@ -179,34 +172,22 @@ def read_scene(path: Path) -> Scene:
     """
     reader = _Reader(path)
     world, ego = reader.prim("/World"), reader.prim("/World/Ego")
-    name, category = reader.values(world, "name", "category")
-    sizes = [field.name for field in fields(VehicleDimensions)]
+    sizes, of_lane = ([field.name for field in fields(kind)] for kind in (VehicleDimensions, Lane))
     times_us, matrices = reader.samples(ego, "xformOp:transform")
-    lanes = [
-        Lane(
-            *reader.values(prim, "id"),
-            *reader.arrays(prim, "center", "left", "right"),
-            successors=reader.texts(prim, "successors"),
-        )
-        for prim in reader.children("/World/Road/Lanes")
-    ]
     edges, outlines = (
-        tuple(reader.arrays(prim, "points")[0] for prim in reader.children(f"/World/Road/{place}"))
+        tuple(reader.values(prim, "points")[0] for prim in reader.children(f"/World/Road/{place}"))
         for place in ("Edges", "Drivable")
     )
     return Scene(
-        name=name,
-        category=category,
-        factors=reader.texts(world, "factors"),
-        vehicle=VehicleDimensions(**dict(zip(sizes, reader.values(ego, *sizes), strict=True))),
+        **dict(zip(_TEXTS, reader.values(world, *_TEXTS), strict=True)),
+        vehicle=VehicleDimensions(*reader.values(ego, *sizes)),
         ego=Trajectory(times_us, np.swapaxes(matrices, 1, 2)),
         agents=tuple(reader.agent(prim) for prim in reader.children("/World/Agents")),
-        lanes=tuple(lanes),
+        lanes=tuple(Lane(*reader.values(prim, *of_lane)) for prim in reader.children("/World/Road/Lanes")),
         road_edges=edges,
         drivable=outlines,
-        route=reader.arrays(reader.prim("/World/Road/Route"), "points")[0],
+        route=reader.values(reader.prim("/World/Road/Route"), "points")[0],
         looks=str(path),
-        assumptions=reader.texts(world, "assumptions"),
     )
 
 
@@ -220,19 +201,18 @@ def read_looks(path: Path) -> Looks:
     prim = reader.prim("/World/Looks")
 
     def triples(*names: str) -> list[list[Triple]]:
-        return [[(x, y, z) for x, y, z in rows.tolist()] for rows in reader.arrays(prim, *names)]
+        return [[(x, y, z) for x, y, z in rows.tolist()] for rows in reader.values(prim, *names)]
 
-    sun, yaws = reader.arrays(prim, "sun_direction", "scenery_yaw")
-    sun_x, sun_y, sun_z = sun.tolist()
-    texture_seed, cloudiness = reader.values(prim, "texture_seed", "cloudiness")
+    sun, texture_seed, cloudiness = reader.values(prim, "sun_direction", "texture_seed", "cloudiness")
+    agents, kinds, yaws = reader.values(prim, "agent_ids", "scenery_kind", "scenery_yaw")
     colors, agent_colors = triples("colors", "agent_colors")
     centers, sizes, box_colors = triples("scenery_center", "scenery_size", "scenery_color")
-    boxes = zip(reader.texts(prim, "scenery_kind"), centers, sizes, yaws.tolist(), box_colors, strict=True)
+    boxes = zip(kinds, centers, sizes, yaws.tolist(), box_colors, strict=True)
     return Looks(
         texture_seed=int(texture_seed),
-        sun_direction=(sun_x, sun_y, sun_z),
+        sun_direction=tuple(sun.tolist()),
         cloudiness=float(cloudiness),
-        agent_colors=dict(zip(reader.texts(prim, "agent_ids"), agent_colors, strict=True)),
+        agent_colors=dict(zip(agents, agent_colors, strict=True)),
         scenery=tuple(SceneryBox(*box) for box in boxes),
         **dict(zip(_COLORS, colors, strict=True)),
     )
@@ -272,15 +252,14 @@ class _Reader:
         return attribute
 
     def values(self, prim: Prim, *names: str) -> list[Any]:
-        return [self.attribute(prim, f"olt:{name}").Get() for name in names]
-
-    def texts(self, prim: Prim, name: str) -> tuple[str, ...]:
-        (value,) = self.values(prim, name)
-        return tuple(str(text) for text in value)
-
-    def arrays(self, prim: Prim, *names: str) -> list[Array]:
-        """Arrays (n,) or (n, 3) of doubles."""
-        return [np.array(value, dtype=np.float64) for value in self.values(prim, *names)]
+        """What `_write` wrote: texts, numbers, tuples of texts, and arrays (n,) or (n, 3) of doubles."""
+        found = [self.attribute(prim, f"olt:{name}").Get() for name in names]
+        kinds = {
+            Vt.StringArray: lambda texts: tuple(map(str, texts)),
+            Vt.DoubleArray: np.array,
+            Vt.Vec3dArray: np.array,
+        }
+        return [kinds[type(value)](value) if type(value) in kinds else value for value in found]
 
     def samples(self, prim: Prim, name: str) -> tuple[NDArray[np.int64], Array]:
         """Times (n,) in microseconds and values (n, ...) of an animated attribute."""

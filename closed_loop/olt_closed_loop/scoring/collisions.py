@@ -6,13 +6,14 @@ the axis that separated the boxes until then, so that its side depends neither o
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
+from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.contacts import first_contacts
-from olt_closed_loop.scoring.moving_boxes import MovingBox, corners, separations
+from olt_closed_loop.scoring.moving_boxes import MovingBox, separations
 from olt_generator.poses import Array
 
 STANDING_SPEED = 0.1
@@ -45,10 +46,6 @@ class Collision:
     ego_closing: float
     agent_closing: float
 
-    def to_dict(self) -> dict[str, Any]:
-        """The collision as JSON can hold it."""
-        return vars(self).copy()
-
 
 def within_reach(ego: MovingBox, agent: MovingBox, start_us: int, end_us: int) -> bool:
     """Whether the areas that the two sweep over all their time come near enough to touch.
@@ -70,16 +67,9 @@ def find_collisions(
     end_us: int,
     skip_unreachable: bool = True,
 ) -> tuple[tuple[Collision, ...], int]:
-    """First contact with each agent, in order of time.
+    """First contact with each agent from `start_us` to `end_us`, in order of time, and how many were left out.
 
-    Args:
-        ego: the ego's box, sampled from `start_us` to `end_us` at least.
-        agents, boxes: whom to test, and their boxes.
-        start_us, end_us: when to test, both included.
-        skip_unreachable: whether agents that cannot be reached are left out.
-
-    Returns:
-        The collisions, and how many agents were left out.
+    The ego's box is sampled over all of that time; `skip_unreachable` leaves out agents that cannot be reached.
     """
     tested = [
         (agent, box)

@@ -36,17 +36,13 @@ from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord, record_rollout
 from olt_closed_loop.scenes.polylines import arc_lengths
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
+from olt_closed_loop.scoring.alpasim.scores import FULL_PROGRESS, MAX_PATH_DISTANCE, SHORT_RECORDING, score_as_alpasim
 from olt_closed_loop.scoring.collisions import Collision, find_collisions
 from olt_closed_loop.scoring.drivable import drivable_area_of, first_departure
 from olt_closed_loop.scoring.driving_metrics import measure_driving
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
-
-FULL_PROGRESS = 0.8
-SHORT_RECORDING = 5.0
-MAX_PATH_DISTANCE = 4.0
 
 Definition = Literal["strict", "alpasim"]
 DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
@@ -101,7 +97,7 @@ class RolloutScore:
         """The score as JSON can hold it."""
         return {
             **vars(self),
-            "collisions": [collision.to_dict() for collision in self.collisions],
+            "collisions": [vars(collision).copy() for collision in self.collisions],
             "left_out": [omission.to_dict() for omission in self.left_out],
         }
 
@@ -109,25 +105,15 @@ class RolloutScore:
 def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition: Definition = "strict") -> RolloutScore:
     """Score one rollout of the scene. One that failed, or whose states are not finite, is not valid.
 
-    Args:
-        scene: the scene that was driven.
-        rollout: the drive.
-        skip: whether what cannot change the result is left out; the result is the same without, only slower.
-        definition: how the score is defined.
+    `skip` leaves out what cannot change the result; the result is the same without, only slower.
 
     Raises:
         InputError: the rollout is one of another scene.
     """
     if rollout.scene != scene.name:
         raise InputError(f"rollout of scene {rollout.scene} cannot be scored on scene {scene.name}; give its own scene")
-    unscored = RolloutScore(
-        scene.name,
-        scene.category,
-        rollout.policy,
-        rollout.seed,
-        definition,
-        rollout_incidents=vars(rollout.incidents).copy(),
-    )
+    unscored = RolloutScore(scene.name, scene.category, rollout.policy, rollout.seed, definition)
+    unscored = replace(unscored, rollout_incidents=vars(rollout.incidents).copy())
     finite = np.isfinite(rollout.states).all(axis=1) & np.isfinite(rollout.heights)
     if rollout.failure:
         return replace(unscored, reason=rollout.failure)

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from olt_closed_loop.rollouts.rollout_record import LaneLines, RolloutRecord
-from olt_closed_loop.scoring.moving_boxes import MovingBox, corners
+from olt_closed_loop.scenes.actors import corners
+from olt_closed_loop.scoring.moving_boxes import MovingBox
 from olt_generator.poses import Array
 
 TOLERANCE = 1e-3

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord
+from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scoring.drivable import lane_area
-from olt_closed_loop.scoring.moving_boxes import MovingBox, corners, separations
+from olt_closed_loop.scoring.moving_boxes import MovingBox, separations
 from olt_generator.poses import Array
 
 FASTEST_ACCELERATION, HARDEST_BRAKING, LATERAL_ACCELERATION = 2.40, -4.05, 4.89
@@ -150,12 +151,9 @@ def times_to_collision(gaps: Array, offsets: Array, speeds: Array) -> Array:
 
 
 def box_distances(ours: Array, our_half: Array, theirs: Array, their_halves: Array, at: NDArray[np.int64]) -> Array:
-    """Distances (k,) in metres between boxes, heights included, of some pairs.
+    """Distances (k,) in metres between boxes, heights included, of the pairs `at` (k,).
 
-    Args:
-        ours, theirs: poses (n, 4), as in `MovingBox`.
-        our_half, their_halves: half sizes (3,) of the one and (n, 3) of the others, metres.
-        at: (k,) which pairs.
+    Poses are (n, 4), as in `MovingBox`; half sizes (3,) of the one and (n, 3) of the others, metres.
     """
     origin = ours[at, :2][:, None]
     first, second = (

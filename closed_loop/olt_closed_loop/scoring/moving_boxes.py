@@ -14,8 +14,6 @@ from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array
 
-_SIGNS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-
 
 @dataclass(frozen=True)
 class MovingBox:
@@ -85,17 +83,3 @@ def separations(ego: Array, ego_half: Array, other: Array, other_half: Array) ->
         sizes[:, 2 * first + 1] = own[..., 1] + theirs[..., 1] * cos_turn + theirs[..., 0] * sin_turn
     offsets[:, 4], sizes[:, 4] = offset[:, 2], ego_half[..., 2] + other_half[..., 2]
     return np.abs(offsets) - sizes, offsets
-
-
-def corners(poses: Array, half_size: Array) -> Array:
-    """Corners (..., 4, 2) in the plane, metres: front left, rear left, rear right, front right.
-
-    Args:
-        poses: (..., 4), as in `MovingBox`.
-        half_size: (3,) or (..., 3), metres.
-    """
-    cos, sin = np.cos(poses[..., 3, None]), np.sin(poses[..., 3, None])
-    local = _SIGNS * half_size[..., None, :2]
-    x = poses[..., 0, None] + cos * local[..., 0] - sin * local[..., 1]
-    y = poses[..., 1, None] + sin * local[..., 0] + cos * local[..., 1]
-    return np.stack([x, y], axis=-1)

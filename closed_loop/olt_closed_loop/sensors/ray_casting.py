@@ -1,6 +1,8 @@
 """Camera images of a scene by ray casting, exact for every camera model: one ray through the centre of each pixel."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +11,8 @@ from numpy.typing import NDArray
 from olt_closed_loop.scenes.actors import agent_poses
 from olt_closed_loop.scenes.looks import Looks, generate_looks
 from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_closed_loop.sensors.box_colors import color_boxes
-from olt_closed_loop.sensors.boxes import Boxes, body_boxes, scenery_boxes
-from olt_closed_loop.sensors.camera_rays import CameraRays, camera_rays
+from olt_closed_loop.sensors.boxes import Boxes, body_boxes, color_boxes, scenery_boxes
+from olt_closed_loop.sensors.camera_rays import camera_rays
 from olt_closed_loop.sensors.casting import CHUNK, boxes_in_view, cast
 from olt_closed_loop.sensors.ground import Ground, add_shadows, empty_shadows, sunlight
 from olt_closed_loop.sensors.sky import Sky
@@ -20,6 +21,7 @@ from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_toolkit.rigs.rig import Rig
+from olt_toolkit.rigs.rig_files import pav_rig
 
 _HAZE_DISTANCE = 700.0
 _FARTHEST_GROUND = 1e5
@@ -53,13 +55,7 @@ class SceneRenderer:
         self._boxes, self._shadows = self._fixed, self._fixed_shadows
 
     def render(self, camera: Camera, T_world_camera: Array, time_us: int) -> Rendering:
-        """Take one picture.
-
-        Args:
-            camera: any camera model.
-            T_world_camera: (4, 4) pose of the camera.
-            time_us: time in the recording at which the agents are shown.
-        """
+        """Take one picture from a pose (4, 4), with the agents where they are at a time in the recording."""
         self._show(time_us)
         view, position, rotation = camera_rays(camera), T_world_camera[:3, 3], T_world_camera[:3, :3].astype(np.float32)
         rays = _rotate(rotation, view.rays)
@@ -67,7 +63,7 @@ class SceneRenderer:
         fall = np.maximum(-rays[2], np.float32(1e-9))
         distance = np.where(rays[2] < 0.0, np.float32(position[2]) / fall, np.float32(np.inf))
         boxes = boxes_in_view(self._boxes, position, T_world_camera[:3, 2], view)
-        hits = cast(boxes, position, rays, _rotate(rotation, view.middle), view.spread).before(distance)
+        hits = cast(boxes, position, rays, _rotate(rotation, view.middle), view.spread, distance)
 
         rgb, sky = np.empty((*distance.shape, 3), dtype=np.uint8), np.isinf(distance)
         blocks = np.nonzero(sky.any(axis=1))[0]
@@ -75,7 +71,15 @@ class SceneRenderer:
             rgb[blocks] = self._sky.color(rays[:, blocks])
         blocks = np.nonzero(~sky.all(axis=1))[0]
         for start in range(0, len(blocks), CHUNK):
-            self._color_ground(rgb, view, position, rays, distance, blocks[start : start + CHUNK])
+            some = blocks[start : start + CHUNK]
+            (x, y, _), away = rays[:, some], np.minimum(distance[some], np.float32(_FARTHEST_GROUND))
+            across, dx, dy = away * view.angles[some], away * x, away * y
+            along = across * away / np.float32(max(position[2], 0.1))
+            color = self._ground.color(position, dx, dy, across, along)
+            color *= sunlight(self._shadows, position, dx, dy)[..., None]
+            seen = rgb[some]
+            np.copyto(seen, self._hazy(color, away), where=~sky[some][..., None])
+            rgb[some] = seen
         if len(hits.box):
             places = rays[:, hits.block, hits.pixel] * hits.distance
             pixel_size = hits.distance * view.angles[hits.block, hits.pixel]
@@ -97,27 +101,6 @@ class SceneRenderer:
         changing = self._boxes.corners()[len(self._fixed) :]
         self._shadows = add_shadows(self._fixed_shadows, changing, self._sun)
 
-    def _color_ground(
-        self,
-        rgb: Image,
-        view: CameraRays,
-        position: Array,
-        rays: FloatImage,
-        distance: FloatImage,
-        blocks: NDArray[np.intp],
-    ) -> None:
-        """Colour the rays of some blocks that meet the ground."""
-        x, y, _ = rays[:, blocks]
-        away = np.minimum(distance[blocks], np.float32(_FARTHEST_GROUND))
-        across = away * view.angles[blocks]
-        along = across * away / np.float32(max(position[2], 0.1))
-        dx, dy = away * x, away * y
-        color = self._ground.color(position, dx, dy, across, along)
-        color *= sunlight(self._shadows, position, dx, dy)[..., None]
-        seen = rgb[blocks]
-        np.copyto(seen, self._hazy(color, away), where=np.isfinite(distance[blocks])[..., None])
-        rgb[blocks] = seen
-
     def _hazy(self, color: FloatImage, distance: FloatImage) -> Image:
         """Blend colours (n, ..., 3) into the colour of the horizon with distance; works in place."""
         color -= self._horizon
@@ -131,6 +114,22 @@ def render_rig(
 ) -> dict[str, Rendering]:
     """The pictures of some cameras of a rig at pose (4, 4), by name, taken at the same time."""
     return {name: renderer.render(rig[name].camera, T_world_rig @ rig[name].T_rig_camera, time_us) for name in names}
+
+
+def rig_sensors(scene: Scene) -> Callable[[tuple[str, ...], tuple[int, int], Array, int], Image]:
+    """What takes pictures with the nominal PhysicalAI-AV rig (`simulation.running_rollout.Sensors`).
+
+    Every camera is the rig's own, the tele camera too: a vehicle in a scene has a real one. (In clips built from one
+    front video the tele view is the 30-degree crop of the front view.)
+    """
+    renderer = SceneRenderer(scene)
+    fitted_rig = lru_cache(maxsize=1)(lambda size: pav_rig().fitted(size[1], size[0]))
+
+    def take_pictures(cameras: tuple[str, ...], size: tuple[int, int], T_world_rig: Array, time_us: int) -> Image:
+        pictures = render_rig(renderer, fitted_rig(size), cameras, T_world_rig, time_us)
+        return np.ascontiguousarray(np.stack([pictures[name].rgb for name in cameras]).transpose(0, 3, 1, 2))
+
+    return take_pictures
 
 
 def _load_looks(scene: Scene) -> Looks:

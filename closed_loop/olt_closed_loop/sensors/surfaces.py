@@ -157,12 +157,9 @@ def surface_atlas() -> Image:
 
 
 def sample_surfaces(surface: NDArray[np.int32], u: FloatImage, v: FloatImage, texels: FloatImage) -> Image:
-    """Texels (n, 4) of the atlas.
+    """Texels (n, 4) of surfaces of index (n,) at places u, v (n,) in 0 ... 1, v downwards.
 
-    Args:
-        surface: (n,) index of the surface.
-        u, v: (n,) place on it in 0 ... 1, v downwards.
-        texels: (n,) size of a pixel on the surface in texels of the finest level.
+    `texels` (n,) is the size of a pixel on the surface in texels of the finest level.
     """
     level = np.clip(np.log2(np.maximum(texels, 1.0)) + 0.5, 0, TILE_LEVELS - 1).astype(np.int32)
     size = np.take(_LEVEL_SIZES, level)

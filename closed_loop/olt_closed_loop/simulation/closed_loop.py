@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.batch_policy import BatchPolicy, ObservationBatch
+from olt_closed_loop.simulation.policies import BatchPolicy, ObservationBatch
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.simulation.running_rollout import RolloutRequest, RunningRollout, Sensors
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
@@ -44,7 +44,7 @@ def simulate(
         InputError: the recording is too short, the policy needs cameras and there is no renderer, or pictures would
             show reactive traffic where it is not.
     """
-    return _simulate_in_step([RolloutRequest(scene, seed, renderer)], policy, settings or SimulationSettings())[0]
+    return simulate_batch([RolloutRequest(scene, seed, renderer)], policy, settings)[0]
 
 
 def simulate_batch(
@@ -52,34 +52,27 @@ def simulate_batch(
 ) -> list[Rollout]:
     """Many rollouts of one policy, in the order of the requests; each is the same as by `simulate`.
 
-    A policy that can answer for many (`BatchPolicy`) drives all at once, any other one after another.
+    A policy that can answer for many (`BatchPolicy`) drives all side by side, any other one after another.
 
     Raises:
         InputError: see `simulate`.
     """
     settings = settings or SimulationSettings()
-    if isinstance(policy, BatchPolicy):
-        return _simulate_in_step(requests, policy, settings)
-    return [_simulate_in_step([request], policy, settings)[0] for request in requests]
-
-
-def _simulate_in_step(
-    requests: Sequence[RolloutRequest], policy: Policy, settings: SimulationSettings
-) -> list[Rollout]:
-    """All rollouts side by side, step by step; they share the policy's calls."""
-    running = [RunningRollout(request, policy, settings) for request in requests]
     delay = settings.planner_delay
     first = settings.handover - delay
-    for step in range(first - IMAGE_FRAMES + 1, first):
-        for rollout in running:
-            rollout.take_pictures(step)
-    for step in range(first, max(len(rollout.times) for rollout in running) - 1):
-        _plan([rollout for rollout in running if rollout.runs_at(step + delay)], policy, step)
-        if step >= settings.handover:
+    finished: list[RunningRollout] = []
+    for group in [requests] if isinstance(policy, BatchPolicy) else [[request] for request in requests]:
+        running = [RunningRollout(request, policy, settings) for request in group]
+        for step in range(first - IMAGE_FRAMES + 1, first):
             for rollout in running:
+                rollout.take_pictures(step)
+        for step in range(first, max(len(rollout.times) for rollout in running) - 1):
+            _plan([rollout for rollout in running if rollout.runs_at(step + delay)], policy, step)
+            for rollout in running if step >= settings.handover else ():
                 if rollout.runs_at(step):
                     rollout.move(step)
-    return [rollout.rollout() for rollout in running]
+        finished += running
+    return [rollout.rollout() for rollout in finished]
 
 
 def _plan(running: Sequence[RunningRollout], policy: Policy, step: int) -> None:
@@ -99,9 +92,6 @@ def _plan(running: Sequence[RunningRollout], policy: Policy, step: int) -> None:
         rollout.accept(answer, step, seconds)
 
 
-# Whatever a foreign policy raises ends its own rollout and no other, so any exception is an answer here.
-
-
 def _answer(policy: Policy, seen: ObservationBatch, images: NDArray[np.uint8] | None) -> PlannedTrajectory | Exception:
     route = seen.route_xy[0]
     observation = Observation(
@@ -115,7 +105,7 @@ def _answer(policy: Policy, seen: ObservationBatch, images: NDArray[np.uint8] | 
     )
     try:
         return policy.plan(observation)
-    except Exception as error:
+    except Exception as error:  # whatever a foreign policy raises ends its own rollout and no other
         return error
 
 

@@ -1,12 +1,18 @@
-"""Policies that need no cameras: baselines, and proofs that the loop is closed."""
+"""Policies that need no cameras: baselines that answer for many rollouts at once.
+
+A policy with `plan_batch` keeps nothing between calls, so one of it drives whole batches of rollouts in step. Each row
+of its answer depends on the same row of the observations alone: a rollout is the same alone and in any batch.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import entry_points
 
 import numpy as np
+from numpy.typing import NDArray
 
-from olt_closed_loop.simulation.batch_policy import ObservationBatch, PlannedTrajectoryBatch
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, Observation, PlannedTrajectory, Policy
@@ -30,9 +36,44 @@ def make_policy(spec: str) -> Policy:
     return loader(argument or None)
 
 
-class _BatchPolicy(ABC):
-    """What the policies below share: no cameras, and one answer for one and for many rollouts."""
+@dataclass(frozen=True)
+class ObservationBatch:
+    """What n rollouts show their policy; fields as in `Observation`, without images.
 
+    Attributes:
+        history_xyz: (n, 16, 3).
+        history_rotation: (n, 16, 3, 3).
+        route_xy: (n, 20, 2), filled up with NaN where the route ends earlier or is not known.
+        time_us: (n,).
+        seeds: (n,).
+    """
+
+    history_xyz: Array
+    history_rotation: Array
+    route_xy: Array
+    time_us: NDArray[np.int64]
+    seeds: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, observation: Observation) -> "ObservationBatch":
+        """The batch of one."""
+        return cls(
+            observation.history_xyz[None],
+            observation.history_rotation[None],
+            observation.route_xy[None],
+            np.array([observation.time_us], dtype=np.int64),
+            np.array([observation.seed], dtype=np.int64),
+        )
+
+    def row(self, index: int) -> "ObservationBatch":
+        """The batch of the one rollout at `index`."""
+        return ObservationBatch(**{name: values[index : index + 1] for name, values in vars(self).items()})
+
+
+class BatchPolicy(ABC):
+    """A policy without cameras and memory. `uses_route` says whether it looks at the route at all."""
+
+    name: str
     cameras: tuple[str, ...] = ()
     image_size: tuple[int, int] = (0, 0)
     uses_route = False
@@ -43,35 +84,35 @@ class _BatchPolicy(ABC):
         return PlannedTrajectory(plans.xyz[0], plans.rotation[0])
 
     @abstractmethod
-    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
-        """See `BatchPolicy.plan_batch`."""
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
+        """Answer for every row: xyz (n, 64, 3) and rotation (n, 64, 3, 3)."""
 
 
-class ConstantVelocityPolicy(_BatchPolicy):
+class ConstantVelocityPolicy(BatchPolicy):
     """Goes straight on at the present speed."""
 
     name = "constant_velocity"
 
-    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
         """See `BatchPolicy.plan_batch`."""
         return _straight(_speed(observations)[:, None] * FUTURE_TIMES)
 
 
-class StandingPolicy(_BatchPolicy):
+class StandingPolicy(BatchPolicy):
     """Brakes to a standstill and stays."""
 
     name = "standing"
     braking = 4.0
     """Deceleration, m/s^2."""
 
-    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
         """See `BatchPolicy.plan_batch`."""
         speed = np.maximum(_speed(observations), 0.0)[:, None]
         time = np.minimum(FUTURE_TIMES, speed / self.braking)
         return _straight(speed * time - 0.5 * self.braking * time**2)
 
 
-class RouteFollowingPolicy(_BatchPolicy):
+class RouteFollowingPolicy(BatchPolicy):
     """Follows the route at the present speed; knows of nothing else."""
 
     name = "route"
@@ -79,7 +120,7 @@ class RouteFollowingPolicy(_BatchPolicy):
     return_distance = 8.0
     """Metres over which an offset from the route fades to 1/e."""
 
-    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectoryBatch:
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
         """See `BatchPolicy.plan_batch`.
 
         Raises:
@@ -98,22 +139,18 @@ class RouteFollowingPolicy(_BatchPolicy):
         latest = np.maximum.accumulate(np.where(moving, np.arange(moves.shape[1]), -1), axis=1)
         held = np.take_along_axis(headings, np.maximum(latest, 0), axis=1)
         poses = planar_pose(points[..., 0], points[..., 1], np.where(latest >= 0, held, 0.0))
-        return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])
+        return PlannedTrajectory(poses[..., :3, 3], poses[..., :3, :3])
 
 
-def _loader(make: Callable[[], Policy]) -> PolicyLoader:
-    def load(argument: str | None) -> Policy:
-        policy = make()
-        if argument is not None:
-            raise InputError(f"policy {policy.name} takes nothing after its name; leave out {argument!r}")
-        return policy
-
-    return load
+def _load(make: type[BatchPolicy], argument: str | None) -> Policy:
+    if argument is not None:
+        raise InputError(f"policy {make.name} takes nothing after its name; leave out {argument!r}")
+    return make()
 
 
-load_constant_velocity = _loader(ConstantVelocityPolicy)
-load_route = _loader(RouteFollowingPolicy)
-load_standing = _loader(StandingPolicy)
+load_constant_velocity = partial(_load, ConstantVelocityPolicy)
+load_route = partial(_load, RouteFollowingPolicy)
+load_standing = partial(_load, StandingPolicy)
 """Entry points of these policies."""
 
 
@@ -123,10 +160,10 @@ def _speed(observations: ObservationBatch) -> Array:
     return (3.0 * now - 4.0 * last + before) / (2.0 * STEP_SECONDS)
 
 
-def _straight(distances: Array) -> PlannedTrajectoryBatch:
+def _straight(distances: Array) -> PlannedTrajectory:
     """Plans straight ahead by distances (n, 64)."""
     poses = planar_pose(distances, 0.0, 0.0)
-    return PlannedTrajectoryBatch(poses[..., :3, 3], poses[..., :3, :3])
+    return PlannedTrajectory(poses[..., :3, 3], poses[..., :3, :3])
 
 
 def _along(paths: Array, distances: Array) -> Array:

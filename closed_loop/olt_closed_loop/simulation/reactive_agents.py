@@ -13,6 +13,7 @@ Hennecke, Helbing, Phys. Rev. E 62, 2000); in place of its free-road term the re
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -49,13 +50,9 @@ class ReactiveAgents:
         self._drivers = [driver for driver in drivers if driver.arc[-1] >= _SHORTEST_WAY]
 
     def step(self, time_us: int, ego_pose: Array, ego_size: tuple[float, float], ego_speed: float) -> None:
-        """Move all agents from `time_us` on by 0.1 s, seeing the ego as it is at `time_us`.
+        """Move all agents from `time_us` on by 0.1 s, seeing the ego as it is then.
 
-        Args:
-            time_us: now.
-            ego_pose: (3,) x, y of the ego's box centre, and yaw.
-            ego_size: length and width of its box.
-            ego_speed: m/s along its yaw.
+        Its pose (3,) is x, y (m) of its box centre and yaw; its size length and width (m), its speed m/s along its yaw.
         """
         ego = _Obstacle(ego_pose, ego_size, ego_speed)
         present = [driver for driver in self._drivers if driver.is_present(time_us)]
@@ -68,12 +65,12 @@ class ReactiveAgents:
         return tuple(driver.moved_agent() for driver in self._drivers if driver.lags)
 
 
-class _Obstacle:
-    """A box in the plane: pose (3,), length and width, and its velocity (2,)."""
+class _Obstacle(NamedTuple):
+    """A box in the plane: pose (3,) x, y, yaw, its length and width, and its speed along its yaw."""
 
-    def __init__(self, pose: Array, size: tuple[float, float], speed: float) -> None:
-        self.pose, self.size = pose, size
-        self.velocity = speed * np.array([np.cos(pose[2]), np.sin(pose[2])])
+    pose: Array
+    size: tuple[float, float]
+    speed: float
 
 
 class _Driver:
@@ -169,4 +166,5 @@ def _leader(way: Array, agent: Agent, obstacle: _Obstacle) -> tuple[float, float
     if index == 0 and along[0] <= 0.0:
         return None
     gap = index * _SPACING + along[index] - half_length[index] - 0.5 * agent.length
-    return float(gap), float(obstacle.velocity @ [cos[index], sin[index]])
+    heading = np.array([np.cos(obstacle.pose[2]), np.sin(obstacle.pose[2])])
+    return float(gap), float(obstacle.speed * heading @ [cos[index], sin[index]])

@@ -2,10 +2,9 @@
 
 import time
 from collections import Counter, defaultdict, deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,11 +14,11 @@ from olt_closed_loop.control.tracking import TrackingController
 from olt_closed_loop.rollouts.progress import PathTracker
 from olt_closed_loop.rollouts.rollout import Incidents, Rollout
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.batch_policy import BatchPolicy
+from olt_closed_loop.simulation.policies import BatchPolicy
 from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
-from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.parameters import with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE, STATE_SIZE
 from olt_generator.errors import InputError
@@ -43,14 +42,8 @@ _ROUTE_DISTANCES: Array = np.linspace(0.0, ROUTE_LENGTH, ROUTE_POINTS)
 _BEFORE = HISTORY_STEPS - 1
 
 
-class Sensors(Protocol):
-    """What takes the pictures."""
-
-    def render_rig(
-        self, cameras: tuple[str, ...], size: tuple[int, int], T_world_rig: Array, time_us: int
-    ) -> NDArray[np.uint8]:
-        """Images (cameras, 3, H, W) of the named cameras on the rig at `T_world_rig` (4, 4); `size` is (H, W)."""
-        ...
+Sensors = Callable[[tuple[str, ...], tuple[int, int], Array, int], NDArray[np.uint8]]
+"""(names of cameras, (H, W), T_world_rig (4, 4), time in microseconds) -> images (cameras, 3, H, W)."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +85,7 @@ class RunningRollout:
         self.failure: str | None = None
         self._parameters = settings.vehicle_of(self._scene)
         self._controller = TrackingController(self._parameters, settings.control)
-        self._stepper = make_stepper(self._parameters, settings.integrator, step=STEP_SECONDS)
+        self._stepper = VehicleStepper(self._parameters, settings.integrator, step=STEP_SECONDS)
         self._plans: list[WorldPlan] = []
         self._frames: deque[NDArray[np.uint8]] = deque(maxlen=IMAGE_FRAMES)
         self._timings: defaultdict[str, float] = defaultdict(float)
@@ -159,10 +152,9 @@ class RunningRollout:
         x, y, yaw = self._states[step, : STATE.speed]
         pose = planar_pose(x, y, yaw, self._heights[step])
         with self._timed("rendering"):
-            pictures = self._sensors.render_rig(
-                self._policy.cameras, self._policy.image_size, pose, int(self.times[step])
+            self._frames.append(
+                self._sensors(self._policy.cameras, self._policy.image_size, pose, int(self.times[step]))
             )
-        self._frames.append(pictures)
         self._rendered += 1
 
     def accept(self, answer: PlannedTrajectory | Exception, step: int, seconds: float) -> None:
@@ -213,7 +205,7 @@ class RunningRollout:
         """What has been driven."""
         count = self._driven + 1
         plans = [plan.poses for plan in self._plans]
-        solves, integration = self._controller.counts, self._stepper.report()
+        solves = self._controller.counts
         return Rollout(
             scene=self._scene.name,
             category=self._scene.category,
@@ -226,11 +218,16 @@ class RunningRollout:
             controls=self._controls[: count - 1],
             plan_times_us=np.array([plan.timestamps_us[0] for plan in self._plans], dtype=np.int64),
             plans=np.stack(plans) if plans else np.zeros((0, FUTURE_STEPS + 1, 3)),
-            incidents=Incidents(**self.incidents, solves_failed=solves.failed, solves_late=solves.late),
+            incidents=Incidents(
+                **self.incidents,
+                solves_failed=solves.failed,
+                solves_late=solves.late,
+                solves_given_up=solves.given_up,
+            ),
             failure=self.failure,
             rendered_images=dict.fromkeys(self._policy.cameras, self._rendered),
-            left_out=(*self._left_out(), *integration.left_out),
-            vehicle_steps=integration.taken,
+            left_out=(*self._left_out(), *self._stepper.left_out()),
+            vehicle_steps={way: steps for way, (steps, _) in self._stepper.taken().items()},
             timings=dict(self._timings),
             traffic=self._settings.traffic,
             reacted=self._agents.reacted() if self._agents else (),

@@ -66,6 +66,23 @@ class BatchStep(ABC):
         """States (n, s) one step later; overwritten by the next call. Raises `InputError` for what is not finite."""
 
 
+class SerialStep(BatchStep):
+    """Moves one vehicle after the other."""
+
+    def __call__(self, states: Array, controls: Array) -> Array:
+        """See `BatchStep`."""
+        states, controls = np.atleast_2d(states, controls)
+        check_finite(states, controls)
+        for index, vehicle in enumerate(zip(states, controls, self._numbers, strict=True)):
+            self._ends[index], self.plans[index] = self.step_one(*vehicle)
+            self.taken[int(self.plans[index, 0])] += 1.0, self.plans[index, 1]
+        return self._ends
+
+    @abstractmethod
+    def step_one(self, state: Array, control: Array, numbers: Array) -> tuple[Array, Array]:
+        """The state (s,) of one vehicle a step later, and its plan (3,)."""
+
+
 def make_explicit_step(program: StepProgram, numbers: Array, step: float) -> BatchStep:
     """The map over `step` seconds of vehicles with the given numbers (n, `NUMBERS_SIZE`)."""
     library = compile_program(program)
@@ -94,7 +111,7 @@ class CompiledStep(BatchStep):
         self._step_all = library.step_all
 
     def __call__(self, states: Array, controls: Array) -> Array:
-        """States one step later."""
+        """See `BatchStep`."""
         self._states[...] = states
         self._controls[...] = controls
         if not self._step_all(*self._arguments):
@@ -102,7 +119,7 @@ class CompiledStep(BatchStep):
         return self._ends
 
 
-class InterpretedStep(BatchStep):
+class InterpretedStep(SerialStep):
     """Runs a program in CasADi's virtual machine: the same numbers, some fifteen times slower."""
 
     def __init__(self, program: StepProgram, numbers: Array, step: float) -> None:
@@ -110,16 +127,8 @@ class InterpretedStep(BatchStep):
         self._substeps = [BufferedFunction(function) for function in program.substeps]
         self._plan = BufferedFunction(program.plan)
 
-    def __call__(self, states: Array, controls: Array) -> Array:
-        """States one step later."""
-        states, controls = np.atleast_2d(states, controls)
-        check_finite(states, controls)
-        for index, vehicle in enumerate(zip(states, controls, self._numbers, strict=True)):
-            self._ends[index], self.plans[index] = self._step_one(*vehicle)
-            self.taken[int(self.plans[index, 0])] += 1.0, self.plans[index, 1]
-        return self._ends
-
-    def _step_one(self, state: Array, control: Array, numbers: Array) -> tuple[Array, Array]:
+    def step_one(self, state: Array, control: Array, numbers: Array) -> tuple[Array, Array]:
+        """See `SerialStep`."""
         (plan,) = self._plan(state, control, numbers, self._step)
         end = self._advance(state, control, numbers, plan)
         while plan[2] and plan[1] <= MOST_SUBSTEPS:

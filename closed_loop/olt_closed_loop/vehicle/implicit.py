@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from olt_closed_loop.vehicle.buffered import BufferedFunction
-from olt_closed_loop.vehicle.compiled import BatchStep, check_finite
+from olt_closed_loop.vehicle.compiled import SerialStep
 from olt_closed_loop.vehicle.models import state_derivative, step_symbols
 from olt_closed_loop.vehicle.parameters import Model, VehicleNumbers, model_state_size
 from olt_closed_loop.vehicle.state import STATE
@@ -41,12 +41,7 @@ def radau_function(model: Model, elements: int) -> ca.Function:
 @lru_cache(maxsize=32)
 def cvodes_function(model: Model, tolerance: float = CVODES_TOLERANCE) -> ca.Function:
     """The same map, to a tolerance for each sub-step of CVODES."""
-    options: dict[str, Any] = {
-        "abstol": tolerance,
-        "reltol": tolerance,
-        "max_num_steps": 1_000_000,
-        "disable_internal_warnings": True,
-    }
+    options = {"abstol": tolerance, "reltol": tolerance, "max_num_steps": 1_000_000, "disable_internal_warnings": True}
     return _step_function(model, "cvodes", options)
 
 
@@ -60,27 +55,21 @@ def _step_function(model: Model, plugin: str, options: dict[str, Any]) -> ca.Fun
     return ca.Function(f"{model}_{plugin}", arguments, [end])
 
 
-class ImplicitStep(BatchStep):
-    """Steps one vehicle after the other with an implicit function."""
+class ImplicitStep(SerialStep):
+    """Steps one vehicle after the other with an implicit function, which chooses its own sub-steps."""
 
     def __init__(self, function: ca.Function, numbers: Array, step: float) -> None:
         super().__init__(numbers, step, function.size1_in(0), ways=1)
         self._function = BufferedFunction(function)
 
-    def __call__(self, states: Array, controls: Array) -> Array:
-        """States one step later. Raises `InputError` also where the equations cannot be solved."""
-        states, controls = np.atleast_2d(states, controls)
-        check_finite(states, controls)
-        for index, (state, control) in enumerate(zip(states, controls, strict=True)):
-            local = np.concatenate([[0.0, 0.0], state[STATE.yaw :]])
-            try:
-                (end,) = self._function(local, control, self._numbers[index], self._step)
-            except RuntimeError as error:
-                raise InputError(
-                    f"{self._function.name}: no solution from state {state.tolist()} under control "
-                    f"{control.tolist()} over {self._step:g} s; take a shorter step, more elements, or the method auto"
-                ) from error
-            end[: STATE.yaw] += state[: STATE.yaw]
-            self._ends[index] = end
-        self.taken[0, 0] += len(states)
-        return self._ends
+    def step_one(self, state: Array, control: Array, numbers: Array) -> tuple[Array, Array]:
+        """See `SerialStep`. Raises `InputError` where the equations cannot be solved."""
+        try:
+            (end,) = self._function(np.concatenate([[0.0, 0.0], state[STATE.yaw :]]), control, numbers, self._step)
+        except RuntimeError as error:
+            raise InputError(
+                f"{self._function.name}: no solution from state {state.tolist()} under control "
+                f"{control.tolist()} over {self._step:g} s; take a shorter step, more elements, or the method auto"
+            ) from error
+        end[: STATE.yaw] += state[: STATE.yaw]
+        return end, np.zeros(3)

@@ -60,13 +60,10 @@ def candidates(model: Model) -> tuple[tuple[Model, ExplicitMethod], ...]:
 def automatic_plan(model: Model, tolerance: float) -> ca.Function:
     """(state, control, numbers, step) -> (candidate, sub-steps, tolerance to check or 0)."""
     demands = _Demands(model)
-    deviations = {"kinematic": demands.tyre_deviation(), "linear": demands.saturation_deviation(), "saturating": 0.0}
-    chosen = _plan_of(demands, model, tolerance)
-    for index in reversed(range(MODELS.index(model))):
-        simpler = MODELS[index]
-        chosen = ca.if_else(
-            deviations[simpler] <= 0.5 * tolerance, _plan_of(demands, simpler, 0.5 * tolerance), chosen, True
-        )
+    deviations = {"kinematic": demands.tyre_deviation(), "linear": demands.saturation_deviation()}
+    chosen, half = _plan_of(demands, model, tolerance), 0.5 * tolerance
+    for simpler in reversed(MODELS[: MODELS.index(model)]):
+        chosen = ca.if_else(deviations[simpler] <= half, _plan_of(demands, simpler, half), chosen, True)
     return demands.plan(chosen)
 
 

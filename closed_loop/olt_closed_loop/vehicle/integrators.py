@@ -6,16 +6,15 @@ step the cheapest model and method that stay within the tolerance (`vehicle.inte
 it took and what it left out. `olt bench vehicle` holds the error of each against its run time.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal, get_args
+from collections.abc import Iterator, Sequence
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from olt_closed_loop.vehicle.compiled import MOST_SUBSTEPS, BatchStep, StepProgram, make_explicit_step
 from olt_closed_loop.vehicle.implicit import ImplicitStep, cvodes_function, radau_function
 from olt_closed_loop.vehicle.integration_plan import automatic_plan, candidates, fixed_plan, stiffness_plan
-from olt_closed_loop.vehicle.parameters import VehicleParameters, model_state_size
+from olt_closed_loop.vehicle.parameters import Model, VehicleParameters, model_state_size
 from olt_closed_loop.vehicle.substeps import substep_function
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
@@ -28,31 +27,10 @@ DEFAULT_TOLERANCE = 3e-7
 RADAU_ELEMENTS = 8
 
 
-@dataclass(frozen=True)
-class IntegrationReport:
-    """What a stepper took, over all its vehicles.
-
-    Attributes:
-        steps: how many steps were made.
-        taken: steps by model and method, such as "kinematic midpoint".
-        substeps: sub-steps by model and method; 0 for implicit methods, which choose their own.
-        left_out: what was not computed, and why.
-    """
-
-    steps: int
-    taken: dict[str, int]
-    substeps: dict[str, int]
-    left_out: tuple[Omission, ...]
-
-
-def make_stepper(
-    vehicles: VehicleParameters | Sequence[VehicleParameters],
-    method: Method = DEFAULT_METHOD,
-    substeps: int | None = None,
-    step: float = 0.1,
-    tolerance: float = DEFAULT_TOLERANCE,
-) -> "VehicleStepper":
+class VehicleStepper:
     """The map over `step` seconds for one vehicle, or for a batch whose vehicles move as each would alone.
+
+    It counts what it takes. Not for several threads at once.
 
     Args:
         vehicles: one vehicle, or several that may differ in every number but have one model; the model sets the size s
@@ -65,52 +43,46 @@ def make_stepper(
     Raises:
         InputError: an unknown method, a number that makes no sense, or vehicles of several models.
     """
-    if method not in get_args(Method):
-        raise InputError(f"no integrator {method!r}; there are {', '.join(get_args(Method))}")
-    if not (0.0 < step < np.inf and 0.0 < tolerance < np.inf):
-        raise InputError(f"step of {step} s within {tolerance} m: both must be positive numbers")
-    if substeps is not None and not 1 <= substeps <= MOST_SUBSTEPS:
-        raise InputError(f"{substeps} sub-steps: give 1 to {MOST_SUBSTEPS}, or none for what the moment asks for")
-    batch = [vehicles] if isinstance(vehicles, VehicleParameters) else vehicles
-    models = {vehicle.model for vehicle in batch}
-    if len(models) != 1:
-        raise InputError(f"a batch of the models {', '.join(sorted(models)) or 'none'}; give vehicles of one model")
-    return VehicleStepper(batch, method, substeps, step, tolerance, batched=batch is vehicles)
-
-
-class VehicleStepper:
-    """The one-step map that `make_stepper` makes; it counts what it took. Not for several threads at once."""
 
     def __init__(
         self,
-        vehicles: Sequence[VehicleParameters],
-        method: Method,
-        substeps: int | None,
-        step: float,
-        tolerance: float,
-        batched: bool,
+        vehicles: VehicleParameters | Sequence[VehicleParameters],
+        method: Method = DEFAULT_METHOD,
+        substeps: int | None = None,
+        step: float = 0.1,
+        tolerance: float = DEFAULT_TOLERANCE,
     ) -> None:
-        self._model = model = vehicles[0].model
-        self._numbers = np.stack([vehicle.numbers for vehicle in vehicles])
-        self._step, self._tolerance, self._batched = step, tolerance, batched
+        if method not in get_args(Method):
+            raise InputError(f"no integrator {method!r}; there are {', '.join(get_args(Method))}")
+        if not (0.0 < step < np.inf and 0.0 < tolerance < np.inf):
+            raise InputError(f"step of {step} s within {tolerance} m: both must be positive numbers")
+        if substeps is not None and not 1 <= substeps <= MOST_SUBSTEPS:
+            raise InputError(f"{substeps} sub-steps: give 1 to {MOST_SUBSTEPS}, or none for what the moment asks for")
+        batch = [vehicles] if isinstance(vehicles, VehicleParameters) else vehicles
+        models = {vehicle.model for vehicle in batch}
+        if len(models) != 1:
+            raise InputError(f"a batch of the models {', '.join(sorted(models)) or 'none'}; give vehicles of one model")
+        self._step, self._tolerance, self._batched = step, tolerance, batch is vehicles
+        self._model = model = batch[0].model
+        self._numbers = np.stack([vehicle.numbers for vehicle in batch])
         # What the rows of `BatchStep.taken` stand for; the last is the rescue of vehicles that are not moved.
-        explicit = candidates(model) if method == "auto" else ((model, method),)
+        explicit: tuple[tuple[Model, Any], ...] = candidates(model) if method == "auto" else ((model, method),)
         self._ways = [*(" ".join(way) for way in explicit), f"{model} cvodes"]
         self._batch_step: BatchStep
-        if method == "cvodes" or method == "radau":
-            function = (
-                cvodes_function(model) if method == "cvodes" else radau_function(model, substeps or RADAU_ELEMENTS)
-            )
-            self._batch_step = ImplicitStep(function, self._numbers, step)
-            return
-        size, step_tolerance = model_state_size(model), tolerance * step / 0.1
-        if method == "auto":
-            functions = tuple(substep_function(*way, size) for way in candidates(model))
-            program = StepProgram(functions, automatic_plan(model, step_tolerance))
+        if method == "cvodes":
+            self._batch_step = ImplicitStep(cvodes_function(model), self._numbers, step)
+        elif method == "radau":
+            self._batch_step = ImplicitStep(radau_function(model, substeps or RADAU_ELEMENTS), self._numbers, step)
         else:
-            plan = stiffness_plan(model, method, step_tolerance) if substeps is None else fixed_plan(model, substeps)
-            program = StepProgram((substep_function(model, method, size),), plan)
-        self._batch_step = make_explicit_step(program, self._numbers, step)
+            step_tolerance = tolerance * step / 0.1
+            if method == "auto":
+                plan = automatic_plan(model, step_tolerance)
+            elif substeps is None:
+                plan = stiffness_plan(model, method, step_tolerance)
+            else:
+                plan = fixed_plan(model, substeps)
+            functions = tuple(substep_function(*way, model_state_size(model)) for way in explicit)
+            self._batch_step = make_explicit_step(StepProgram(functions, plan), self._numbers, step)
 
     def __call__(self, state: Array, control: Array) -> Array:
         """The state (s,) one step later under a control (2,); of a batch (n, s) under (n, 2).
@@ -127,20 +99,19 @@ class VehicleStepper:
             ends[rows] = implicit(np.atleast_2d(state)[rows], np.atleast_2d(control)[rows])
         return ends.copy() if self._batched else ends[0].copy()
 
-    def report(self) -> IntegrationReport:
-        """What was taken since the stepper was made."""
+    def taken(self) -> dict[str, tuple[int, int]]:
+        """Steps of all vehicles since the stepper was made, and their sub-steps, by model and method.
+
+        The key is such as "kinematic midpoint"; implicit methods choose their own sub-steps, which count as 0.
+        """
         counted = zip(self._ways, self._batch_step.taken.astype(int).tolist(), strict=True)
-        counts = [(way, steps, substeps) for way, (steps, substeps) in counted if steps]
-        total = sum(steps for _, steps, _ in counts)
-        left_out = []
+        return {way: (steps, substeps) for way, (steps, substeps) in counted if steps}
+
+    def left_out(self) -> Iterator[Omission]:
+        """What was not computed in these steps, and why."""
+        taken = {way: steps for way, (steps, _) in self.taken().items()}
         for simpler, what in (("kinematic", "tyre slip"), ("linear", "tyre saturation")):
-            count = sum(steps for way, steps, _ in counts if way.startswith(f"{simpler} "))
+            count = sum(steps for way, steps in taken.items() if way.startswith(f"{simpler} "))
             if count and simpler != self._model:
                 why = f"below {self._tolerance:g} m in 0.1 s"
-                left_out.append(Omission(f"steps of {what}", why, count, total))
-        return IntegrationReport(
-            steps=total,
-            taken={way: steps for way, steps, _ in counts},
-            substeps={way: substeps for way, _, substeps in counts},
-            left_out=tuple(left_out),
-        )
+                yield Omission(f"steps of {what}", why, count, sum(taken.values()))

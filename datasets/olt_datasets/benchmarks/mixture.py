@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.mixtures.mixture import Mixture, compose_mixture
+from olt_datasets import Mixture, compose_mixture, scan_clip_tables
 from olt_datasets.mixtures.recipe import parse_recipe
-from olt_datasets.tables.clip_frame import scan_clip_tables
 from olt_datasets.tables.fake_table import write_fake_table
 from olt_generator.seeds import derive_seed
 from olt_toolkit.bench.benchmark import Benchmark, Grid, Setting
@@ -132,7 +131,6 @@ def _grid() -> Grid:
 
 
 BENCHMARK = Benchmark(
-    name="mixture",
     title=f"An epoch of {BATCHES:,} batches of {BATCH_SIZE}, of which a share of {SHARE} is synthesized",
     error_name="largest distance of a batch from its share",
     error_unit="items",

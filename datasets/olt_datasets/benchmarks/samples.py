@@ -9,18 +9,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.export.contents import contents_of_stores
-from olt_datasets.export.pai import export_pai
-from olt_generator.errors import InputError
+from olt_datasets import contents_of_stores, export_pai
+from olt_generator import InputError, Trajectory
 from olt_generator.files import write_whole_folder
 from olt_generator.poses import planar_pose
 from olt_generator.seeds import make_generator
-from olt_generator.trajectory import Trajectory
-from olt_toolkit import __version__
+from olt_toolkit import ClipStore, SampleKey, __version__
 from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
-from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.policy.sample import SampleKey
 from olt_toolkit.policy.window import IMAGE_OFFSETS_US
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS
 from olt_toolkit.rigs.rig_files import pav_rig
@@ -109,11 +105,7 @@ def prepare_ours(size: tuple[int, int], together: bool) -> Callable[[], Judged]:
 
 
 def prepare_devkit(size: tuple[int, int]) -> Callable[[], Judged]:
-    """The public devkit as the public recipes use it, offline, its images scaled by area averaging.
-
-    Raises:
-        InputError: the devkit is not installed.
-    """
+    """The public devkit (else InputError) as the public recipes use it, offline, scaling images by area averaging."""
     try:
         import huggingface_hub.constants
         from physical_ai_av import PhysicalAIAVDatasetInterface
@@ -183,7 +175,6 @@ def _settings() -> Sequence[Setting]:
 
 
 BENCHMARK = Benchmark(
-    name="samples",
     title=f"{len(T0S_US)} samples of one exported clip, 4 cameras x 4 frames at 320 x 576, one thread",
     error_name="rms error",
     error_unit="grey levels",

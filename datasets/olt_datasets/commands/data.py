@@ -1,15 +1,28 @@
 """`olt data`: index data sets, label and split them, check them for leaks, build their clips and export them."""
 
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
 import typer
 
-from olt_datasets.commands.build import build
 from olt_datasets.commands.export import export
-from olt_datasets.commands.index import check, index, split
-from olt_datasets.commands.label import fake, label
+from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, BuiltKind, SampleChoice, SplitRule
+from olt_toolkit.commands.clip import build_all
+from olt_toolkit.commands.clip_options import BuildingOptions, JsonOption, unpack_options
+from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
+from olt_toolkit.runtime.workers import Engine
 
 app = typer.Typer(
     add_completion=False, no_args_is_help=True, help="Index, label, split, check, build and export driving data sets."
 )
+
+TableArgument = Annotated[Path, typer.Argument(help="A table of indexed clips (.parquet).")]
+OutOption = Annotated[Path, typer.Option(help="The table to write; it may be the same one.")]
+SourceOption = Annotated[str | None, typer.Option(help="The data set's reader; the first that knows the folder.")]
+CacheOption = Annotated[Path, typer.Option(help="Folder where readers keep what takes long to find again.")]
+DEFAULT_CACHE = Path("~/.cache/openlongtail")
+_SHOWN = 20
 
 
 @app.command()
@@ -22,5 +35,197 @@ def sources() -> None:
     print_table("Data sets", ("source", "licence", "access"), rows)
 
 
-for command in (index, label, split, check, build, export, fake):
-    app.command()(command)
+@app.command()
+def index(
+    root: Annotated[Path, typer.Argument(help="Folder of the data set.")],
+    out: Annotated[Path, typer.Option(help="The table to write (.parquet); rows that still hold are kept.")],
+    source: SourceOption = None,
+    frames: Annotated[int, typer.Option(min=2, help="Front images in a window.")] = PAPER_FRAMES,
+    stride: Annotated[int, typer.Option(min=1, help="Images from one window to the next.")] = PAPER_STRIDE,
+    seconds: Annotated[float | None, typer.Option(help="Windows of this duration, in place of frames.")] = None,
+    samples: Annotated[
+        SampleChoice, typer.Option("--t0", help="Every 0.1 s, the moment nearest to 5.1 s, or the data set's events.")
+    ] = SampleChoice.EVERY,
+    cache: CacheOption = DEFAULT_CACHE,
+    keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged drives and list them.")] = False,
+    workers: WorkersOption = None,
+    engine: EngineOption = Engine.LOCAL,
+    as_json: JsonOption = False,
+) -> None:
+    """List all clips that a data set can be cut into, without decoding an image.
+
+    The table says of each clip at which times it will give a policy sample, or why at none. Exit status 1 if drives
+    failed with --keep-going.
+    """
+    from dataclasses import asdict
+
+    from olt_datasets.tables.cutting import Cutting
+    from olt_datasets.tables.indexing import index_dataset
+    from olt_generator.errors import InputError
+    from olt_toolkit.recordings.drives import DatasetPlace
+    from olt_toolkit.runtime.console import print_json, print_line, show_progress
+    from olt_toolkit.runtime.workers import default_workers
+
+    cutting = Cutting(frames, stride, seconds, samples)
+    place = DatasetPlace(root, cache.expanduser(), source)
+    with show_progress("drives") as (on_progress, _):
+        summary = index_dataset(place, out, cutting, workers or default_workers(), on_progress, keep_going, engine)
+    if as_json:
+        print_json({"table": str(out), **asdict(summary)})
+    else:
+        print_line(f"{out}: {summary.clips} clips of {summary.drives} drives of {summary.source}")
+        print_line(
+            f"{summary.clips_with_samples} of them give {summary.samples} policy samples; the others say why not"
+        )
+        print_line(f"{summary.kept} rows were kept from the table as it was")
+        example = "".join(f", as {key}" for key in summary.without_clips[:1])
+        print_line(f"{len(summary.without_clips)} drives fill no window{example}")
+        for key, message in summary.failed.items():
+            print_line(f"failed: {key}: {message}")
+    if summary.failed:
+        raise InputError(f"{len(summary.failed)} of {summary.drives} drives could not be used; the others are in {out}")
+
+
+@app.command()
+def label(
+    table: TableArgument,
+    labels: Annotated[Path, typer.Option(help="CSV: scene_id or clip_id, and category, factors (a;b) or country.")],
+    out: OutOption,
+    as_json: JsonOption = False,
+) -> None:
+    """Put categories, scene factors and countries into a table, from a file of labels.
+
+    Recipes choose clips by them, and most data sets tell none.
+    """
+    from olt_datasets.tables.labels import label_table, read_labels
+    from olt_toolkit.runtime.console import print_json, print_line
+
+    labelled = label_table(table, read_labels(labels), out)
+    if as_json:
+        print_json({"table": str(out), "labelled": labelled})
+    else:
+        print_line(f"{out}: {labelled} clips labelled")
+
+
+@app.command()
+def split(
+    table: TableArgument,
+    rule: Annotated[SplitRule, typer.Option(help="How clips come into splits.")],
+    out: OutOption,
+    source: Annotated[
+        list[str] | None, typer.Option(help="Only for clips of this source; repeat for more than one.")
+    ] = None,
+    val: Annotated[float, typer.Option(help="Share of validation.")] = 0.0,
+    test: Annotated[float, typer.Option(help="Share of test.")] = 0.2,
+    gap: Annotated[float, typer.Option(help="Seconds between windows of different splits (seen).")] = 0.0,
+    seed: Annotated[int, typer.Option(help="Seed of the choice of scenes (unseen).")] = 0,
+    as_json: JsonOption = False,
+) -> None:
+    """Put clips into splits by a rule.
+
+    seen: the latest windows of every scene are test. unseen: whole scenes are. external: a whole source is, and is
+    never trained on. own: the data set's own splits, which every clip must have.
+    """
+    from olt_datasets.tables.splits import Splitting, split_table
+    from olt_toolkit.runtime.console import print_json, print_table
+
+    counts = split_table(table, Splitting(rule, tuple(source or ()), val, test, gap, seed), out)
+    if as_json:
+        print_json({"table": str(out), "rule": rule.value, "clips": counts})
+    else:
+        print_table(f"Splits of {out} by rule {rule.value}", ("split", "clips"), list(counts.items()))
+
+
+@app.command()
+def check(
+    tables: Annotated[list[Path], typer.Argument(metavar="TABLE|STORE...", help="Indexed tables and clip stores.")],
+    held_out: Annotated[
+        list[str] | None, typer.Option(help="A scene that is not trained on; repeat for more than one.")
+    ] = None,
+    external: Annotated[
+        list[str] | None, typer.Option(help="A source that is not trained on; repeat for more than one.")
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """List everything that leaks from one split into another. Exit status 1 if anything does.
+
+    GT and Syn clips of the same moments, windows of a scene that overlap, clips of other scenes that look alike,
+    held-out scenes and external sources in training.
+    """
+    from olt_datasets.tables.clip_frame import scan_clip_tables
+    from olt_datasets.tables.leaks import find_table_leaks
+    from olt_toolkit.runtime.console import print_json, print_line
+
+    leaks = find_table_leaks(scan_clip_tables(tables), held_out or (), external or ())
+    if as_json:
+        print_json({"clean": not leaks, "leaks": [vars(leak) for leak in leaks]})
+    else:
+        counts = ", ".join(f"{count} {rule}" for rule, count in Counter(leak.rule for leak in leaks).items())
+        print_line(f"{len(leaks)} leaks: {counts}" if leaks else "no leaks")
+        for leak in leaks[:_SHOWN]:
+            print_line(f"  {leak.rule}: {leak}")
+        if len(leaks) > _SHOWN:
+            print_line(f"  and {len(leaks) - _SHOWN} more; --json lists all")
+    if leaks:
+        raise typer.Exit(1)
+
+
+@app.command()
+@unpack_options
+def build(
+    table: Annotated[Path, typer.Argument(help="A table of indexed clips (.parquet) that are in splits.")],
+    root: Annotated[Path, typer.Option(help="Folder of the data set that was indexed.")],
+    kind: Annotated[BuiltKind, typer.Option(help="True views of all cameras, or views synthesized from the front.")],
+    out: Annotated[Path, typer.Option(help="Folder of the clip store; it is made if it is missing.")],
+    building: BuildingOptions,
+    source: SourceOption = None,
+    cache: CacheOption = DEFAULT_CACHE,
+    seed: Annotated[int, typer.Option(help="Seed of the clips.")] = 0,
+    workers: WorkersOption = None,
+    engine: EngineOption = Engine.LOCAL,
+    keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a window that fails.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Build the clips of an indexed table and add them to a store, with split, category and origin of their rows.
+
+    Motion that the data set measured is taken as it is, else --poses recovers it. Given again, an interrupted build
+    goes on. Exit status 1 if windows failed with --keep-going.
+    """
+    from olt_datasets.tables.building import build_row, find_buildable
+    from olt_generator.files import make_folder
+    from olt_toolkit import BuildOptions, DatasetPlace
+    from olt_toolkit.clips.build_job import BuildJob
+    from olt_toolkit.clips.table import read_clip_table
+
+    job = BuildJob(
+        place=DatasetPlace(root, cache.expanduser(), source),
+        key="",
+        store=out,
+        opening=building.opening(),
+        options=BuildOptions(width=building.width, height=building.height, seed=seed),
+        estimators=building.estimators(),
+        keep_going=keep_going,
+    )
+    rows = find_buildable(read_clip_table(table), kind)
+    make_folder(out)
+    build_all([build_row(row, kind, job) for row in rows], workers, engine, as_json, "clips")
+
+
+app.command()(export)
+
+
+@app.command()
+def fake(
+    out: Annotated[Path, typer.Argument(help="The table to write (.parquet).")],
+    clips: Annotated[int, typer.Option(min=1, help="Number of rows.")] = 100_000,
+    as_json: JsonOption = False,
+) -> None:
+    """Write a fake table of clips, to try recipes, splits and checks on at any size; no clip can be built of it."""
+    from olt_datasets.tables.fake_table import write_fake_table
+    from olt_toolkit.runtime.console import print_json, print_line
+
+    write_fake_table(out, clips)
+    if as_json:
+        print_json({"table": str(out), "clips": clips})
+    else:
+        print_line(f"{out}: {clips} fake clips")

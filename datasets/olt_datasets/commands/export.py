@@ -6,8 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from olt_datasets.tables.choices import SplitName
+from olt_toolkit.commands.clip_options import JsonOption
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
+from olt_toolkit.recordings.labels import Split
 from olt_toolkit.runtime.workers import Engine
 
 
@@ -24,20 +25,18 @@ def export(
     ],
     out: Annotated[Path, typer.Option(help="Folder that is made; it appears when it is complete.")],
     layout: Annotated[Format, typer.Option("--format", help="Layout of the export.")] = Format.PAI,
-    split: Annotated[SplitName, typer.Option(help="Which split of clip stores; a mixture has its own.")] = "train",
+    split: Annotated[Split, typer.Option(help="Which split of clip stores; a mixture has its own.")] = "train",
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged clips and list them.")] = False,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Write a mixture, or whole clip stores, for the public devkit and Alpamayo recipes, or as a LeRobot data set.
 
     Clips of other splits, and clips that give no policy sample, are left out. Chunks whose clips are all taken are
     linked, not copied. Given again, an interrupted export goes on. Exit status 1 if clips failed with --keep-going.
     """
-    from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
-    from olt_datasets.export.lerobot import export_lerobot
-    from olt_datasets.export.pai import export_pai
+    from olt_datasets import contents_of_mixture, contents_of_stores, export_lerobot, export_pai
     from olt_datasets.mixtures.mixture_file import MIXTURE_SUFFIXES, read_mixture
     from olt_generator.errors import InputError
     from olt_toolkit.runtime.console import make_progress, print_json

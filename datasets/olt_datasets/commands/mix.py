@@ -1,17 +1,22 @@
 """`olt mix`: compose training mixtures from clip tables by recipes."""
 
+import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from olt_datasets.commands.align import align
 from olt_datasets.mixtures.training_arithmetic import PAPER_STAGES, parse_stage, training_arithmetic
+from olt_toolkit.commands.clip_options import JsonOption
+
+if TYPE_CHECKING:
+    from olt_datasets.mixtures.selection import ClipTable
+    from olt_datasets.mixtures.source_alignment import Gap, SourceAlignment
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Compose training mixtures from clips by recipes.")
-app.command()(align)
 
 RecipeArgument = Annotated[str, typer.Argument(metavar="RECIPE", help="A YAML file or the name of a built-in recipe.")]
 StoresOption = Annotated[
@@ -23,7 +28,56 @@ StageOption = Annotated[
     typer.Option("--stage", help="DEVICESxBATCHxACCUMULATIONxEPOCHS to count steps for; repeat for more than one."),
 ]
 BOTH_STAGES = [str(stage) for stage in PAPER_STAGES]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
+
+
+@app.command()
+def align(
+    tables: Annotated[
+        list[Path] | None, typer.Argument(metavar="TABLE...", help="Clip stores, or tables of indexed clips.")
+    ] = None,
+    target: Annotated[
+        str | None, typer.Option(help="Filter of the target slice, as in recipes: '{category: [cyclists]}'.")
+    ] = None,
+    target_split: Annotated[str, typer.Option(help="Split that the target slice is taken from.")] = "test",
+    target_weights: Annotated[
+        str | None, typer.Option(help="Instead of a slice, the target by hand: FACTOR=WEIGHT,FACTOR=WEIGHT.")
+    ] = None,
+    where: Annotated[str, typer.Option(help="Filter of the clips that sources may give.")] = "{}",
+    split: Annotated[str, typer.Option(help="Split that sources may give clips from.")] = "train",
+    by: Annotated[str, typer.Option(help="What is compared: factors, category or country.")] = "factors",
+    samples: Annotated[int | None, typer.Option(min=1, help="Clips to be taken, none of them twice.")] = None,
+    seed: Annotated[int, typer.Option(help="Seed of the intervals.")] = 0,
+    example: Annotated[bool, typer.Option("--example", help="Show the paper's counts instead of tables.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Compare how sources cover a target slice, and propose shares of them that come closest to it.
+
+    `olt mix align --example` shows what the paper found: Waymo E2E has none of NV's human-guided traffic control.
+    """
+    from olt_datasets.mixtures.source_alignment import PAPER_COVERAGE, align_sources, measure_coverage
+    from olt_datasets.tables.clip_frame import scan_clip_tables
+    from olt_generator.errors import InputError
+    from olt_toolkit.runtime.console import print_json
+
+    if example:
+        found = align_sources(PAPER_COVERAGE, PAPER_COVERAGE["nv"], samples=samples, seed=seed)
+    else:
+        if not tables or (target is None) == (target_weights is None):
+            raise InputError("olt mix align: give TABLE and one of --target and --target-weights, or --example")
+        if by not in ("factors", "category", "country"):
+            raise InputError(f"--by is {by!r}; it must be factors, category or country")
+        clips = scan_clip_tables(tables)
+        coverage = measure_coverage(_slice(clips, split, where, "--where"), by)
+        if target is not None:
+            slices = measure_coverage(_slice(clips, target_split, target, "--target"), by)
+            pooled = dict(sum(map(Counter, slices.values()), Counter()))
+            found = align_sources(coverage, pooled, target_is_sample=True, samples=samples, seed=seed)
+        else:
+            found = align_sources(coverage, _read_weights(str(target_weights)), samples=samples, seed=seed)
+    if as_json:
+        print_json(asdict(found))
+    else:
+        _show_alignment(found)
 
 
 @app.command()
@@ -37,11 +91,8 @@ def compose(
     as_json: JsonOption = False,
 ) -> None:
     """Choose the samples of a mixture; show what was asked for and what was got, and the steps of training on it."""
-    from olt_datasets.mixtures.mixture import compose_mixture
-    from olt_datasets.mixtures.mixture_file import write_mixture
+    from olt_datasets import compose_mixture, find_recipe, scan_clip_tables, write_mixture
     from olt_datasets.mixtures.picture import draw_mixture
-    from olt_datasets.mixtures.recipe import find_recipe
-    from olt_datasets.tables.clip_frame import scan_clip_tables
 
     chosen = find_recipe(recipe)
     training = _training(stage)
@@ -83,10 +134,8 @@ def show(
 @app.command()
 def check(recipe: RecipeArgument, stores: StoresOption, as_json: JsonOption = False) -> None:
     """List everything that keeps a recipe from being composed: shortages and leaks. Exit status 1 if there is any."""
-    from olt_datasets.mixtures.mixture import check_recipe
-    from olt_datasets.mixtures.recipe import find_recipe
+    from olt_datasets import check_recipe, find_recipe, scan_clip_tables
     from olt_datasets.mixtures.selection import word_shortage
-    from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_toolkit.runtime.console import print_json, print_line
 
     findings = check_recipe(find_recipe(recipe), scan_clip_tables(stores))
@@ -152,7 +201,7 @@ def diff(
 def _training(stages: Sequence[str]) -> Any:
     """A function that gives the arithmetic of each stage for a number of samples; texts are checked at once."""
     parsed = [parse_stage(text) for text in stages]
-    return lambda samples: {str(stage): asdict(training_arithmetic(samples, stage)) for stage in parsed}
+    return lambda samples: {str(stage): training_arithmetic(samples, stage) for stage in parsed}
 
 
 def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:
@@ -185,3 +234,49 @@ def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:
 def _cell(value: object) -> object:
     # A field that a recipe leaves open is not a number that nobody measured.
     return "-" if value is None else str(value) if isinstance(value, dict | list) else value
+
+
+def _slice(clips: "ClipTable", split: str, text: str, where: str) -> "ClipTable":
+    import polars as pl
+
+    from olt_datasets.mixtures.recipe import parse_filter
+    from olt_datasets.mixtures.selection import matches
+
+    return clips.lazy().filter((pl.col("split") == split) & matches(parse_filter(text, where)))
+
+
+def _read_weights(text: str) -> dict[str, float]:
+    from olt_generator.errors import InputError
+
+    weights = {}
+    for part in text.split(","):
+        name, _, number = part.partition("=")
+        try:
+            weights[name.strip()] = float(number)
+        except ValueError:
+            weights[name.strip()] = math.nan
+        if not name.strip() or not 0.0 <= weights[name.strip()] < math.inf:
+            raise InputError(f"--target-weights: {part!r}: write FACTOR=WEIGHT with a weight that is not negative")
+    return weights
+
+
+def _show_alignment(found: "SourceAlignment") -> None:
+    from olt_datasets.mixtures.source_alignment import word_missing_factor
+    from olt_toolkit.runtime.console import print_line, print_table
+
+    factors = list(found.target)
+    rows: list[list[Any]] = [
+        [source.name, *(f"{found.coverage[source.name][factor]:g}" for factor in factors)] for source in found.sources
+    ]
+    rows.append(["target", *(f"{share:.1%}" for share in found.target.values())])
+    print_table("Clips by source", ("source", *factors), rows)
+    gaps = [(source.name, f"{source.clips:g}", *_cells(source.gap), f"{source.share:.1%}") for source in found.sources]
+    gaps.append(("all clips together", "", *_cells(found.pooled_gap), ""))
+    gaps.append(("proposed shares", "", *_cells(found.proposed_gap), ""))
+    print_table("Alignment gap", ("source", "clips", "gap", "95 %", "proposed share"), gaps)
+    for missing in found.missing:
+        print_line(word_missing_factor(missing))
+
+
+def _cells(gap: "Gap") -> tuple[str, str]:
+    return f"{gap.median:.3f}", f"{gap.low:.3f} - {gap.high:.3f}"

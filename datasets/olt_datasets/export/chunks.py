@@ -8,9 +8,8 @@ that a range of numbers selects a group or a component.
 import zipfile
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, NamedTuple
 
 import pandas as pd
 
@@ -22,36 +21,16 @@ from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES
 from olt_toolkit.clips.store import CLIPS_PER_CHUNK, ClipStore
 
 
-@dataclass(frozen=True)
-class ExportChunk:
-    """One chunk of the export.
+class ExportChunk(NamedTuple):
+    """One chunk of the export: its number, the place of its group among all groups, and the clips in it.
 
-    Attributes:
-        number: its number.
-        group: place of its group among all groups.
-        items: the clips in it.
-        linked_from: store and number of the chunk that it is, where one is taken as it is.
+    `linked_from` is the store and number of the chunk that it is, where one is taken as it is.
     """
 
     number: int
     group: int
     items: tuple[ExportItem, ...]
     linked_from: tuple[Path, int] | None = None
-
-
-@dataclass(frozen=True)
-class ChunkResult:
-    """What became of a chunk.
-
-    Attributes:
-        how: linked (no new bytes), copied to another file system, or packed anew.
-        size: bytes of its files.
-        failures: what was wrong with clips that it should hold and does not, by their ids in the export.
-    """
-
-    how: Literal["linked", "copied", "packed"]
-    size: int
-    failures: dict[str, str]
 
 
 def divide_into_chunks(groups: Sequence[ExportGroup]) -> list[ExportChunk]:
@@ -73,22 +52,27 @@ def divide_into_chunks(groups: Sequence[ExportGroup]) -> list[ExportChunk]:
     return chunks
 
 
-def write_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult:
+def write_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> dict[str, Any]:
     """Make one chunk, unless an earlier run has.
 
-    Raises:
-        InputError: a clip is missing or damaged and `keep_going` is off, or a file cannot be written; names it.
+    Gives `how`: linked (no new bytes), copied to another file system, or packed anew; `size`: bytes of its files; and
+    `failures`: what was wrong with clips that it should hold and does not, by their ids in the export.
+    InputError names a file that cannot be written, or a clip that is missing or damaged where `keep_going` is off.
     """
     name = f"chunk_{chunk.number:04d}"
-    finished = finished_part(root, name)
-    if finished is not None:
-        return ChunkResult(**finished)
-    result = _link_chunk(root, chunk, keep_going) or _pack_chunk(root, chunk, keep_going)
-    note_finished(root, name, asdict(result))
+    result = finished_part(root, name)
+    if result is None:
+        how, failures = _link_chunk(root, chunk, keep_going), {}
+        if how is None:
+            how, failures = "packed", _pack_chunk(root, chunk, keep_going)
+        files = [feature.chunk_file(root, chunk.number) for feature in FEATURES.values()]
+        size = sum(file.stat().st_size for file in files if file.exists())
+        result = {"how": how, "size": size, "failures": failures}
+        note_finished(root, name, result)
     return result
 
 
-def _link_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult | None:
+def _link_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> str | None:
     """None where the chunk must be packed: it mixes clips, or one of them is damaged."""
     if chunk.linked_from is None:
         return None
@@ -106,10 +90,11 @@ def _link_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult
         for feature in FEATURES.values()
     ]
     linked = [link_or_copy(source, target) for source, target in files if source.exists()]
-    return ChunkResult("linked" if all(linked) else "copied", _chunk_size(root, chunk), {})
+    return "linked" if all(linked) else "copied"
 
 
-def _pack_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult:
+def _pack_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> dict[str, str]:
+    """What was wrong with the clips that are left out, by their ids in the export."""
     failures: dict[str, str] = {}
     calibrations: dict[str, list[pd.DataFrame]] = {name: [] for name in CALIBRATIONS}
     stores = {store: ClipStore(store) for store in {item.store for item in chunk.items}}
@@ -136,7 +121,7 @@ def _pack_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> ChunkResult
         if tables:
             with write_file(FEATURES[feature].chunk_file(root, chunk.number)) as temporary:
                 pd.concat(tables).to_parquet(temporary)
-    return ChunkResult("packed", _chunk_size(root, chunk), failures)
+    return failures
 
 
 def _read_clip(store: ClipStore, item: ExportItem) -> tuple[list[tuple[str, str, bytes]], dict[str, pd.DataFrame]]:
@@ -151,8 +136,3 @@ def _read_clip(store: ClipStore, item: ExportItem) -> tuple[list[tuple[str, str,
     ]
     renamed = {item.clip_id: item.listed_as}
     return members, {name: store.read_rows(item.clip_id, name).rename(index=renamed, level=0) for name in CALIBRATIONS}
-
-
-def _chunk_size(root: Path, chunk: ExportChunk) -> int:
-    files = [feature.chunk_file(root, chunk.number) for feature in FEATURES.values()]
-    return sum(file.stat().st_size for file in files if file.exists())

@@ -21,13 +21,9 @@ from olt_toolkit.policy.sample import KEYFRAME_US
 
 @dataclass(frozen=True)
 class ExportItem:
-    """One row of the public index.
+    """One row of the public index: a clip of a store, and its sample times, the first for the public readers.
 
-    Attributes:
-        store: folder of the clip store.
-        clip_id: id in the store.
-        listed_as: id in the export: that of the store, except for further uses of a clip.
-        t0s_us: sample times; the first is the one that the public readers take.
+    `listed_as` is its id in the export: that of the store, except for further uses of a clip.
     """
 
     store: Path
@@ -38,12 +34,9 @@ class ExportItem:
 
 @dataclass(frozen=True)
 class ExportGroup:
-    """Items that chunk numbers can select together.
+    """Items that chunk numbers can select together, by store, then in the order of its clips.
 
-    Attributes:
-        component: component of the mixture, or folder name of the store.
-        kind, source: as in the clip table.
-        items: ordered by store, then by the order of its clips.
+    `component` is that of the mixture, or the folder name of the store.
     """
 
     component: str
@@ -54,13 +47,10 @@ class ExportGroup:
 
 @dataclass(frozen=True)
 class Contents:
-    """Everything that is to be exported.
+    """Everything that is to be exported, all of one split; groups of one component follow each other.
 
-    Attributes:
-        groups: groups of one component follow each other.
-        split: the split that all clips are of.
-        left_out: clips that the stores hold and the export does not.
-        notes: what the public readers cannot do as the mixture asks, a sentence each.
+    Clips that the stores hold and the export does not are left out. Notes tell what the public readers cannot do as
+    the mixture asks, a sentence each.
     """
 
     groups: tuple[ExportGroup, ...]
@@ -131,15 +121,10 @@ def contents_of_stores(stores: Sequence[Path], split: Split) -> Contents:
         left_out.update((f"{info.kind} clips", "no policy sample") for info in of_split if not info.sample_t0_us)
         taken = sorted((info for info in of_split if info.sample_t0_us), key=kind_and_source)
         for (kind, source), infos in groupby(taken, kind_and_source):
-            items = [
-                ExportItem(
-                    store,
-                    info.clip_id,
-                    listed_as=info.clip_id,
-                    t0s_us=tuple(sorted(info.sample_t0_us, key=lambda t0_us: (t0_us != KEYFRAME_US, t0_us))),
-                )
-                for info in infos
-            ]
+            items = []
+            for info in infos:
+                times = sorted(info.sample_t0_us, key=lambda t0_us: (t0_us != KEYFRAME_US, t0_us))
+                items.append(ExportItem(store, info.clip_id, info.clip_id, tuple(times)))
             groups.append(ExportGroup(store.name, kind, source, tuple(items)))
     omissions = [Omission(what, why, count, total) for (what, why), count in left_out.items()]
     return Contents(_check(groups), split, tuple(omissions))

@@ -1,14 +1,18 @@
 """Export as a LeRobot data set, version 3.0 of its format: tables, one video per clip and camera, and statistics.
 
-An episode is a stretch of one clip on the 0.1 s grid; see `lerobot_clip` for what a frame holds. Roll and pitch of the
-poses are left out. The task of an episode is the category of its clip: no instruction is invented.
+A frame of the data set is a moment of the 0.1 s grid with one image of each policy camera, the past 16 poses as state
+and the next 64 as action, all in the rig frame of that moment, without roll and pitch. A policy that looks back takes
+images of earlier frames, so three frames stand before each sample time, where the ego motion reaches back far enough to
+give their state. An episode is a stretch of one clip on the grid. Its task is the category of the clip: no instruction
+is invented.
 """
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -18,23 +22,15 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from olt_datasets.export.contents import Contents
-from olt_datasets.export.lerobot_clip import (
-    FILES_PER_CHUNK,
-    FRAME_RATE,
-    POSE_FIELDS,
-    ClipFrames,
-    numbered_file,
-    video_key,
-    write_clip,
-)
-from olt_datasets.export.writing import write_export, write_file
-from olt_generator.errors import InputError
+from olt_datasets.export.contents import Contents, ExportItem
+from olt_datasets.export.writing import finished_part, naming, note_finished, write_export, write_file
+from olt_generator import InputError, write_video
+from olt_generator.poses import Array, invert, yaw_of
 from olt_generator.progress import Progress, silent
-from olt_toolkit.clips.clip import ClipInfo
-from olt_toolkit.clips.store import ClipStore
+from olt_toolkit import ClipInfo, ClipStore, EgoMotion
+from olt_toolkit.clips.images import resize_images
 from olt_toolkit.policy.contract import STEP_US
-from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
+from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, IMAGE_OFFSETS_US
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
@@ -42,8 +38,128 @@ VERSION = "v3.0"
 POLICY_IMAGE_SIZE = (320, 576)
 CLIPS_PER_TABLE = 1000
 QUANTILES = {f"q{percent:02d}": percent / 100 for percent in (1, 10, 50, 90, 99)}
+FRAME_RATE = 10
+FILES_PER_CHUNK = 1000
+POSE_FIELDS = ("x", "y", "z", "yaw")
 
 Columns = dict[str, NDArray[Any]]
+Levels = NDArray[np.int64]
+"""How often each of the 256 levels occurs in each colour: (3, 256)."""
+
+
+@dataclass(frozen=True)
+class ClipFrames:
+    """The frames of one clip.
+
+    Attributes:
+        number: number of the clip among all clips of the export; its videos are called by it.
+        times_us: (n,) clip times, in runs at the distance of the grid.
+        is_sample: (n,) whether the frame is one of the sample times, and not one that stands before them.
+        state: (n, 64) float32: x, y, z in metres and yaw of the 16 past poses.
+        action: (n, 256) float32: the same of the 64 future poses.
+        levels: levels of the images by camera.
+    """
+
+    item: ExportItem
+    number: int
+    times_us: NDArray[np.int64]
+    is_sample: NDArray[np.bool_]
+    state: NDArray[np.float32]
+    action: NDArray[np.float32]
+    levels: dict[str, Levels]
+
+    @property
+    def runs(self) -> list[tuple[int, int]]:
+        """Ranges (first, end) of frames that follow each other on the grid: the episodes."""
+        breaks = np.flatnonzero(np.diff(self.times_us) != STEP_US) + 1
+        edges = [0, *breaks.tolist(), len(self.times_us)]
+        return list(pairwise(edges))
+
+
+def video_key(camera: str) -> str:
+    """Name of a camera's feature."""
+    return f"observation.images.{camera}"
+
+
+def numbered_file(folder: Path, number: int, suffix: str) -> Path:
+    """Where a file of LeRobot's numbered chunks lies; the video of a clip has the clip's number."""
+    chunk, file = divmod(number, FILES_PER_CHUNK)
+    return folder / f"chunk-{chunk:03d}" / f"file-{file:03d}.{suffix}"
+
+
+def write_clip(
+    root: Path, image_size: tuple[int, int], keep_going: bool, job: tuple[int, ExportItem]
+) -> ClipFrames | str:
+    """Write the videos of one clip, unless an earlier run has, and work out its frames.
+
+    What is wrong with it is returned, or an InputError where `keep_going` is off or a file cannot be written.
+    """
+    number, item = job
+    videos = {camera: numbered_file(root / "videos" / video_key(camera), number, "mp4") for camera in POLICY_CAMERAS}
+    try:
+        store = ClipStore(item.store)
+        store.check(item.clip_id, item.t0s_us)
+        motion = store.read_ego_motion(item.clip_id)
+        times_us = frame_times(item.t0s_us, motion.span_us[0])
+        return ClipFrames(
+            item,
+            number,
+            times_us,
+            is_sample=np.isin(times_us, item.t0s_us),
+            state=_pose_fields(motion, times_us, HISTORY_OFFSETS_US),
+            action=_pose_fields(motion, times_us, FUTURE_OFFSETS_US),
+            levels=_write_videos(root, videos, store, item.clip_id, number, times_us, image_size),
+        )
+    except InputError as error:
+        for video in videos.values():
+            video.unlink(missing_ok=True)
+        if not keep_going:
+            raise
+        return str(error)
+
+
+def frame_times(t0s_us: Sequence[int], ego_start_us: int) -> NDArray[np.int64]:
+    """Clip times of the frames (n,): the sample times and the images that they look back to.
+
+    Times at which no state can be told are left out. Times on grids of different phase follow each other.
+    """
+    times = np.unique(np.array(t0s_us, np.int64)[:, None] + IMAGE_OFFSETS_US)
+    times = times[times + HISTORY_OFFSETS_US[0] >= ego_start_us]
+    return times[np.lexsort((times, times % STEP_US))]
+
+
+def _pose_fields(motion: EgoMotion, times_us: NDArray[np.int64], offsets_us: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Position and yaw (n, 4 m) of the poses at m offsets from each time, in the rig frame at that time."""
+    here = motion.interpolate(times_us)
+    there = motion.interpolate((times_us[:, None] + offsets_us).ravel()).reshape(len(times_us), -1, 4, 4)
+    relative: Array = invert(here)[:, None] @ there
+    fields = np.concatenate([relative[..., :3, 3], yaw_of(relative)[..., None]], axis=-1)
+    return fields.reshape(len(times_us), -1).astype(np.float32)
+
+
+def _write_videos(
+    root: Path,
+    videos: Mapping[str, Path],
+    store: ClipStore,
+    clip_id: str,
+    number: int,
+    times_us: NDArray[np.int64],
+    size: tuple[int, int],
+) -> dict[str, Levels]:
+    name = f"clip_{number:06d}"
+    finished = finished_part(root, name)
+    if finished is not None:
+        return {camera: np.array(levels, np.int64) for camera, levels in finished.items()}
+    order = np.argsort(times_us)
+    levels = {}
+    for camera, path in videos.items():
+        frames, _ = store.read_frames(clip_id, camera, times_us[order])
+        frames = resize_images(frames, size[1], size[0])[np.argsort(order)]
+        with naming(path):
+            write_video(path, frames, FRAME_RATE)
+        levels[camera] = np.stack([np.bincount(frames[..., colour].ravel(), minlength=256) for colour in range(3)])
+    note_finished(root, name, {camera: counts.tolist() for camera, counts in levels.items()})
+    return levels
 
 
 @dataclass(frozen=True)
@@ -74,18 +190,7 @@ def export_lerobot(
     on_progress: Progress = silent,
     image_size: tuple[int, int] = POLICY_IMAGE_SIZE,
 ) -> dict[str, Any]:
-    """Write the clips to `out`, which appears when it is complete; an interrupted export goes on when it is repeated.
-
-    Args:
-        contents: what to export.
-        out: the folder.
-        keep_going: leave out damaged clips and list them, instead of stopping at the first.
-        workers, engine: number of processes and where they run.
-        on_progress: told the finished part, 0 to 1.
-        image_size: height and width of the images.
-
-    Returns:
-        The summary that is also written to `out/export.json`.
+    """Write the clips to `out`, with images of a height and width, and else as `export_pai` does.
 
     Raises:
         InputError: `out` holds something else, a clip is damaged and `keep_going` is off, no clip is left, or a file
@@ -98,9 +203,9 @@ def export_lerobot(
         clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_progress, engine)
         components = [group.component for group in contents.groups for _ in group.items]
         stores = {item.store: ClipStore(item.store) for item in contents.items}
-        done = [clip for clip in clips if clip.failure is None]
+        done = [clip for clip in clips if isinstance(clip, ClipFrames)]
         if not done:
-            raise InputError(f"{out}: no clip could be exported: {clips[0].failure}")
+            raise InputError(f"{out}: no clip could be exported: {clips[0]}")
         episodes = [
             _Episode(clip, stores[clip.item.store].info(clip.item.clip_id), components[clip.number], first, end)
             for clip in done
@@ -109,7 +214,8 @@ def export_lerobot(
         tasks = sorted({episode.info.category for episode in episodes})
         columns = _write_data(root, episodes, tasks)
         _write_meta(root, contents, episodes, tasks, columns, image_size)
-        failures = {clip.item.clip_id: clip.failure for clip in clips if clip.failure is not None}
+        pairs = zip(contents.items, clips, strict=True)
+        failures = {item.clip_id: reason for item, reason in pairs if isinstance(reason, str)}
         return _summarize(contents, done, episodes) | {"failures": failures}
 
     return write_export("lerobot", contents, list(image_size), out, write)

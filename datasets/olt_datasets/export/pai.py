@@ -8,21 +8,22 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
-from olt_datasets.export.chunks import ChunkResult, ExportChunk, divide_into_chunks, write_chunk
+from olt_datasets.export.chunks import ExportChunk, divide_into_chunks, write_chunk
 from olt_datasets.export.contents import Contents, ExportItem
 from olt_datasets.export.writing import naming, write_export, write_file
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
-from olt_toolkit.clips.clip import ClipInfo
+from olt_toolkit import ClipInfo, ClipStore
 from olt_toolkit.clips.files import write_metadata
 from olt_toolkit.clips.pai_layout import CLIP_INDEX
 from olt_toolkit.clips.pai_tables import read_indexed, to_bytes
-from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.table import CLIP_TABLE, write_clip_table
 from olt_toolkit.policy.sample import KEYFRAME_US
 from olt_toolkit.runtime.workers import Engine, map_parallel
@@ -42,8 +43,6 @@ def export_pai(
     """Write the clips to `out`, which appears when it is complete; an interrupted export goes on when it is repeated.
 
     Args:
-        contents: what to export.
-        out: the folder.
         keep_going: leave out damaged clips and list them, instead of stopping at the first.
         workers, engine: number of processes and where they run.
         on_progress: told the finished part, 0 to 1.
@@ -60,7 +59,7 @@ def export_pai(
         chunks = divide_into_chunks(contents.groups)
         write_one = partial(write_chunk, root, keep_going=keep_going)
         results = map_parallel(write_one, chunks, workers, on_progress, engine)
-        failures = {clip: reason for result in results for clip, reason in result.failures.items()}
+        failures = {clip: reason for result in results for clip, reason in result["failures"].items()}
         rows = [(chunk, item) for chunk in chunks for item in chunk.items if item.listed_as not in failures]
         if not rows:
             raise InputError(f"{out}: no clip could be exported: {next(iter(failures.values()))}")
@@ -90,7 +89,7 @@ def _write_tables(root: Path, rows: Rows) -> list[ClipInfo]:
 def _summarize(
     contents: Contents,
     chunks: Sequence[ExportChunk],
-    results: Sequence[ChunkResult],
+    results: Sequence[dict[str, Any]],
     rows: Rows,
     infos: Sequence[ClipInfo],
 ) -> dict[str, Any]:
@@ -109,22 +108,20 @@ def _summarize(
         for index, (group, of_group) in enumerate(zip(contents.groups, numbers, strict=True))
     ]
     components = {}
-    for group in groups:  # those of one component follow each other
-        part = components.setdefault(group["component"], {"clips": 0, "first_chunk": group["first_chunk"]})
-        part["clips"] += group["clips"]
-        part["chunk_ids"] = f"{part['first_chunk']}-{group['last_chunk'] + 1}"
+    for name, part in groupby(groups, itemgetter("component")):
+        of_part = list(part)
+        chunk_ids = f"{of_part[0]['first_chunk']}-{of_part[-1]['last_chunk'] + 1}"
+        components[name] = {"clips": sum(group["clips"] for group in of_part), "chunk_ids": chunk_ids}
     return {
         "clips": len(rows),
         "clips_with_default_keyframe": sum(KEYFRAME_US in item.t0s_us for _, item in rows),
         "further_uses": sum(item.listed_as != item.clip_id for _, item in rows),
         "groups": groups,
-        "components": {
-            name: {"clips": part["clips"], "chunk_ids": part["chunk_ids"]} for name, part in components.items()
-        },
+        "components": components,
         "chunks": {
             how: {
-                "count": sum(result.how == how for result in results),
-                "bytes": sum(result.size for result in results if result.how == how),
+                "count": sum(result["how"] == how for result in results),
+                "bytes": sum(result["size"] for result in results if result["how"] == how),
             }
             for how in ("linked", "copied", "packed")
         },

@@ -53,20 +53,10 @@ def write_export(
 ) -> dict[str, Any]:
     """Fill a hidden folder beside `out` that becomes `out` on success and is kept on failure, to be taken up again.
 
-    What another export left there is removed; an export that is complete already is not made again.
+    What another export left there is removed; an export that is complete already is not made again. Besides the
+    contents, `settings` decide what it holds; `write` fills a folder and gives the summary.
 
-    Args:
-        layout: name of the layout.
-        contents: what is exported.
-        settings: what else decides the export.
-        out: the folder that appears.
-        write: fills a folder and gives the summary.
-
-    Returns:
-        The summary, which is also written to `out/export.json`.
-
-    Raises:
-        InputError: `out` holds something else, or the folder cannot be made.
+    The summary is also written to `out/export.json`. InputError: `out` holds something else, or cannot be made.
     """
     text = json.dumps([layout, asdict(contents), settings], default=str, sort_keys=True)
     fingerprint = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()

@@ -33,11 +33,7 @@ Counts = NDArray[np.int64]
 def epoch_counts(shares: Sequence[Fraction], samples: int) -> list[int]:
     """Items of each component in an epoch of `samples` items, by the method of largest remainders.
 
-    Each is its exact share rounded down or up, and they sum to `samples`.
-
-    Args:
-        shares: exact shares that sum to 1.
-        samples: items in the epoch.
+    Each is its exact share rounded down or up, and they sum to `samples`, as the shares sum to 1.
     """
     exact = [samples * share for share in shares]
     counts = [math.floor(items) for items in exact]
@@ -51,11 +47,7 @@ def batch_counts(counts: Sequence[int], batch_size: int) -> Counts:
     """Items of each component in each batch, (batches, components); the last batch may be partial.
 
     Each entry is the component's exact share of that batch rounded down or up; rows sum to the sizes of the batches
-    and columns to `counts`.
-
-    Args:
-        counts: items of each component in the epoch.
-        batch_size: items in a full batch.
+    and columns to `counts`, the items of each component in the epoch.
     """
     samples = sum(counts)
     full_batches, rest = divmod(samples, batch_size)
@@ -65,12 +57,8 @@ def batch_counts(counts: Sequence[int], batch_size: int) -> Counts:
     cumulative = np.zeros((full_batches + (rest > 0), len(counts) + 1), np.int64)
     for column, items in enumerate(accumulate(counts), start=1):
         whole, part = divmod(batch_size * items, samples)
-        # part / samples + p_k / K reaches 1 from here on.
-        threshold = _divide_up(full_batches * (samples - part), samples)
+        # part / samples + p_k / K reaches 1 from here on; both divisions are rounded up.
+        threshold = -(-full_batches * (samples - part) // samples)
         cumulative[:full_batches, column] = whole + (order >= threshold)
-        cumulative[full_batches:, column] = _divide_up(rest * items, samples)
+        cumulative[full_batches:, column] = -(-rest * items // samples)
     return np.diff(cumulative, axis=1)
-
-
-def _divide_up(numerator: int, denominator: int) -> int:
-    return -(-numerator // denominator)

@@ -18,13 +18,11 @@ def compare_mixtures(first: Mixture, second: Mixture) -> dict[str, Any]:
     `recipe` lists the keys whose values differ, `samples` and `components` count the distinct samples of both, of the
     first only and of the second only, and the shares are those of the items of epoch 0.
     """
-    shares = [
-        {
-            f"by_{group}": {value: numbers["got"] / len(mixture) for value, numbers in summary[f"by_{group}"].items()}
-            for group in GROUPS
-        }
-        for mixture, summary in ((first, first.describe()), (second, second.describe()))
-    ]
+    described = [(mixture.describe(), len(mixture)) for mixture in (first, second)]
+    shares = {
+        name: [{value: uses["got"] / items for value, uses in summary[name].items()} for summary, items in described]
+        for name in (f"by_{group}" for group in GROUPS)
+    }
     parts = [{part.component.name: part.samples for part in mixture.components} for mixture in (first, second)]
     asked = _pair([_flatten(mixture.recipe) for mixture in (first, second)], None)
     return {
@@ -34,10 +32,7 @@ def compare_mixtures(first: Mixture, second: Mixture) -> dict[str, Any]:
         "recipe": {key: values for key, values in asked.items() if values[0] != values[1]},
         "samples": _count_samples(first.samples, second.samples),
         "components": {name: _count_samples(*samples) for name, samples in _pair(parts, first.samples.clear()).items()},
-        **{
-            f"by_{group}": dict(sorted(_pair([each[f"by_{group}"] for each in shares], 0.0).items()))
-            for group in GROUPS
-        },
+        **{name: dict(sorted(_pair(both, 0.0).items())) for name, both in shares.items()},
     }
 
 

@@ -14,8 +14,7 @@ from torch.utils.data import Dataset, Sampler
 
 from olt_datasets.mixtures.mixture import Mixture
 from olt_generator.errors import InputError
-from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.policy.sample import PolicySample, SampleKey
+from olt_toolkit import ClipStore, PolicySample, SampleKey
 
 
 class MixtureDataset(Dataset[dict[str, Any]]):
@@ -25,7 +24,6 @@ class MixtureDataset(Dataset[dict[str, Any]]):
     `clip_id` as they are (shapes: `PolicySample`). `MixtureBatchSampler` gives the keys.
 
     Args:
-        mixture: which samples there are.
         image_size: height and width of the images that the policy takes; None for those of the clips.
         open_store: opens the clip store in a folder.
     """
@@ -59,11 +57,7 @@ class MixtureDataset(Dataset[dict[str, Any]]):
         ]
 
     def load_batch(self, keys: Sequence[SampleKey]) -> list[PolicySample]:
-        """Load samples in the order of `keys`; every clip is decoded once.
-
-        Raises:
-            InputError: a store, clip or time is missing or damaged.
-        """
+        """Samples in the order of `keys`; every clip is decoded once. InputError where one is missing or damaged."""
         loaded: dict[SampleKey, PolicySample] = {}
         for store in sorted({key.store for key in keys}):
             if store not in self._stores:
@@ -83,7 +77,6 @@ class MixtureBatchSampler(Sampler[list[SampleKey]]):
     item of the epoch again, so that all ranks step alike.
 
     Args:
-        mixture: which samples.
         batch_size: items in a global batch, that is of one optimizer step over all ranks.
         rank, world_size: this process and the number of processes.
         accumulation: forward passes per optimizer step; a rank's part of a global batch comes in so many batches.

@@ -53,16 +53,10 @@ def draw_samples(
 ) -> pl.DataFrame:
     """Draw `count` of the `available` samples that clips give to a component, without repetition.
 
-    Args:
-        clips: rows of a clip table.
-        component: whose sample times to take, and whose name keys the draw; its caps are not looked at.
-        available: number of samples that the clips give.
-        count: number of samples to draw, at most `available`.
-        seed: seed of the draw.
-        columns: columns of the clips to keep, `clip_id` among them.
+    The component tells which sample times to take, and its name keys the draw; its caps are not looked at.
 
     Returns:
-        The columns, `t0_us` (int64) and `PRIORITY` (uint64), in order of priority.
+        The columns, `clip_id` among them, `t0_us` (int64) and `PRIORITY` (uint64), in order of priority.
     """
     word = pl.col(PRIORITY) + pl.col("t0_us").cast(pl.UInt64)
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):

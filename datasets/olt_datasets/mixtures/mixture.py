@@ -32,6 +32,7 @@ from olt_datasets.mixtures.selection import (
     select_clips,
     word_shortage,
 )
+from olt_datasets.tables.clip_frame import SCHEMA
 from olt_datasets.tables.leaks import Leak, find_leaks, summarize_leaks
 from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
@@ -40,16 +41,7 @@ from olt_toolkit.policy.sample import SampleKey
 KEY_COLUMNS = ("store", "clip_id", "t0_us")
 GROUPS = ("source", "kind", "category", "factors", "country")
 SAMPLE_SCHEMA = pl.Schema(
-    {
-        "store": pl.String,
-        "clip_id": pl.String,
-        "t0_us": pl.Int64,
-        "source": pl.String,
-        "kind": pl.String,
-        "category": pl.String,
-        "factors": pl.List(pl.String),
-        "country": pl.String,
-    }
+    {"store": pl.String, "clip_id": pl.String, "t0_us": pl.Int64} | {name: SCHEMA[name] for name in GROUPS}
 )
 LEAK_COLUMNS = ("clip_id", "scene_id", "source", "kind", "split", "start_us", "end_us", "fingerprint")
 NOT_TOLD = "not told"
@@ -60,13 +52,7 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class MixtureComponent:
-    """The samples that one component gives.
-
-    Attributes:
-        component: the component of the recipe.
-        available: samples that it could use.
-        samples: the distinct samples that it uses, with the columns of `SAMPLE_SCHEMA`.
-    """
+    """The distinct samples (columns of `SAMPLE_SCHEMA`) that one component gives, of so many available."""
 
     component: Component
     available: int
@@ -82,14 +68,7 @@ class MixtureComponent:
 
 @dataclass(frozen=True, eq=False)
 class Mixture:
-    """A recipe applied to a clip table; see `compose_mixture`.
-
-    Attributes:
-        recipe: the recipe.
-        seed: seed of every draw.
-        items: items per epoch.
-        components: what each component gives, in the order of the recipe.
-    """
+    """A recipe applied to a clip table, which gives so many items per epoch; see `compose_mixture`."""
 
     recipe: Recipe
     seed: int
@@ -115,7 +94,7 @@ class Mixture:
         size; in a partial batch some ranks have one item fewer, which may be none.
 
         Args:
-            epoch: number of the epoch, from 0.
+            epoch: from 0.
             batch_size: items in a global batch, that is over all ranks and accumulation steps.
             rank, world_size: which part of every global batch is wanted; `world_size` divides `batch_size`.
             start_batch: number of batches to leave out at the start, to resume within an epoch.
@@ -215,10 +194,8 @@ def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes
     Scenes that the recipe holds out are left out; scenes in `held_out_scenes` (those of a test, say) must not occur.
 
     Args:
-        recipe: what to choose.
-        table: clips to choose from (`tables.clip_frame.scan_clip_tables`).
+        table: clips to choose from, such as `scan_clip_tables` gives.
         seed: seed of the choice and of every order.
-        held_out_scenes: scene ids that the mixture is checked against.
 
     Raises:
         InputError: a component has too few samples, two components share a clip, or the mixture leaks.

@@ -32,6 +32,7 @@ import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from olt_generator.errors import InputError
+from olt_toolkit.recordings.labels import Split
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
 
 RECIPE_VERSION = 1
@@ -48,9 +49,7 @@ class Filter(BaseModel):
 
     Attributes:
         kind: "GT" (measured views), "Syn" (synthesized views), or "any" of the two.
-        source: the clip's source is one of these; empty for every source.
-        country: the clip's country is one of these; empty for every country, told or not.
-        category: the clip's category is one of these; empty for every category.
+        source, country, category: the clip's is one of these; empty for every one, told or not.
         category_not: the clip's category is none of these.
         factors_any, factors_all, factors_none: the clip has at least one, all, none of these scene factors.
     """
@@ -161,7 +160,7 @@ class Recipe(BaseModel):
     name: str = Field(min_length=1)
     description: str
     version: int
-    split: Literal["train", "val", "test"] = "train"
+    split: Split = "train"
     samples: int | None = Field(default=None, gt=0)
     components: Annotated[tuple[Component, ...], Field(strict=False)]
     between_epochs: Literal["linear", "steps"] = "linear"
@@ -210,20 +209,12 @@ def read_recipe(path: Path) -> Recipe:
 
 
 def parse_recipe(content: dict[Any, Any], where: str) -> Recipe:
-    """Check the content of a recipe; `where` names it in errors.
-
-    Raises:
-        InputError: the first field that is wrong.
-    """
+    """Check the content of a recipe, which errors call `where`: an InputError tells the first field that is wrong."""
     return _validate(Recipe, content, where)
 
 
 def parse_filter(text: str, where: str) -> Filter:
-    """Read a filter written as a YAML mapping, such as `{category: [cyclists], country: [US]}`.
-
-    Raises:
-        InputError: it is no mapping, or a field is wrong.
-    """
+    """A filter written as a YAML mapping, such as `{category: [cyclists]}`; InputError where a field is wrong."""
     try:
         content = yaml.safe_load(text)
     except yaml.YAMLError as error:
@@ -237,18 +228,6 @@ def builtin_recipes() -> list[str]:
     return sorted(Path(entry.name).stem for entry in folder.iterdir() if entry.name.endswith(RECIPE_SUFFIXES))
 
 
-def builtin_recipe(name: str) -> Recipe:
-    """A recipe that comes with the package.
-
-    Raises:
-        InputError: there is none of this name.
-    """
-    if name not in builtin_recipes():
-        raise InputError(f"no built-in recipe {name!r}; there are {', '.join(builtin_recipes())}, or give a YAML file")
-    text = (files("olt_datasets") / "recipes" / f"{name}.yaml").read_text(encoding="utf-8")
-    return parse_recipe(yaml.safe_load(text), f"built-in recipe {name}")
-
-
 def find_recipe(path_or_name: str) -> Recipe:
     """The recipe in a YAML file, or the built-in one of this name.
 
@@ -257,7 +236,11 @@ def find_recipe(path_or_name: str) -> Recipe:
     """
     if path_or_name.endswith(RECIPE_SUFFIXES):
         return read_recipe(Path(path_or_name))
-    return builtin_recipe(path_or_name)
+    name, known = path_or_name, builtin_recipes()
+    if name not in known:
+        raise InputError(f"no built-in recipe {name!r}; there are {', '.join(known)}, or give a YAML file")
+    text = (files("olt_datasets") / "recipes" / f"{name}.yaml").read_text(encoding="utf-8")
+    return parse_recipe(yaml.safe_load(text), f"built-in recipe {name}")
 
 
 Model = TypeVar("Model", bound=BaseModel)

@@ -23,14 +23,9 @@ PAIR_COLUMNS = ("scene_id", "start_us", "end_us")
 
 @dataclass(frozen=True)
 class Selection:
-    """The clips that one component may use.
+    """The clips that one component may use, not yet read, and their number.
 
-    Attributes:
-        component: the component of the recipe.
-        clips: rows of the clip table, not yet read.
-        clip_count: number of these clips.
-        capped_samples: number of samples that they give in each capped category, before the cap.
-        other_samples: number of samples that they give in all other categories.
+    They give so many samples in each capped category, before the cap, and so many in all others.
     """
 
     component: Component
@@ -51,11 +46,7 @@ class Selection:
         return self.available * self.component.repeats
 
     def draw(self, most: int, seed: int, columns: Collection[str]) -> pl.DataFrame:
-        """Draw the samples of a component that gives at most so many items to an epoch.
-
-        Returns:
-            `columns` of the clips and `t0_us`, ordered by clip and time.
-        """
+        """The samples, if it gives at most so many items to an epoch: `columns` of the clips and `t0_us`, by clip."""
         count = min(most, self.available)
         category = pl.col("category")
         others = self.clips.filter(~category.is_in(list(self.component.caps)))
@@ -75,16 +66,12 @@ class Selection:
 class Shortage:
     """A component that cannot give what its recipe asks for, or whose share rounds to nothing.
 
+    Its filter `where` matches clips with so many samples available, each of which may be used `repeats` times an epoch.
+
     Attributes:
-        recipe, component: their names.
-        where: the component's filter, as recipes write it.
         samples_per_epoch: items of all components together.
         asked: the most items that an epoch asks of this one; 0 with clips available is a share too small for one.
-        clips: number of clips that the filter matches.
-        available: distinct samples that they give.
-        repeats: how often each may be used per epoch.
-        split: the split that samples are drawn from.
-        split_holds: what there is in it: number of clips of each kind, category and source.
+        split_holds: number of clips of each kind, category and source in the split.
     """
 
     recipe: str
@@ -108,11 +95,7 @@ class AbsentValue(NamedTuple):
 
 
 def select_clips(recipe: Recipe, table: ClipTable) -> list[Selection]:
-    """Apply the filters of a recipe to the clips of its split.
-
-    Raises:
-        InputError: two components select the same clip, which would give it to an epoch twice.
-    """
+    """The clips of its split that a recipe's filters match; InputError where two components would use the same one."""
     held_out = pl.col("scene_id").is_in(recipe.held_out_scenes)
     usable = table.lazy().filter((pl.col("split") == recipe.split) & ~held_out)
     marked = usable
@@ -244,24 +227,17 @@ def matches(where: Filter) -> pl.Expr:
     """Whether a clip satisfies a filter."""
     kinds = ("GT", "Syn") if where.kind == "any" else (where.kind,)
     conditions = [pl.col("kind").is_in(kinds)]
-    if where.source:
-        conditions.append(pl.col("source").is_in(where.source))
-    if where.country:
-        conditions.append(pl.col("country").is_in(where.country).fill_null(False))
-    if where.category:
-        conditions.append(pl.col("category").is_in(where.category))
+    for name in ("source", "country", "category"):
+        if wanted := getattr(where, name):
+            conditions.append(pl.col(name).is_in(wanted).fill_null(False))
     if where.category_not:
         conditions.append(~pl.col("category").is_in(where.category_not))
+    has_factor = pl.col("factors").list.contains
     if where.factors_any:
-        conditions.append(pl.any_horizontal(_has_factor(name) for name in where.factors_any))
-    if where.factors_none:
-        conditions.append(~pl.any_horizontal(_has_factor(name) for name in where.factors_none))
-    conditions.extend(_has_factor(name) for name in where.factors_all)
-    return pl.all_horizontal(conditions)
-
-
-def _has_factor(name: str) -> pl.Expr:
-    return pl.col("factors").list.contains(name)
+        conditions.append(pl.any_horizontal(map(has_factor, where.factors_any)))
+    return pl.all_horizontal(
+        *conditions, *map(has_factor, where.factors_all), *(~has_factor(name) for name in where.factors_none)
+    )
 
 
 def _mark(clips: pl.LazyFrame, component: Component) -> pl.LazyFrame:

@@ -7,7 +7,7 @@ gap is the total variation between coverage and target,
     gap = 1/2 sum_k |p_k - t_k|,
 
 the part of the clips that would have to be of another factor: 0 for the same distribution, 1 for none in common. It
-was preferred to the Jensen-Shannon divergence because it has this meaning and makes the best shares a linear program.
+makes the best shares a linear program.
 
 Counts are small and some are zero, which does not show that a source has no such scene. The distributions behind them
 are therefore taken from the Dirichlet posterior with one clip of prior, spread evenly over the factors (Perks 1947):
@@ -54,12 +54,7 @@ Coverage = Mapping[str, float]
 
 @dataclass(frozen=True)
 class Gap:
-    """An alignment gap, 0 to 1.
-
-    Attributes:
-        median: of the posterior.
-        low, high: its central 95 % interval.
-    """
+    """An alignment gap, 0 to 1: the median of the posterior and its central 95 % interval."""
 
     median: float
     low: float
@@ -68,14 +63,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class AlignedSource:
-    """How one source stands to the target.
-
-    Attributes:
-        name: the source.
-        clips: number of its clips.
-        gap: its alignment gap.
-        share: its proposed share of the clips.
-    """
+    """How one source stands to the target: the number of its clips, and its proposed share of them."""
 
     name: str
     clips: float
@@ -85,14 +73,9 @@ class AlignedSource:
 
 @dataclass(frozen=True)
 class MissingFactor:
-    """A factor that the target asks for and a source, or every source, has not once.
+    """A factor of the target that a source with so many clips has not once; None for these where no source has it.
 
-    Attributes:
-        factor: the factor.
-        target_share: its share of the target.
-        source: the source; None where no source has the factor.
-        clips: number of the source's clips; None for all sources.
-        bound: the part of such clips that the source has less than, with the probability `CONFIDENCE`; None for all.
+    With the probability `CONFIDENCE`, less than the bound of all clips of the source are such.
     """
 
     factor: str
@@ -104,15 +87,9 @@ class MissingFactor:
 
 @dataclass(frozen=True)
 class SourceAlignment:
-    """How sources stand to a target slice.
+    """How sources stand to a target slice: shares of its factors, clips of each source by factor, and gaps.
 
-    Attributes:
-        target: share of each factor in the target.
-        coverage: clips of each source by factor.
-        sources: the sources, one by one.
-        pooled_gap: gap of all clips of all sources together.
-        proposed_gap: gap of the proposed shares.
-        missing: factors of the target that sources have not once.
+    The pooled gap is that of all clips of all sources together, the proposed one that of the proposed shares.
     """
 
     target: dict[str, float]
@@ -157,7 +134,6 @@ def align_sources(
         target: weights of the factors in the target.
         target_is_sample: the weights are counts of clips, and as uncertain as such.
         samples: number of clips to be taken, none twice: no source is given a share that it is too small for.
-        seed: seed of the posterior's draws.
 
     Raises:
         InputError: there is no source or no target, or all sources together have fewer clips than `samples`.
@@ -214,13 +190,9 @@ def propose_shares(distributions: Array, target: Array, sizes: Array, limits: Ar
     A linear program in the shares w and the absolute differences u; a second one chooses among its solutions.
 
     Args:
-        distributions: (sources, factors), each row sums to 1.
-        target: (factors,), sums to 1.
-        sizes: (sources,) shares to stay near to where there is a choice; they sum to 1.
+        distributions: (sources, factors), each row sums to 1, as the target (factors,) does.
+        sizes: (sources,) shares to stay near to where there is a choice; they sum to 1, as what is returned does.
         limits: (sources,) the largest shares; they sum to at least 1.
-
-    Returns:
-        (sources,) shares that sum to 1.
     """
     first = _nearest([(distributions.T, target)], limits)
     least = float(total_variation(first @ distributions, target))

@@ -11,11 +11,7 @@ from olt_generator.errors import InputError
 class TrainingStage:
     """How one stage of training divides a mixture, written as DEVICESxBATCHxACCUMULATIONxEPOCHS.
 
-    Attributes:
-        devices: number of processes that train.
-        per_device_batch: samples per device and forward pass.
-        accumulation: forward passes per optimizer step.
-        epochs: passes over the mixture.
+    A device takes `per_device_batch` samples a forward pass, and `accumulation` of these passes an optimizer step.
     """
 
     devices: int
@@ -36,39 +32,25 @@ PAPER_STAGES = (TrainingStage(8, 1, 4, 3), TrainingStage(8, 1, 1, 3))
 """Stage 1 and Stage 2 of the paper, which are those of the public recipe."""
 
 
-@dataclass(frozen=True)
-class TrainingArithmetic:
-    """Steps of a training run, counted as Hugging Face's Trainer does with `drop_last` off.
+def training_arithmetic(samples: int, stage: TrainingStage) -> dict[str, int]:
+    """Steps of one stage on a mixture of so many samples, as Hugging Face's Trainer counts with `drop_last` off.
 
-    Attributes:
-        samples: samples of the mixture.
-        global_batch: samples per optimizer step.
-        steps_per_epoch, total_steps: optimizer steps.
-        samples_per_epoch: samples that the steps of an epoch have room for.
-        padded_samples: the part of that room which the mixture does not fill.
+    `samples_per_epoch` is what the steps of an epoch have room for, `padded_samples` what the mixture does not fill.
     """
-
-    samples: int
-    global_batch: int
-    steps_per_epoch: int
-    total_steps: int
-    samples_per_epoch: int
-    padded_samples: int
-
-
-def training_arithmetic(samples: int, stage: TrainingStage) -> TrainingArithmetic:
-    """Steps and samples of one stage of training on a mixture of so many samples."""
     steps = math.ceil(samples / stage.global_batch)
     room = steps * stage.global_batch
-    return TrainingArithmetic(samples, stage.global_batch, steps, stage.epochs * steps, room, room - samples)
+    return {
+        "samples": samples,
+        "global_batch": stage.global_batch,
+        "steps_per_epoch": steps,
+        "total_steps": stage.epochs * steps,
+        "samples_per_epoch": room,
+        "padded_samples": room - samples,
+    }
 
 
 def parse_stage(text: str) -> TrainingStage:
-    """Read DEVICESxBATCHxACCUMULATIONxEPOCHS, such as 8x1x4x3.
-
-    Raises:
-        InputError: it is not four positive numbers.
-    """
+    """Read DEVICESxBATCHxACCUMULATIONxEPOCHS, such as 8x1x4x3; InputError where it is not four positive numbers."""
     match = re.fullmatch(r"([1-9]\d*)x([1-9]\d*)x([1-9]\d*)x([1-9]\d*)", text)
     if match is None:
         raise InputError(

@@ -10,12 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from olt_closed_loop.scenes.sources.argoverse2 import read_motion_ego, read_sensor_ego
-from olt_generator.errors import InputError
-from olt_generator.trajectory import Trajectory
+from olt_generator import InputError, Trajectory
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.recordings import DatasetReader, Drive, Licence, OpenOptions, Recording
 
 NAME = "argoverse2"
 LICENCE = Licence(
@@ -43,12 +41,12 @@ class Argoverse2:
 
     def __init__(self, root: Path, _: Path) -> None:
         self._root = root
-        self._scenarios = _folders(root, _SCENARIO)
-        self._logs = _folders(root, _LOG)
+        # A folder that holds both is a scenario.
+        self._files = {key: file for file in (_LOG, _SCENARIO) for key in _keys(root, file)}
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: paths of the folders; `.` for the folder itself."""
-        return sorted({*self._scenarios, *self._logs})
+        return sorted(self._files)
 
     def drive(self, key: str) -> Drive:
         """See `Dataset.drive`; drive time 0 is the first pose, as there are no images."""
@@ -64,20 +62,14 @@ class Argoverse2:
             true_views=(),
             country="US",
             split=next((split for split in _SPLITS if split == folder.parent.name), None),
-            notes=_NOTES[_SCENARIO if key in self._scenarios else _LOG],
+            notes=_NOTES[self._files[key]],
         )
 
     def ego_motion(self, key: str) -> Trajectory:
-        """The motion of the rig over a drive; its frame is that of the city, moved to the start of a scenario.
-
-        Raises:
-            InputError: there is no such drive, or its file is damaged.
-        """
-        if key in self._scenarios:
-            return read_motion_ego(self._scenarios[key])
-        if key in self._logs:
-            return read_sensor_ego(self._logs[key])
-        raise InputError(f"{self._root}: there is no Argoverse 2 drive {key!r}")
+        """The motion of the rig over a drive, else InputError; its frame is the city's, moved to a scenario's start."""
+        if key not in self._files:
+            raise InputError(f"{self._root}: there is no Argoverse 2 drive {key!r}")
+        return (read_motion_ego if self._files[key] == _SCENARIO else read_sensor_ego)(self._root / key)
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; always refused."""
@@ -87,9 +79,8 @@ class Argoverse2:
         )
 
 
-def _folders(root: Path, file: str) -> dict[str, Path]:
-    found = (path.parent for depth in _DEPTHS for path in root.glob(depth + file))
-    return {folder.relative_to(root).as_posix(): folder for folder in found}
+def _keys(root: Path, file: str) -> set[str]:
+    return {path.parent.relative_to(root).as_posix() for depth in _DEPTHS for path in root.glob(depth + file)}
 
 
 DATASET = DatasetReader(

@@ -16,13 +16,8 @@ _BETWEEN = " \t\r\n,"
 def read_rows(path: Path, fields: Mapping[str, type]) -> Iterator[dict[str, Any]]:
     """The objects of a list, each with at least the given fields; only a block of the file is in memory.
 
-    Args:
-        path: the file.
-        fields: name and type of what is needed: str, int or list (of finite numbers, or of lists of them).
-
-    Raises:
-        InputError: the file cannot be read, is not a list of objects, or a field is missing or of another type; names
-            file, row and field.
+    Types of fields are str, int and list (of finite numbers, or of lists of them). InputError names file, row and field
+    that are not as they should be.
     """
     for number, row in enumerate(_objects(path)):
         for name, kind in fields.items():

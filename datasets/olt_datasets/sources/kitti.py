@@ -44,11 +44,7 @@ class KittiDrive(Protocol):
     notes: tuple[str, ...]
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
-        """Decode some images, shrunk to `width`; times are those of the drive, and so is the whole reference.
-
-        Raises:
-            InputError: an image or a file of poses is damaged.
-        """
+        """Decode some images, shrunk to `width`, else InputError; times are the drive's, and so is the reference."""
         ...
 
 
@@ -115,11 +111,7 @@ def list_images(folder: Path) -> list[Path]:
 
 
 def read_images(files: list[Path], width: int) -> tuple[NDArray[np.uint8], tuple[int, int]]:
-    """Images (n, H, W, 3) RGB, shrunk to `width`, and their width and height as they are stored.
-
-    Raises:
-        InputError: an image cannot be decoded, or is not as large as the one before it.
-    """
+    """Images (n, H, W, 3) RGB, shrunk to `width`, and the width and height that all, else InputError, are stored in."""
     images, size = [], None
     for file in files:
         image = cv2.imread(str(file), cv2.IMREAD_COLOR)
@@ -134,11 +126,7 @@ def read_images(files: list[Path], width: int) -> tuple[NDArray[np.uint8], tuple
 
 
 def check_increasing(times: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
-    """The times (n,) as they are.
-
-    Raises:
-        InputError: one of them is not after the one before it.
-    """
+    """The times (n,) as they are; InputError where one of them is not after the one before it."""
     wrong = np.flatnonzero(np.diff(times) <= 0)
     if len(wrong):
         raise InputError(f"{path}, line {wrong[0] + 2}: its time is not after the one before it; copy the drive again")

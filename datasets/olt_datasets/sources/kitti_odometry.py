@@ -13,10 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, usual_travel
-from olt_generator.cameras import PinholeCamera
-from olt_generator.errors import InputError
+from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.poses import Array, aim_camera, camera_pose_in_rig, invert, make_pose
-from olt_generator.trajectory import Trajectory
 from olt_toolkit.recordings.recording import Recording
 
 # KITTI's sensor sketch: camera 0 stands 1.65 m above the road; calib_imu_to_velo and calib_velo_to_cam of the raw data
@@ -46,11 +44,7 @@ class KittiOdometrySequence:
     camera = "image_0"
 
     def __init__(self, path: Path) -> None:
-        """Read all but the images.
-
-        Raises:
-            InputError: files are missing, damaged or not as many as their times or poses.
-        """
+        """Read all but the images; InputError where files are missing, damaged or too many for times or poses."""
         self.scene = path.name
         self._images = list_images(path / "image_0")
         if not self._images:

@@ -18,10 +18,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, usual_travel
-from olt_generator.cameras import PinholeCamera
-from olt_generator.errors import InputError
+from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.poses import Array, invert, make_pose
-from olt_generator.trajectory import Trajectory
 from olt_toolkit.recordings.recording import Recording
 
 IMU_HEIGHT = 0.93
@@ -45,11 +43,7 @@ class KittiRawDrive:
     camera, has_motion, notes = "image_02", True, ASSUMPTIONS
 
     def __init__(self, path: Path) -> None:
-        """Read what describes the drive, no image and no GPS/IMU file.
-
-        Raises:
-            InputError: files are missing, damaged or not as many as their times.
-        """
+        """Read what describes the drive, no image and no GPS/IMU file; InputError names a file that is wrong."""
         if (path / _OFFICIAL_IMAGES).is_dir():
             images, image_times, calibration = path / _OFFICIAL_IMAGES, path / "image_02/timestamps.txt", path.parent
             oxts, oxts_times = path / "oxts/data", path / "oxts/timestamps.txt"
@@ -66,15 +60,13 @@ class KittiRawDrive:
         self._calibration = _read_calibration(calibration / CAMERA_FILE, fields)
         self._T_imu_camera = _imu_to_camera(calibration, self._calibration)
         self._oxts = sorted(oxts.glob("*.txt"))
-        if len(self._oxts) != len(oxts_ns):
-            raise InputError(
-                f"{oxts}: {len(self._oxts)} GPS/IMU files for {len(oxts_ns)} timestamps; copy the drive again"
-            )
         self._images = list_images(images)
-        if len(self._images) != len(image_ns):
-            raise InputError(
-                f"{images}: {len(self._images)} images for {len(image_ns)} timestamps; copy the drive again"
-            )
+        for folder, what, files, times in (
+            (oxts, "GPS/IMU files", self._oxts, oxts_ns),
+            (images, "images", self._images, image_ns),
+        ):
+            if len(files) != len(times):
+                raise InputError(f"{folder}: {len(files)} {what} for {len(times)} timestamps; copy the drive again")
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """See `KittiDrive.record`."""

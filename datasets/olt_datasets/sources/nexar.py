@@ -20,8 +20,7 @@ from olt_generator.errors import InputError
 from olt_generator.video import read_frame_times
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.recordings import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE
 
 NAME = "nexar"
@@ -45,11 +44,9 @@ _FACTORS = {"light_conditions": "light", "weather": "weather", "scene": "scene"}
 
 @dataclass(frozen=True)
 class _Video:
-    """A row of the tables.
+    """A row of the tables; event and alert are the seconds at which it happens, and at which it can be foreseen.
 
-    Attributes:
-        ends_badly: whether a collision or a near miss follows; None where the data set keeps it to itself.
-        event, alert: seconds at which it happens, and at which it can be foreseen.
+    `ends_badly` is whether a collision or a near miss follows; None where the data set keeps it to itself.
     """
 
     path: Path
@@ -74,12 +71,11 @@ class Nexar:
             if not (root / table).is_file():
                 continue
             for number, row in enumerate(_read_rows(root / table), start=2):
-                video = _read_video(row, root / folder, split, f"{root / table}, line {number}")
+                where = f"{root / table}, line {number}"
+                video = _read_video(row, root / folder, split, where)
                 key = video.path.relative_to(root).with_suffix("").as_posix()
                 if key in self._videos:
-                    raise InputError(
-                        f"{root / table}, line {number}: video {key} is listed twice; keep one of the rows"
-                    )
+                    raise InputError(f"{where}: video {key} is listed twice; keep one of the rows")
                 self._videos[key] = video
         if not self._videos:
             raise InputError(f"{root}: no train.csv, test.csv or metadata.csv lists a video; give Nexar's folder")

@@ -13,14 +13,11 @@ import polars as pl
 
 from olt_datasets.sources.nuscenes_tables import LENS, MOUNTING, POSITION, TABLES, camera_images
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
-from olt_generator.cameras import PinholeCamera
-from olt_generator.errors import InputError
+from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.poses import pose_from_quaternion
-from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.recordings import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.rigs.rig import MountedCamera
 from olt_toolkit.rigs.rig_files import load_rig
 
@@ -56,14 +53,9 @@ class Nuscenes:
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: the names of the scenes of which front images are on disk."""
-        folders = [f"{kind}/{FRONT}" for kind in ("samples", "sweeps")]
         # Names as the tables have them.
-        names = [
-            f"{name}/{file.name}"
-            for name in folders
-            if (self.root / name).is_dir()
-            for file in (self.root / name).iterdir()
-        ]
+        files = [file for kind in ("samples", "sweeps") for file in self.root.glob(f"{kind}/{FRONT}/*")]
+        names = [file.relative_to(self.root).as_posix() for file in files]
         on_disk = pl.Series(sorted(names), dtype=pl.String)
         scenes: set[str] = set()
         for release in set(self._tables.values()):

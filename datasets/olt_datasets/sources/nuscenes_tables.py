@@ -22,17 +22,7 @@ POSITION = ["x", "y", "z"]
 QUATERNION = ["qw", "qx", "qy", "qz"]
 MOUNTING = [f"camera_{name}" for name in (*POSITION, *QUATERNION)]
 LENS = ["fx", "fy", "cx", "cy"]
-IMAGE_SCHEMA = {
-    "scene": pl.String,
-    "description": pl.String,
-    "location": pl.String,
-    "channel": pl.String,
-    "filename": pl.String,
-    "timestamp": pl.Int64,
-    "width": pl.Int32,
-    "height": pl.Int32,
-    "calibrated_sensor": pl.String,
-}
+IMAGE = ["scene", "description", "location", "channel", "filename", "timestamp", "width", "height", "calibrated_sensor"]
 # Changes with the columns, so that files of another version of this module are not taken.
 _FORMAT = "1"
 _BATCH = 50_000
@@ -42,15 +32,9 @@ _ROW_GROUP = 20_000
 def camera_images(release: Path, cache: Path) -> Path:
     """The Parquet file of all camera images of a release, made where it is not in the cache yet.
 
-    Columns: `IMAGE_SCHEMA`; `POSITION` and `QUATERNION` of the vehicle in the map; `MOUNTING` of the camera in the
-    vehicle; `LENS` in pixels. Rows are sorted by scene, channel and time.
-
-    Args:
-        release: folder of the JSON tables, such as `v1.0-mini`.
-        cache: where the result is kept.
-
-    Raises:
-        InputError: a table is missing or damaged; names file, row and field.
+    Columns: `IMAGE`; `POSITION` and `QUATERNION` of the vehicle in the map; `MOUNTING` of the camera in the
+    vehicle; `LENS` in pixels. Rows are sorted by scene, channel and time. The release is a folder, such as `v1.0-mini`.
+    InputError names file, row and field where a table is missing or damaged.
     """
     digest = blake2b(_FORMAT.encode(), digest_size=8)  # changes when a table is replaced
     for name in TABLES:
@@ -68,7 +52,7 @@ def camera_images(release: Path, cache: Path) -> Path:
         images = _joined(
             images, _read_poses(release, set(images["ego_pose_token"])), "ego_pose_token", release / "ego_pose.json"
         )
-        images = images.select([*IMAGE_SCHEMA, *POSITION, *QUATERNION, *MOUNTING, *LENS])
+        images = images.select([*IMAGE, *POSITION, *QUATERNION, *MOUNTING, *LENS])
         with write_whole(path) as temporary:
             images.sort("scene", "channel", "timestamp").write_parquet(temporary, row_group_size=_ROW_GROUP)
     return path

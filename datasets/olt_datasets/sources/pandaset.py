@@ -12,20 +12,17 @@ distortion, which the images have; the static calibration does.
 import json
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
-from olt_generator.cameras import BrownConradyCamera
-from olt_generator.errors import InputError
+from olt_generator import BrownConradyCamera, InputError, Trajectory
 from olt_generator.poses import Array, invert, pose_from_quaternion
-from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.recordings import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.rigs.rig_files import load_rig
 
 SOURCE = "pandaset"
@@ -185,8 +182,7 @@ def _read_json(path: Path, content: TypeAdapter[Content]) -> Content:
     try:
         if path.stat().st_size > _LARGEST_JSON_BYTES:
             raise InputError(f"{path}: {path.stat().st_size} bytes are too many for this file; copy it again")
-        parsed: Any = json.loads(path.read_text(encoding="utf-8"))
-        return content.validate_python(parsed)
+        return content.validate_python(json.loads(path.read_text(encoding="utf-8")))
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file; copy the sequence again") from error
     except ValidationError as error:

@@ -11,14 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.pav_tables import (
-    ClipEvents,
-    IndexedClip,
-    read_absence,
-    read_clip_index,
-    read_countries,
-    read_events,
-)
+from olt_datasets.sources import pav_tables
 from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator.errors import InputError
 from olt_generator.video import shrink
@@ -38,8 +31,7 @@ from olt_toolkit.clips.pai_tables import read_egomotion, read_mounted_camera, re
 from olt_toolkit.clips.table import CLIP_TABLE
 from olt_toolkit.clips.video import decode_frames
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.recordings import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, short_name
 
 SOURCE = "pav"
@@ -66,16 +58,17 @@ class Pav:
     def __init__(self, root: Path, _: Path) -> None:
         if not (root / CLIP_INDEX).is_file():
             raise InputError(f"{root / CLIP_INDEX}: no such file; give the root of a PhysicalAI-AV tree")
-        if _is_clip_store(root):
+        if (root / CLIP_TABLE).exists():
             raise InputError(
                 f"{root}: a clip store of this toolkit ({CLIP_TABLE}), whose images need not be true; use it as it is"
             )
         self.root = root
         self._archive = lru_cache(maxsize=_KEPT_ARCHIVES)(ChunkArchive)
-        self._clips = read_clip_index(root)
-        self._absent = read_absence(root)
+        self._clips = pav_tables.read_clip_index(root)
+        self._absent = pav_tables.read_absence(root)
         # Read where a clip is described: opening needs neither.
-        self._countries, self._events = cache(lambda: read_countries(root)), cache(lambda: read_events(root))
+        self._countries = cache(lambda: pav_tables.read_countries(root))
+        self._events = cache(lambda: pav_tables.read_events(root))
 
     def keys(self) -> list[str]:
         """See `Dataset.keys`: the ids of valid clips whose front images are on disk."""
@@ -87,7 +80,7 @@ class Pav:
 
     def drive(self, key: str) -> Drive:
         """See `Dataset.drive`."""
-        clip, events = self._clip(key), self._events().get(key, ClipEvents())
+        clip, events = self._clip(key), self._events().get(key, pav_tables.ClipEvents())
         clip_us = self._timestamps(key, FRONT_WIDE)
         start_us, end_us = int(clip_us[0]), int(clip_us[-1])
         cameras = tuple(name for name in CAMERA_INDEX if self._has(key, name, VIDEO))
@@ -117,7 +110,6 @@ class Pav:
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; lenses and mountings are the clip's own, whatever the options say."""
-        self._clip(key)
         clip_us = self._timestamps(key, FRONT_WIDE)
         times_us = clip_us[images_within(clip_us - clip_us[0], window_us, f"{self.root}: clip {key}")]
         beside = [name for name in self._cameras_beside(key, options.views, times_us) if name != FRONT_WIDE]
@@ -177,7 +169,7 @@ class Pav:
         small = np.stack(images)
         return small, MountedCamera(mounted.camera.resized(small.shape[2], small.shape[1]), mounted.T_rig_camera)
 
-    def _clip(self, key: str) -> IndexedClip:
+    def _clip(self, key: str) -> pav_tables.IndexedClip:
         if key not in self._clips:
             raise InputError(f"{self.root / CLIP_INDEX}: no valid clip {key!r}")
         return self._clips[key]
@@ -199,14 +191,12 @@ class Pav:
         return self._archive(path).read(name), f"{path}: {name}"
 
 
-def _is_clip_store(root: Path) -> bool:
-    return (root / CLIP_TABLE).exists()
-
-
 DATASET = DatasetReader(
     SOURCE,
     LICENCE,
     # Clip stores of this toolkit have the same layout and are none.
-    lambda path: all((path / name).is_file() for name in (CLIP_INDEX, FEATURE_TABLE)) and not _is_clip_store(path),
+    lambda path: (
+        all((path / each).is_file() for each in (CLIP_INDEX, FEATURE_TABLE)) and not (path / CLIP_TABLE).exists()
+    ),
     Pav,
 )

@@ -67,11 +67,7 @@ class ClipEvents:
 
 
 def read_clip_index(root: Path) -> dict[str, IndexedClip]:
-    """The clips that are valid, by id.
-
-    Raises:
-        InputError: the table is missing or damaged, or a column has another type; names the column.
-    """
+    """The clips that are valid, by id; InputError names a column that is missing or of another type."""
     path = root / CLIP_INDEX
     table = read_indexed(path, ["chunk", "split", "clip_is_valid"], ["clip_id"])
     for column, kind in {"chunk": np.int64, "clip_is_valid": np.bool_}.items():
@@ -94,11 +90,7 @@ def read_clip_index(root: Path) -> dict[str, IndexedClip]:
 
 
 def read_absence(root: Path) -> dict[str, frozenset[str]]:
-    """The clips that lack a feature, by feature; empty where the tree does not tell.
-
-    Raises:
-        InputError: the table is damaged.
-    """
+    """The clips that lack a feature, by feature; empty where no table tells, InputError where it is damaged."""
     for name in (FEATURE_PRESENCE, OLDER_FEATURE_PRESENCE):
         if (root / name).is_file():
             table = read_indexed(root / name, [], ["clip_id"])
@@ -108,11 +100,7 @@ def read_absence(root: Path) -> dict[str, frozenset[str]]:
 
 
 def read_countries(root: Path) -> dict[str, str]:
-    """Country codes of two letters by clip; clips of which the tree tells none are left out.
-
-    Raises:
-        InputError: the table is damaged, or names a country that the data set has not.
-    """
+    """Country codes of two letters by clip, where the tree tells one; InputError where it is none of the data set."""
     path = root / DATA_COLLECTION
     if not path.is_file():
         return {}
@@ -125,11 +113,7 @@ def read_countries(root: Path) -> dict[str, str]:
 
 
 def read_events(root: Path) -> dict[str, ClipEvents]:
-    """Events and category by clip, of the clips that the reasoning table has; empty where there is no such table.
-
-    Raises:
-        InputError: the table is damaged; names clip and field.
-    """
+    """Events and category of the clips that a reasoning table has; InputError names the clip where it is damaged."""
     path = root / REASONING
     if not path.is_file():
         return {}

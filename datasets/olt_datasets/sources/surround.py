@@ -16,15 +16,12 @@ from numpy.typing import NDArray
 
 from olt_datasets.sources.mosaic import Mosaic, coverage
 from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
-from olt_generator.cameras import Camera, PinholeCamera
-from olt_generator.errors import InputError
+from olt_generator import Camera, InputError, PinholeCamera, Trajectory
 from olt_generator.lenses.remap import Remapper
-from olt_generator.trajectory import Trajectory
 from olt_generator.video import shrink
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive
-from olt_toolkit.recordings.labels import UNLABELLED, Split
-from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.recordings import Drive, OpenOptions, Recording
+from olt_toolkit.recordings.labels import Split
 from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, short_name
 from olt_toolkit.rigs.rig_files import pav_rig
 
@@ -43,22 +40,15 @@ class StoredImage(Protocol):
     """An image file, or an image inside another file; as text it is what errors call it."""
 
     def read_bytes(self) -> bytes:
-        """The coded image.
-
-        Raises:
-            InputError: it is damaged.
-        """
+        """The coded image; InputError where it is damaged."""
         ...
 
 
 @dataclass(frozen=True)
 class CameraImages:
-    """The images of one camera over a drive.
+    """The images of one camera over a drive: n files or parts of files at drive times (n,), strictly increasing.
 
-    Attributes:
-        mounted: lens, at the size of the stored images, and mounting.
-        files: n images, files or parts of files.
-        times_us: (n,) int64 drive times, strictly increasing.
+    `mounted` is the lens, at the size of the stored images, and the mounting.
     """
 
     mounted: MountedCamera
@@ -68,16 +58,9 @@ class CameraImages:
 
 @dataclass(frozen=True)
 class SurroundDrive:
-    """A drive of a vehicle with several cameras.
+    """A drive of a vehicle with several cameras, of which the front one begins at drive time 0.
 
-    Attributes:
-        source: name of the reader.
-        key: key of the drive.
-        front: name of the front camera.
-        cameras: images by camera name; those of the front camera begin at drive time 0.
-        ego: measured rig poses over drive time, in a frame whose z is up.
-        vehicle: size of the vehicle.
-        assumptions: a sentence for everything that is assumed instead of measured.
+    `ego` are measured rig poses over drive time, in a frame whose z is up; `assumptions` sentences for what is assumed.
     """
 
     source: str
@@ -105,14 +88,7 @@ class SurroundDrive:
             if farthest_apart(camera.times_us, front_us) <= FARTHEST_US
         }
 
-    def describe(
-        self,
-        *,
-        category: str = UNLABELLED,
-        country: str | None = None,
-        split: Split | None = None,
-        notes: tuple[str, ...] = (),
-    ) -> Drive:
+    def describe(self, *, notes: tuple[str, ...] = (), country: str | None = None, split: Split | None = None) -> Drive:
         """The drive as data set readers tell it; the arguments are those of `Drive`."""
         mosaics = (
             f"The true {short_name(name)} view is a mosaic of several cameras, which shows {share:.0%} of it."
@@ -131,7 +107,6 @@ class SurroundDrive:
             cameras=tuple(self.cameras),
             ego_span_us=(int(self.ego.timestamps_us[0]), int(self.ego.timestamps_us[-1])),
             true_views=tuple(name for name in POLICY_CAMERAS if name == FRONT_WIDE or name in self.mosaics),
-            category=category,
             country=country,
             split=split,
             notes=(*notes, *mosaics, *unsteady, *self.assumptions),
@@ -187,11 +162,7 @@ class SurroundDrive:
 
 
 def read_image(stored: StoredImage, camera: Camera) -> Image:
-    """A stored image as (H, W, 3) RGB, at the size of its camera.
-
-    Raises:
-        InputError: it is missing, too large to be one, cannot be decoded, or has another size.
-    """
+    """A stored image as (H, W, 3) RGB; InputError where it is missing, damaged or not at the size of its camera."""
     if isinstance(stored, Path):
         if not stored.is_file():
             raise InputError(f"{stored}: no such image; copy the data set again")

@@ -22,12 +22,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 from olt_closed_loop.scenes.procedural import CATEGORIES, DURATION_US, generate_scene
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.sensors.recorder import frame_times, record_drive
-from olt_generator.errors import InputError
-from olt_generator.trajectory import Trajectory
+from olt_generator import InputError, Trajectory
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.recordings import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
 from olt_toolkit.rigs.rig_files import pav_rig
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping

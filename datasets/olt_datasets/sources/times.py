@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.errors import InputError
-from olt_generator.trajectory import Trajectory
+from olt_generator import InputError, Trajectory
 from olt_toolkit.policy.window import Span
 
 # An image further in time than this from the front image that it is to stand beside is taken for missing.
@@ -12,11 +11,7 @@ FARTHEST_US = 100_000
 
 
 def images_within(front_us: NDArray[np.int64], window_us: Span, where: str) -> NDArray[np.intp]:
-    """Numbers (m,) of the images at times (n,) in microseconds that lie in [first, last].
-
-    Raises:
-        InputError: there are none; names `where`.
-    """
+    """Numbers (m,) of the images at times (n,) in microseconds that lie in [first, last]; InputError if none does."""
     inside = np.flatnonzero((front_us >= window_us[0]) & (front_us <= window_us[1]))
     if len(inside) == 0:
         raise InputError(f"{where}: no front image lies between {window_us[0]} and {window_us[1]} us of the drive")

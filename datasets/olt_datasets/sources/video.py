@@ -13,16 +13,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
-from olt_generator.errors import InputError
+from olt_generator import Camera, FthetaCamera, InputError, PinholeCamera, estimate_field_of_view
 from olt_generator.files import write_whole
-from olt_generator.motion.focal_length import estimate_field_of_view
 from olt_generator.video import Video, read_frame_times, read_video, read_video_window
+from olt_toolkit import OpenOptions, Recording, load_rig
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import WHOLE, DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE
-from olt_toolkit.rigs.rig_files import load_rig
 
 NAME = "video"
 LICENCE = Licence(
@@ -95,16 +92,8 @@ def open_video_window(
 ) -> Recording:
     """Decode a window of a front video of which nothing is known, in the rig in which unknown cameras are taken to be.
 
-    Args:
-        path: the video.
-        name: name of the recording.
-        source: name of the reader.
-        window_us: times of the first and the last frame.
-        options: working width, what to assume, and in how much from the start the field of view is looked for.
-        cache: where the field of view is kept for as long as the file stays the same.
-
-    Raises:
-        InputError: the video is damaged, or shows no frame in the window, or a single one in all that is opened.
+    The options tell in how much from the start the field of view is looked for. It is kept in the cache for as long as
+    the file stays the same. InputError: the video is damaged, has no frame in the window, or one in all that is opened.
     """
     first_us, last_us = window_us
     beginning_us = round(1e6 * (options.duration if math.isfinite(options.duration) else LENS_SECONDS))
@@ -166,12 +155,7 @@ class AssumedLens:
 
 
 def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64]) -> AssumedLens:
-    """The field of view as estimated from the video, else as assumed for dashcams.
-
-    Args:
-        frames: (n, H, W, 3) uint8.
-        timestamps_us: (n,) int64 microseconds.
-    """
+    """The field of view as estimated from frames (n, H, W, 3) and their times (n,), else as assumed for dashcams."""
     estimate = estimate_field_of_view(frames, timestamps_us, assume_camera)
     if estimate.field_of_view is not None and estimate.interval is not None:
         low, high = np.degrees(estimate.interval)
@@ -185,11 +169,7 @@ def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int6
 
 
 def assume_camera(width: int, height: int, field_of_view: float) -> Camera:
-    """A centred camera with the given horizontal field of view in radians: pinhole, or equidistant where it is wide.
-
-    Raises:
-        InputError: the field of view is not between 10 and 200 degrees.
-    """
+    """A centred camera, pinhole or f-theta, that sees so many radians across; InputError beyond 10 to 200 degrees."""
     low, high = FIELD_OF_VIEW_RANGE
     if not low <= field_of_view <= high:
         raise InputError(

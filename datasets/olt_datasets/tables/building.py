@@ -20,11 +20,7 @@ _WIDTH_STEP, _SMALLEST_WIDTH = 16, 512
 
 
 def find_buildable(rows: Sequence[ClipInfo], kind: BuiltKind) -> list[ClipInfo]:
-    """The rows of which a clip of this kind can be made: GT only of rows of that kind, Syn of all.
-
-    Raises:
-        InputError: there are none, or one of them is in no split.
-    """
+    """The rows to make clips of: for GT those of that kind, for Syn all; InputError if none, or one is in no split."""
     found = [row for row in rows if kind is BuiltKind.SYN or row.kind == "GT"]
     if not found:
         raise InputError(f"the table has {len(rows)} clips, none of which has true views of all policy cameras (GT)")
@@ -35,14 +31,10 @@ def find_buildable(rows: Sequence[ClipInfo], kind: BuiltKind) -> list[ClipInfo]:
 
 
 def build_row(row: ClipInfo, kind: BuiltKind, job: BuildJob) -> BuildJob:
-    """The job that builds the clip of a row.
+    """The job that builds the clip of a row that is in a split, from the job that has what all rows share.
 
-    Args:
-        row: the row, which is in a split.
-        kind: GT: the true images of all policy cameras. Syn: those of the front camera, from which the other views are
-            synthesized. Motion that the data set measured is taken in any case.
-        job: what all rows share: the data set, the store, what to assume of a camera that the data set does not tell,
-            sizes and seed of the clips, and what measures motion and distances.
+    GT takes the true images of all policy cameras, Syn those of the front camera, from which the other views are
+    synthesized. Motion that the data set measured is taken in any case.
     """
     assert row.split is not None  # find_buildable refuses other rows
     opening, real_views = job.opening, kind is BuiltKind.GT

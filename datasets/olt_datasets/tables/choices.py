@@ -1,13 +1,9 @@
 """What users choose by name when they index, split and build clips; commands load it, so it imports nothing heavy."""
 
 from enum import StrEnum
-from typing import Literal
 
 PAPER_FRAMES = 41
 PAPER_STRIDE = 42
-
-SplitName = Literal["train", "val", "test"]
-"""The names of `olt_toolkit.clips.clip.Split`, for commands."""
 
 
 class SampleChoice(StrEnum):

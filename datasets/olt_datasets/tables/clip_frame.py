@@ -5,14 +5,12 @@ rows is a property of the clips: it depends neither on the order of rows in a fi
 given, so that everything drawn from a table by row number is reproducible.
 """
 
-import hashlib
 from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, get_args
 
-import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -26,9 +24,6 @@ from olt_toolkit.clips.table import SCHEMA as STORED_SCHEMA
 # The provenance of every view stays in the store; no mixture depends on it.
 SCHEMA = pl.DataFrame(STORED_SCHEMA.empty_table()).drop("views").schema
 TABLE_SUFFIX = ".parquet"
-
-# What decides which samples a mixture holds; the checksum of a table is taken over these.
-DECIDING_COLUMNS = ("clip_id", "scene_id", "source", "kind", "category", "factors", "split", "sample_t0_us")
 
 
 def scan_clip_tables(paths: Sequence[Path]) -> pl.LazyFrame:
@@ -55,13 +50,17 @@ def read_clip_tables(paths: Sequence[Path]) -> pl.DataFrame:
     return scan_clip_tables(paths).collect()
 
 
-def rewrite_rows(table: Path, out: Path, change: Callable[[pa.Table, int], pa.Table]) -> None:
-    """Write a table of indexed clips again, changed row group by row group; it appears whole and may replace the old.
+def check_table_name(path: Path) -> None:
+    """InputError unless a path is that of a table of indexed clips."""
+    if path.suffix != TABLE_SUFFIX:
+        raise InputError(f"{path}: a table of clips is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
 
-    Args:
-        table: the table, checked before.
-        out: the table to write.
-        change: gives the new rows for old ones and the number of the first of them; the same columns, as many rows.
+
+def rewrite_rows(table: Path, out: Path, change: Callable[[pa.Table, int], pa.Table]) -> None:
+    """Write a table of indexed clips, checked before, again; it appears whole and may replace the old.
+
+    `change` gives the new rows of a row group for the old ones and the number of the first of them: as many rows of
+    the same columns.
     """
     with (
         pq.ParquetFile(table) as file,
@@ -80,50 +79,6 @@ def replace_column(rows: pa.Table, name: str, cells: pl.Series) -> pa.Table:
     place = rows.schema.get_field_index(name)
     new = cells.to_arrow(compat_level=pl.CompatLevel.oldest()).cast(rows.schema.field(place).type)
     return rows.set_column(place, rows.schema.field(place), new)
-
-
-def explode_samples(table: pl.DataFrame) -> pl.DataFrame:
-    """One row per sample: the columns of the table with `t0_us` (int64) in place of `sample_t0_us`.
-
-    Clips that give no sample disappear.
-    """
-    has_sample = pl.col("sample_t0_us").list.len() > 0
-    return table.filter(has_sample).explode("sample_t0_us").rename({"sample_t0_us": "t0_us"})
-
-
-def table_checksum(table: pl.DataFrame | pl.LazyFrame) -> str:
-    """BLAKE2b (16 bytes, hexadecimal) of what decides a mixture, row by row; moving a store does not change it."""
-    columns = {name: _ColumnDigest() for name in DECIDING_COLUMNS}
-    for batch in table.lazy().select(DECIDING_COLUMNS).collect_batches(maintain_order=True):
-        for name, digest in columns.items():
-            digest.update(batch[name].rechunk().to_arrow(compat_level=pl.CompatLevel.oldest()))
-    return _hash_of(b"".join(digest.finish() for digest in columns.values())).hexdigest()
-
-
-class _ColumnDigest:
-    """The checksum of a column that comes in parts of any sizes: lengths and values are hashed apart."""
-
-    def __init__(self) -> None:
-        self._lengths = [_hash_of(b""), _hash_of(b"")]
-        self._values = _hash_of(b"")
-
-    def update(self, cells: pa.Array, depth: int = 0) -> None:
-        if pa.types.is_integer(cells.type):
-            self._values.update(cells.to_numpy().data)
-            return
-        offsets = np.frombuffer(cells.buffers()[1], np.int64)[cells.offset : cells.offset + len(cells) + 1]
-        self._lengths[depth].update(np.diff(offsets).astype(np.int32).data)
-        if pa.types.is_large_list(cells.type):
-            self.update(cells.flatten(), depth + 1)
-        else:
-            self._values.update(cells.buffers()[2][offsets[0] : offsets[-1]])
-
-    def finish(self) -> bytes:
-        return b"".join(part.digest() for part in (*self._lengths, self._values))
-
-
-def _hash_of(data: bytes) -> hashlib.blake2b:
-    return hashlib.blake2b(data, digest_size=16)
 
 
 def _scan_clip_table(path: Path) -> pl.LazyFrame:

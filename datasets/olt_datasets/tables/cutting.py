@@ -56,11 +56,6 @@ def cut_drive(drive: Drive, cutting: Cutting, licence: str | None) -> list[ClipI
     only elsewhere; its sample times are those that it will give once its other views are made. Times of its front
     images are counted from the start of the drive. Its split is that of the data set, None where that has none. The
     same drive and cutting give the same ids everywhere, and a GT clip keeps its id when it is built.
-
-    Args:
-        drive: the drive.
-        cutting: how it is cut.
-        licence: name of the data set's licence.
     """
     told = asdict(drive)
     front_us = told.pop("front_us").astype("<i8").tobytes()
@@ -72,25 +67,26 @@ def cut_drive(drive: Drive, cutting: Cutting, licence: str | None) -> list[ClipI
     for start, end in find_windows(drive, cutting):
         times, reason = find_samples(drive, (start, end), cutting.samples)
         name = f"{scene}_{start // 1000:06d}_{end // 1000:06d}"
-        clip = ClipInfo(
-            clip_id=make_clip_id(drive.source, name, kind, 0),
-            name=name,
-            scene_id=drive.scene_id,
-            source=drive.source,
-            origin=ClipOrigin(drive.key, start, end, drive.country, licence),
-            kind=kind,
-            category=drive.category,
-            factors=drive.factors,
-            split=drive.split,
-            duration_us=(end if drive.ego_span_us is None else drive.ego_span_us[1]) - start,
-            sample_t0_us=times,
-            no_sample_reason=reason,
-            created_with=code_version(),
-            checksum=_hash_of(f"{description} {(start, end)} {times} {licence}".encode()),
-            fingerprint=None,
-            views={},
+        clips.append(
+            ClipInfo(
+                clip_id=make_clip_id(drive.source, name, kind, 0),
+                name=name,
+                scene_id=drive.scene_id,
+                source=drive.source,
+                origin=ClipOrigin(drive.key, start, end, drive.country, licence),
+                kind=kind,
+                category=drive.category,
+                factors=drive.factors,
+                split=drive.split,
+                duration_us=(end if drive.ego_span_us is None else drive.ego_span_us[1]) - start,
+                sample_t0_us=times,
+                no_sample_reason=reason,
+                created_with=code_version(),
+                checksum=_hash_of(f"{description} {(start, end)} {times} {licence}".encode()),
+                fingerprint=None,
+                views={},
+            )
         )
-        clips.append(clip)
     return clips
 
 

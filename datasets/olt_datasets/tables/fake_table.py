@@ -6,6 +6,8 @@ import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from olt_datasets.tables.clip_frame import check_table_name
+from olt_generator.files import write_whole
 from olt_generator.seeds import make_generator
 from olt_toolkit.clips.table import SCHEMA
 
@@ -16,7 +18,8 @@ SAMPLE_TIMES_US = (1_700_000, 5_100_000, 8_500_000, 11_900_000)
 
 def write_fake_table(path: Path, clips: int) -> None:
     """A table of indexed clips in order of their ids: two kinds, four long-tail categories, four times t0 a clip."""
-    with pq.ParquetWriter(path, SCHEMA) as writer:
+    check_table_name(path)
+    with write_whole(path) as temporary, pq.ParquetWriter(temporary, SCHEMA) as writer:
         for start in range(0, clips, ROWS_AT_ONCE):
             writer.write_table(_rows(start, min(ROWS_AT_ONCE, clips - start)))
 

@@ -27,18 +27,15 @@ Pairs = NDArray[np.int64]
 
 
 def find_near_duplicates(first: pl.Series, second: pl.Series) -> Pairs:
-    """Places (m, 2) of the clips of two lists that are near-duplicates, ascending.
+    """Places (m, 2), ascending, of the clips of two lists that are near-duplicates.
 
-    Args:
-        first: fingerprints, a list of hashes a clip; None where there is none.
-        second: those of other clips.
+    A fingerprint is a list of hashes, None where a clip has none.
     """
     owners, hashes = _flatten(first)
     other_owners, other_hashes = _flatten(second)
-    images = find_close_hashes(hashes, other_hashes)
+    image, other = find_close_hashes(hashes, other_hashes).T
+    table = pl.DataFrame({"clip": owners[image], "other": other_owners[other], "image": image, "other_image": other})
     # The pairs of clips of which enough images, on both sides, have a like one.
-    columns = (owners[images[:, 0]], other_owners[images[:, 1]], images[:, 0], images[:, 1])
-    table = pl.DataFrame(dict(zip(("clip", "other", "image", "other_image"), columns, strict=True)))
     alike = (
         table.group_by("clip", "other")
         .agg(pl.col("image").n_unique(), pl.col("other_image").n_unique())

@@ -14,14 +14,13 @@ from pathlib import Path
 import polars as pl
 import pyarrow.parquet as pq
 
-from olt_datasets.tables.clip_frame import TABLE_SUFFIX, scan_clip_tables
+from olt_datasets.tables.clip_frame import TABLE_SUFFIX, check_table_name, scan_clip_tables
 from olt_datasets.tables.cutting import Cutting, cut_drive
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
 from olt_generator.progress import Progress, silent
-from olt_toolkit.clips.clip import ClipInfo
+from olt_toolkit import ClipInfo, DatasetPlace
 from olt_toolkit.clips.table import SCHEMA, write_clip_table
-from olt_toolkit.recordings.drives import DatasetPlace
 from olt_toolkit.runtime.threads import use_one_thread
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
@@ -33,17 +32,10 @@ _ROW_GROUP = 250_000
 
 @dataclass(frozen=True)
 class IndexSummary:
-    """What an index holds.
+    """What an index holds: how many drives, clips (rows), clips with samples, and samples (times of all rows).
 
-    Attributes:
-        source: name of the reader.
-        drives: drives that were described.
-        clips: rows of the table.
-        clips_with_samples: rows with at least one sample time.
-        samples: sample times of all rows.
-        kept: rows taken from the table that was there before, with their splits: they describe the same windows.
-        without_clips: keys of drives that fill no window.
-        failed: why drives could not be described, by key.
+    `kept` rows were taken from the table that was there before, with their splits: they describe the same windows.
+    `without_clips` are keys of drives that fill no window, and `failed` tells why drives could not be described.
     """
 
     source: str
@@ -71,19 +63,14 @@ def index_dataset(
     that splits which were given to them stay; rows of windows and drives that are gone are left out.
 
     Args:
-        place: the data set.
-        table: the file to write.
-        cutting: how drives are cut.
-        workers: number of processes.
         on_progress: told the share of drives that are done.
         keep_going: whether a drive that cannot be described is told in the summary instead of an error.
-        engine: where the processes run.
+        workers, engine: number of processes and where they run.
 
     Raises:
         InputError: the data set or one of its drives cannot be used, or a table at that path cannot be read.
     """
-    if table.suffix != TABLE_SUFFIX:
-        raise InputError(f"{table}: a table of clips is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
+    check_table_name(table)
     known = table if table.is_file() else None
     if known is not None:
         scan_clip_tables([known])  # refuses a table that cannot be used before any drive is described

@@ -5,7 +5,6 @@ and `country` (two letters, ISO 3166). An empty cell leaves what the clip table 
 """
 
 import re
-from dataclasses import dataclass
 from pathlib import Path
 
 import polars as pl
@@ -21,25 +20,13 @@ _COUNTRY = re.compile(r"[A-Z]{2}")
 _SHOWN = 3
 
 
-@dataclass(frozen=True)
-class Labels:
-    """Labels, checked.
+def read_labels(path: Path) -> pl.DataFrame:
+    """Read a CSV file of labels: `scene_id` or `clip_id`, each once, and those of `FIELDS` that the file has.
 
-    Attributes:
-        id_column: which clips a row is for: "scene_id" or "clip_id".
-        rows: that column, each id once, and those of `FIELDS` that the file has; empty cells are null, `factors` lists.
-    """
-
-    id_column: str
-    rows: pl.DataFrame
-
-
-def read_labels(path: Path) -> Labels:
-    """Read a CSV file of labels.
+    Empty cells are null, `factors` are lists.
 
     Raises:
-        InputError: the file cannot be read, lacks a column or has an unknown one, an id is empty or there twice, or a
-            word is not in lower case with underscores; names the row.
+        InputError: the file cannot be read; names a column, row or word that is not as it should be.
     """
     try:
         table = pl.read_csv(path, infer_schema=False)
@@ -62,18 +49,21 @@ def read_labels(path: Path) -> Labels:
         raise InputError(f"{path}: {ids.name} {twice[0]!r} is there more than once; give each one row")
     if "factors" in fields:
         table = table.with_columns(pl.col("factors").str.split(";").list.eval(pl.element().str.strip_chars()))
-        _check_words(table["factors"].explode(), _WORD, "a word in lower case, such as weak_markings", path)
     for name, pattern, form in (
+        ("factors", _WORD, "a word in lower case, such as weak_markings"),
         ("category", _WORD, "a word in lower case, such as work_zone"),
         ("country", _COUNTRY, "two letters, such as DE"),
     ):
         if name in fields:
-            _check_words(table[name], pattern, form, path)
-    return Labels(known[0], table.select(known[0], *fields))
+            words = table[name].explode() if name == "factors" else table[name]
+            wrong = next((word for word in words.drop_nulls().unique().sort() if not pattern.fullmatch(word)), None)
+            if wrong is not None:
+                raise InputError(f"{path}: {name} {wrong!r}: write {form}")
+    return table.select(known[0], *fields)
 
 
-def label_table(table: Path, labels: Labels, out: Path) -> int:
-    """Write a table of indexed clips again with labels; it appears whole and may replace the old one.
+def label_table(table: Path, labels: pl.DataFrame, out: Path) -> int:
+    """Write a table of indexed clips again with labels of `read_labels`; it appears whole and may replace the old one.
 
     Returns:
         The number of clips that labels were found for.
@@ -85,31 +75,25 @@ def label_table(table: Path, labels: Labels, out: Path) -> int:
         if path.suffix != TABLE_SUFFIX:
             raise InputError(f"{path}: labels go into a {TABLE_SUFFIX} table of indexed clips, before clips are built")
     scan_clip_tables([table])
-    name, labelled = labels.id_column, 0
+    (name, *fields), labelled = labels.columns, 0
     known = pl.scan_parquet(table).select(pl.col(name).unique())
-    absent = labels.rows.lazy().join(known, on=name, how="anti").select(name).collect()[name].sort()
+    absent = labels.lazy().join(known, on=name, how="anti").select(name).collect()[name].sort()
     if len(absent):
         raise InputError(
             f"{table}: holds no clip of {name} {', '.join(absent.head(_SHOWN))}"
             f"{f' and {len(absent) - _SHOWN} more' if len(absent) > _SHOWN else ''}; remove these rows of the labels"
         )
-    marked = labels.rows.with_columns(labelled=True)
+    marked = labels.with_columns(labelled=True)
 
     def change(rows: pa.Table, _: int) -> pa.Table:
         nonlocal labelled
         ids = pl.DataFrame({name: pl.from_arrow(rows.column(name))})
         found = ids.join(marked, on=name, how="left", maintain_order="left")
         labelled += int(found["labelled"].sum())
-        for field in labels.rows.columns[1:]:
+        for field in fields:
             old = pl.Series(pl.from_arrow(rows.column(field)))
             rows = replace_column(rows, field, found[field].zip_with(found[field].is_not_null(), old))
         return rows
 
     rewrite_rows(table, out, change)
     return labelled
-
-
-def _check_words(words: pl.Series, pattern: re.Pattern[str], form: str, path: Path) -> None:
-    wrong = next((word for word in words.drop_nulls().unique().sort() if not pattern.fullmatch(word)), None)
-    if wrong is not None:
-        raise InputError(f"{path}: {words.name} {wrong!r}: write {form}")

@@ -12,13 +12,7 @@ SHOWN = 3
 
 @dataclass(frozen=True)
 class Leak:
-    """A scene of a mixture that breaks a rule.
-
-    Attributes:
-        rule: "split", "held out", "external", "twin", "overlap" or "near-duplicate".
-        scene_id: the scene.
-        detail: what was found, for people.
-    """
+    """A scene of a mixture that breaks a rule of `find_leaks`, and what was found, for people."""
 
     rule: str
     scene_id: str
@@ -45,12 +39,7 @@ def find_leaks(
       not overlap may be in different splits: that is the paper's seen-scenario split.
     - near-duplicate: a clip of another scene in another split looks like a chosen one (`tables.fingerprints`).
 
-    Args:
-        chosen: the rows of the clip table that the mixture uses.
-        table: the whole clip table; it is only scanned.
-        split: the split that the mixture may use.
-        held_out_scenes: scene ids that it may not use.
-        external_sources: sources that it may not use.
+    Chosen are the rows that the mixture uses; the whole clip table is only scanned.
     """
     clips, others = chosen.lazy(), table.lazy().filter(pl.col("split") != split)
     wrong = clips.filter(pl.col("split").ne_missing(split)).select("scene_id", "clip_id", "split")
@@ -74,13 +63,7 @@ def find_leaks(
 def find_table_leaks(
     table: pl.LazyFrame, held_out_scenes: Collection[str] = (), external_sources: Collection[str] = ()
 ) -> list[Leak]:
-    """All leaks between the splits of a table; only training may use neither held-out scenes nor external sources.
-
-    Args:
-        table: a clip table.
-        held_out_scenes: scene ids that are not trained on.
-        external_sources: sources that are not trained on.
-    """
+    """All leaks between the splits of a table; only training may use neither held-out scenes nor external sources."""
     split = pl.col("split")
     of_training = find_leaks(table.filter(split == "train"), table, "train", held_out_scenes, external_sources)
     return of_training + find_leaks(table.filter(split == "val"), table.filter(split == "test"), "val")
@@ -127,16 +110,15 @@ def _find_near_duplicates(clips: pl.LazyFrame, others: pl.LazyFrame) -> list[Lea
         for frame in (clips, others)
     )
     pairs = find_near_duplicates(mine["fingerprint"], theirs["fingerprint"])
-    alike = pl.concat(
-        [
-            mine[pairs[:, 0]].drop("fingerprint"),
-            theirs[pairs[:, 1]].drop("fingerprint").select(pl.all().name.suffix("_other")),
-        ],
-        how="horizontal",
-    )
+    here, there = (frame.drop("fingerprint")[place] for frame, place in ((mine, pairs[:, 0]), (theirs, pairs[:, 1])))
+    alike = here.hstack(there.select(pl.all().name.suffix("_other")))
     leaks = alike.filter((pl.col("scene_id") != pl.col("scene_id_other")) & (pl.col("split") != pl.col("split_other")))
     return [
-        Leak("near-duplicate", scene_id, f"clip {clip_id} looks like clip {other_id} of scene {other} in split {split}")
+        Leak(
+            "near-duplicate",
+            scene_id,
+            f"clip {clip_id} looks like clip {other_id} of scene {other} in split {split}",
+        )
         for scene_id, clip_id, _, other, other_id, split in _rows(leaks.lazy())
     ]
 

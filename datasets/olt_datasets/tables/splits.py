@@ -31,7 +31,6 @@ class Splitting:
     """A rule and what it needs to know.
 
     Attributes:
-        rule: the rule.
         sources: the sources whose clips it is for; other clips keep their split. Empty for all.
         val, test: shares of validation and test: of the windows of each scene (seen), or of all scenes (unseen).
         gap: seconds that windows of different splits are apart at least (seen).
@@ -83,12 +82,7 @@ def split_table(table: Path, splitting: Splitting, out: Path) -> dict[str, int]:
 def assign_splits(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
     """The split (n,) of each clip, None for clips that are in none.
 
-    Args:
-        clips: columns scene_id, source, start_us, end_us and split of the clip table.
-        splitting: the rule.
-
-    Raises:
-        InputError: no clip is of a named source, or the rule is `own` and a clip has no split of its own.
+    Clips have the columns scene_id, source, start_us, end_us and split of the clip table; InputError as `split_table`.
     """
     clips = clips.with_columns(pl.col(_WORDS).cast(pl.Categorical))
     absent = sorted(set(splitting.sources) - set(clips["source"].unique().cast(pl.String)))

@@ -21,8 +21,7 @@ from olt_closed_loop import (
 from olt_closed_loop.evaluation.evaluation import count_left_out, pass_gate
 from olt_closed_loop.scenes.procedural import CATEGORIES
 from olt_closed_loop.sensors.recorder import record_drive
-from olt_datasets import Mixture, compose_mixture, read_clip_tables
-from olt_datasets.mixtures.recipe import builtin_recipe
+from olt_datasets import Mixture, compose_mixture, find_recipe, read_clip_tables
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.omissions import Omission
@@ -46,7 +45,7 @@ from olt_toolkit import (
 from olt_toolkit.clips.clip import Clip, Split
 from olt_toolkit.clips.pictures import contact_sheet, write_picture
 from olt_toolkit.clips.summary import summarize_build
-from olt_toolkit.report.drawings import draw_trajectory
+from olt_toolkit.clips.trajectory_errors import draw_motions
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, POLICY_CAMERAS
 from olt_toolkit.runtime.console import make_progress
 from olt_toolkit.runtime.environment import describe_machine
@@ -152,7 +151,7 @@ def run_demo(out: Path, settings: DemoSettings, video: Path | None = None, worke
         # the policies are judged.
         def compose(name: str) -> Mixture:
             held_out = [*scenes["validation"], *scenes["evaluation"]]
-            return compose_mixture(builtin_recipe(name), read_clip_tables([out / "clips"]), settings.seed, held_out)
+            return compose_mixture(find_recipe(name), read_clip_tables([out / "clips"]), settings.seed, held_out)
 
         mixtures = log.run("mixtures", lambda share: {name: compose(name).describe() for name in RECIPES})
 
@@ -323,9 +322,7 @@ def draw_clip(pictures: Path, recording: Recording, built: BuiltClip) -> None:
     if recording.views:
         write_picture(pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
     if built.motion is not None:
-        drawing = draw_trajectory(built.motion.measured, built.motion.smoothed.trajectory, recording.reference)
-        with write_whole(pictures / TRAJECTORY) as path:
-            path.write_text(drawing)
+        draw_motions(pictures / TRAJECTORY, {"after smoothing": built.motion})
 
 
 def train_policy(out: Path, settings: DemoSettings, name: str, mixture: Mixture) -> dict[str, Any]:

@@ -11,12 +11,12 @@ from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.moving_boxes import agent_box
 from olt_generator.omissions import Omission, word_omission
 from olt_generator.poses import yaw_of
-from olt_toolkit.report.blocks import Block, Bullets, DrivenPath, Picture, Rollouts, Section, Table, Text
+from olt_toolkit.report.blocks import Bullets, DrivenPath, Picture, Rollouts, Section, Table, Text
 from olt_toolkit.report.drawings import draw_losses
 from olt_toolkit.report.page import write_report
 
 REPORT = "report.html"
-CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png", "trajectory.svg"
+CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png", "trajectory.png"
 # What each policy is trained on: as many samples, from nominal drives alone or with long-tail Syn.
 RECIPES: tuple[str, ...] = ("toy_nominal", "toy_nominal_long_tail")
 COLORS = {"toy_nominal": "#d1742f", "toy_nominal_long_tail": "#1f6feb", "recording": "#4b5563"}
@@ -82,18 +82,16 @@ def score_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
 
 def _input_sections(pictures: Path, clip: dict[str, Any]) -> list[Section]:
     """The views of the input clip, and how good they and its trajectory are."""
-    sheets: list[Block] = [
-        Picture.from_file(pictures / name, caption)
+    shown = {
+        name: Picture.from_file(pictures / name, caption)
         for name, caption in (
             (CONTACT_SHEET, "The four views over time; invented pixels are tinted."),
             (TRUE_SHEET, "The true cross views, for comparison."),
+            (TRAJECTORY, "The trajectory before and after smoothing."),
         )
         if (pictures / name).exists()
-    ]
-    drawings = [
-        Picture.from_svg(path.read_text(), "The trajectory before and after smoothing.")
-        for path in pictures.glob(TRAJECTORY)
-    ]
+    }
+    drawings = [shown.pop(TRAJECTORY)] if TRAJECTORY in shown else []
     motion = clip["trajectory"]
     quantities: list[tuple[object, ...]] = [
         ("path length (m)", "", motion["length"]),
@@ -121,7 +119,7 @@ def _input_sections(pictures: Path, clip: dict[str, Any]) -> list[Section]:
     ]
     assumed = [Text("What was assumed, not measured:"), Bullets(clip["assumptions"])]
     return [
-        Section("Four views from one", [*sheets, *assumed]),
+        Section("Four views from one", [*shown.values(), *assumed]),
         Section("Trajectory and clip", [*drawings, *tables]),
     ]
 

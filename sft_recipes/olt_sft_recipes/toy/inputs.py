@@ -11,7 +11,7 @@ from olt_generator.poses import Array, yaw_of
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.toy.tokens import encode_history
 from olt_toolkit.clips.images import resize_images
-from olt_toolkit.policy.action_space import DEFAULT_SETTINGS
+from olt_toolkit.policy.action_space import normalise_actions
 from olt_toolkit.policy.contract import STEP_SECONDS
 
 MOTION_FEATURES = 7
@@ -41,7 +41,7 @@ def encode_inputs(images: NDArray[np.uint8], history: Array) -> PolicyInputs:
     rates = np.diff(history, axis=-2) / STEP_SECONDS
     speed = np.linalg.norm(rates[..., :2], axis=-1)
     curvature = rates[..., 1:, 2] / np.maximum(speed[..., 1:], LEAST_SPEED)
-    actions = DEFAULT_SETTINGS.normalise(np.diff(speed, axis=-1) / STEP_SECONDS, curvature)
+    actions = normalise_actions(np.diff(speed, axis=-1) / STEP_SECONDS, curvature)
     means = [part.mean(axis=-2) for part in (actions[..., :7, :], actions[..., 7:, :], actions[..., -3:, :])]
     motion = np.concatenate([(speed[..., -1:] - MIDDLE_SPEED) / SPEED_SPREAD, *means], axis=-1).astype(np.float32)
     return PolicyInputs(

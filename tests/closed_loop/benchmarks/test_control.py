@@ -6,13 +6,13 @@ from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle, drive_st
 from olt_closed_loop.benchmarks.control import BENCHMARK, WITH_TYRES, track, tracking_figures
 from olt_closed_loop.benchmarks.control_references import alpasim_references
 from olt_closed_loop.control.tracking import ControlSettings
-from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.integrators import VehicleStepper
 
 CASES = {case.name: case for case in control_extremes.cases(0.9)}
 
 
 def test_there_are_120_references_of_which_70_differ():
-    references = alpasim_references()
+    references = list(alpasim_references())
     assert len(references) == 70 and sum(reference.copies for reference in references) == 120
     assert len({reference.poses.tobytes() for reference in references}) == 70
     for reference in references:
@@ -22,7 +22,7 @@ def test_there_are_120_references_of_which_70_differ():
 
 def test_the_vehicle_of_the_benchmark_drives_as_ours_does_with_its_parameters():
     theirs = np.array([[0.0, 0.0, 0.0, 20.0, 0.0, 0.0, 0.0, 0.0]])
-    ours, stepper = np.array([0.0, 0.0, 0.0, 20.0, 0.0, 0.0, 0.0, 0.0]), make_stepper(WITH_TYRES, "rk4", 20)
+    ours, stepper = np.array([0.0, 0.0, 0.0, 20.0, 0.0, 0.0, 0.0, 0.0]), VehicleStepper(WITH_TYRES, "rk4", 20)
     control = np.array([0.01, 0.5])
     for _ in range(20):
         theirs, ours = drive_step(theirs, control[None], 0.1), np.array(stepper(ours, control))
@@ -31,7 +31,7 @@ def test_the_vehicle_of_the_benchmark_drives_as_ours_does_with_its_parameters():
 
 
 def test_references_of_every_kind_are_tracked_within_the_aim():
-    tracking = track(alpasim_references()[9::12], WITH_TYRES, ControlSettings())
+    tracking = track(list(alpasim_references())[9::12], WITH_TYRES, ControlSettings())
     assert tracking.failed == 0
     assert tracking.rms < 0.05
     figures = tracking_figures(tracking)

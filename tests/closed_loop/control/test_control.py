@@ -3,7 +3,7 @@ import pytest
 
 from olt_closed_loop.control.plans import PlanRefused, WorldPlan, place_plan
 from olt_closed_loop.control.tracking import TrackingController
-from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.parameters import VehicleParameters
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import planar_pose
@@ -27,7 +27,7 @@ def make_reference(speed, yaw_rate, seconds=16.0):
 
 def track(reference, speed, seconds=10.0, steering=0.0, offset=(0.0, 0.0, 0.0)):
     """States and controls of a vehicle that starts on the reference and is shown 5 s of it in every step."""
-    controller, stepper = TrackingController(PARAMETERS), make_stepper(PARAMETERS)
+    controller, stepper = TrackingController(PARAMETERS), VehicleStepper(PARAMETERS)
     state = np.concatenate([reference.poses[0] + offset, [speed, steering, 0.0]])
     states, controls = [state], []
     for index in range(round(seconds * 10)):

@@ -13,7 +13,7 @@ from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.plans import WorldPlan
 from olt_closed_loop.control.prediction import linearised_step, predicted_step
 from olt_closed_loop.control.tracking import ControlSettings, TrackingController
-from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.parameters import VehicleParameters, with_rolling_tyres
 from olt_generator.errors import InputError
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
@@ -57,7 +57,7 @@ def test_a_predicted_step_is_close_to_the_exact_one_and_its_slope_true(parameter
     state, control = starting(parameters, speed), np.array([0.03, 1.0])
     predict, linearise = predicted_step(parameters), linearised_step(parameters)
     predicted = np.asarray(predict(state, control)).ravel()
-    exact = make_stepper(parameters, "rk4", 100)(state, control)
+    exact = VehicleStepper(parameters, "rk4", 100)(state, control)
     np.testing.assert_allclose(predicted[:3], exact[:3], atol=0.02)
     by_control = np.asarray(linearise(state, control)[2].full())
     change = np.array([1e-3, 1e-2])
@@ -112,7 +112,7 @@ def curve(speed=15.0, radius=100.0):
 
 
 def drive(controller, parameters, plan, state, steps=60, fail=lambda step: None):
-    stepper, states, controls = make_stepper(parameters), [state], []
+    stepper, states, controls = VehicleStepper(parameters), [state], []
     for step in range(steps):
         fail(step)
         controls.append(controller.control(states[-1], plan, 100_000 * step))

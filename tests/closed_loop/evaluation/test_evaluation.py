@@ -6,7 +6,9 @@ from typing import get_args
 import pytest
 from typer.testing import CliRunner
 
-from olt_closed_loop.commands import Controller, Integrator, app
+from olt_closed_loop import commands
+from olt_closed_loop.commands import app
+from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.tracking import ControlMethod, ControlSettings
 from olt_closed_loop.evaluation.evaluation import (
     count_left_out,
@@ -17,10 +19,11 @@ from olt_closed_loop.evaluation.evaluation import (
     save_results,
 )
 from olt_closed_loop.evaluation.score_table import summarize_scores
-from olt_closed_loop.rollouts.rollout import load_rollouts
+from olt_closed_loop.rollouts.rollout import Traffic, load_rollouts
 from olt_closed_loop.scenes.scene_file import write_scene
+from olt_closed_loop.scoring.definitions import DEFINITIONS
 from olt_closed_loop.simulation import policies
-from olt_closed_loop.simulation.settings import SimulationSettings
+from olt_closed_loop.simulation.settings import SimulationSettings, VehicleKind
 from olt_closed_loop.vehicle.integrators import Method
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
@@ -77,6 +80,19 @@ def test_late_solves_reach_the_results_and_the_table(straight_scene, tmp_path):
     report = json.loads((tmp_path / "scores.json").read_text())
     assert report["table"]["rows"][-1]["rollout_incidents"]["solves_late"] == 2 * steps
     assert [score["rollout_incidents"]["solves_late"] for score in report["scores"]] == [steps, steps]
+
+
+def test_what_fatrop_gives_up_reaches_the_results(straight_scene, monkeypatch):
+    solve = NonlinearSolver.solve
+
+    def give_up(solver, *arguments):
+        solver.given_up += 1
+        return solve(solver, *arguments)
+
+    monkeypatch.setattr(NonlinearSolver, "solve", give_up)
+    settings = replace(SHORT, duration_us=2_000_000, control=ControlSettings(method="nonlinear"))
+    ((_, score),) = run_closed_loop([straight_scene()], "route", rollouts=1, settings=settings)
+    assert (score.rollout_incidents["solves_given_up"], score.rollout_incidents["solves_failed"]) == (3, 0)
 
 
 def test_the_plan_says_what_moved_the_vehicle_and_what_that_left_out(straight_scene):
@@ -176,8 +192,9 @@ def test_the_scene_command_converts_and_reports_the_gate(tmp_path):
 
 
 def test_controller_and_integrator_are_options_of_the_names_that_there_are():
-    assert [controller.value for controller in Controller] == list(get_args(ControlMethod))
-    assert [integrator.value for integrator in Integrator] == list(get_args(Method))
+    assert (get_args(commands.Controller), get_args(commands.Integrator)) == (get_args(ControlMethod), get_args(Method))
+    assert (get_args(commands.Traffic), get_args(commands.Vehicle)) == (get_args(Traffic), get_args(VehicleKind))
+    assert get_args(commands.Definition) == DEFINITIONS
 
 
 @pytest.mark.parametrize(

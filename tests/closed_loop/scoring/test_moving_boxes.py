@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from olt_closed_loop.rollouts.rollout_record import EgoBox, RolloutRecord
+from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.scoring.moving_boxes import MovingBox, agent_box, corners, ego_box, separations
+from olt_closed_loop.scoring.moving_boxes import MovingBox, agent_box, ego_box, separations
 
 TIMES = np.array([1_000_000, 1_100_000, 1_300_000], dtype=np.int64)
 

@@ -3,9 +3,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_closed_loop.simulation.batch_policy import ObservationBatch
 from olt_closed_loop.simulation.policies import (
     ConstantVelocityPolicy,
+    ObservationBatch,
     RouteFollowingPolicy,
     StandingPolicy,
     load_constant_velocity,

@@ -48,7 +48,7 @@ class CountingSensors:
     def __init__(self):
         self.times = []
 
-    def render_rig(self, cameras, size, T_world_rig, time_us):
+    def __call__(self, cameras, size, T_world_rig, time_us):
         self.times.append(time_us)
         return np.full((len(cameras), 3, *size), time_us // 100_000, dtype=np.uint8)
 

@@ -9,7 +9,7 @@ import pytest
 from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.benchmarks.vehicle_grid import Cell
 from olt_closed_loop.vehicle.integration_plan import automatic_plan, candidates, stiffness_plan
-from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.parameters import VehicleParameters
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
@@ -78,7 +78,7 @@ def test_fast_cars_that_sway_more_than_they_damp_are_followed(method):
 @pytest.mark.parametrize("method", ["midpoint", "rk4"])
 def test_a_push_sideways_decays_where_only_stability_asks(method):
     cell = Cell(2.0, np.inf, 10.0, 0.3, 0.2, 0.0)
-    stepper = make_stepper(cell.vehicle, method, step=0.2, tolerance=EVERYTHING_IS_ACCURATE)
+    stepper = VehicleStepper(cell.vehicle, method, step=0.2, tolerance=EVERYTHING_IS_ACCURATE)
     state = rolling_at(2.0)
     state[6] = 0.5
     for _ in range(10):
@@ -111,12 +111,12 @@ def test_a_bend_uses_the_same_share_of_the_tolerance_at_every_speed(method, tole
     """Along a circle the error of order q is in proportion to v w^q h^q a second; the exact end is that of the arc."""
     vehicle, steering, shares = VehicleParameters.from_dimensions(DEFAULT_VEHICLE), 0.3, []
     for speed in (5.0, 10.0, 20.0):
-        stepper = make_stepper(vehicle, method, tolerance=tolerance)
+        stepper = VehicleStepper(vehicle, method, tolerance=tolerance)
         end = stepper(np.array([0.0, 0.0, 0.0, speed, steering, 0.0]), np.array([steering, 0.0]))
         radius, angle = vehicle.wheelbase / np.tan(steering), 0.1 * speed * np.tan(steering) / vehicle.wheelbase
         error = np.hypot(end[0] - radius * np.sin(angle), end[1] - radius * (1.0 - np.cos(angle)))
         shares.append(error / tolerance)
-        (count,) = stepper.report().substeps.values()
+        ((_, count),) = stepper.taken().values()
         assert count > 3
     assert max(shares) < 1.0
     assert max(shares) < 2.0 * min(shares)

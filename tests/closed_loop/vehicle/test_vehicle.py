@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
-from olt_closed_loop.vehicle.integrators import make_stepper
+from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.models import vehicle_equations
 from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres, with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE, steering_for
@@ -21,7 +21,7 @@ def make_state(speed=0.0, steering=0.0, acceleration=0.0):
 
 
 def drive(state, control, seconds, vehicle=PARAMETERS):
-    stepper = make_stepper(vehicle)
+    stepper = VehicleStepper(vehicle)
     state = with_rolling_tyres(state, vehicle)
     states = [state]
     for _ in range(round(seconds * 10)):
@@ -135,7 +135,7 @@ def test_motion_is_smooth_in_the_first_speed():
         speeds = np.arange(-2.0, 60.0, spacing)
         states = np.zeros((len(speeds), 8))
         states[:, STATE.speed] = speeds
-        stepper = make_stepper([VEHICLES["saturating"]] * len(speeds))
+        stepper = VehicleStepper([VEHICLES["saturating"]] * len(speeds))
         for _ in range(5):
             states = stepper(states, np.tile([0.02, -1.0], (len(speeds), 1)))
         return np.abs(np.diff(states, n=2, axis=0)).max()
@@ -193,7 +193,7 @@ def test_tyres_take_energy_and_never_give_it(speed, sideways, yaw_rate):
     assert tyres is not None
     states = [np.array([0.0, 0.0, 0.0, speed, 0.2, 0.0, sideways, yaw_rate])]
     for _ in range(5):
-        states.append(make_stepper(vehicle)(states[-1], np.array([0.2, 0.0])))
+        states.append(VehicleStepper(vehicle)(states[-1], np.array([0.2, 0.0])))
     moving = np.stack(states)
     lateral = moving[:, STATE.lateral_speed] + tyres.rear_axle_to_centre * moving[:, STATE.yaw_rate]
     turning = tyres.yaw_inertia * moving[:, STATE.yaw_rate] ** 2

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 from olt_datasets.commands.mix import app
 from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.mixture_file import MIXTURE_SUFFIXES, read_mixture
-from olt_datasets.mixtures.recipe import builtin_recipe
+from olt_datasets.mixtures.recipe import find_recipe
 from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.clips.table import CLIP_TABLE
@@ -51,7 +51,7 @@ def test_compose_shows_what_was_asked_and_got(stores):
 
 
 def test_written_mixture_gives_the_same_batches(plan, stores):
-    composed = compose_mixture(builtin_recipe("toy_nominal_long_tail"), read_clip_tables(stores[1::2]), seed=0)
+    composed = compose_mixture(find_recipe("toy_nominal_long_tail"), read_clip_tables(stores[1::2]), seed=0)
     written = read_mixture(plan)
     assert written.epoch(1, 8) == composed.epoch(1, 8)
     assert written.describe() == composed.describe()

@@ -6,8 +6,7 @@ import pandas as pd
 import pytest
 
 from olt_datasets.export.contents import contents_of_stores
-from olt_datasets.export.lerobot import export_lerobot
-from olt_datasets.export.lerobot_clip import frame_times
+from olt_datasets.export.lerobot import export_lerobot, frame_times
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import make_clip_id
 from olt_toolkit.clips.store import ClipStore
@@ -126,10 +125,10 @@ def test_times_without_a_state_and_gaps_are_kept_apart():
 
 
 def test_an_interrupted_export_goes_on(stores, tmp_path, monkeypatch):
-    from olt_datasets.export import lerobot_clip
+    from olt_datasets.export import lerobot
 
     contents, out = contents_of_stores([stores[1]], "train"), tmp_path / "set"
-    write_video, calls = lerobot_clip.write_video, []
+    write_video, calls = lerobot.write_video, []
 
     def write(path, frames, rate):
         calls.append(path)
@@ -137,7 +136,7 @@ def test_an_interrupted_export_goes_on(stores, tmp_path, monkeypatch):
             raise KeyboardInterrupt
         write_video(path, frames, rate)
 
-    monkeypatch.setattr(lerobot_clip, "write_video", write)
+    monkeypatch.setattr(lerobot, "write_video", write)
     with pytest.raises(KeyboardInterrupt):
         export_lerobot(contents, out, image_size=SIZE)
     assert not out.exists()
@@ -148,12 +147,12 @@ def test_an_interrupted_export_goes_on(stores, tmp_path, monkeypatch):
 
 
 def test_a_full_disk_names_the_file(stores, tmp_path, monkeypatch):
-    from olt_datasets.export import lerobot_clip
+    from olt_datasets.export import lerobot
 
     def fill(path, frames, rate):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(lerobot_clip, "write_video", fill)
+    monkeypatch.setattr(lerobot, "write_video", fill)
     with pytest.raises(InputError, match=r"camera_cross_left_120fov/.*\.mp4: cannot be written \(No space left"):
         export_lerobot(contents_of_stores(stores, "train"), tmp_path / "set", image_size=SIZE)
 

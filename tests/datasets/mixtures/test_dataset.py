@@ -9,7 +9,7 @@ from torch.utils.data import DataLoader
 
 from olt_datasets.mixtures.dataset import MixtureBatchSampler, MixtureDataset
 from olt_datasets.mixtures.mixture import compose_mixture
-from olt_datasets.mixtures.recipe import builtin_recipe
+from olt_datasets.mixtures.recipe import find_recipe
 from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.policy.sample import PolicySample, SampleKey
@@ -44,7 +44,7 @@ class StubStore:
 
 @pytest.fixture(scope="module")
 def mixture(toy_table):
-    return compose_mixture(builtin_recipe("toy_nominal_long_tail"), toy_table, seed=0)
+    return compose_mixture(find_recipe("toy_nominal_long_tail"), toy_table, seed=0)
 
 
 def test_batch_is_loaded_in_its_order_at_the_image_size(mixture):
@@ -140,11 +140,11 @@ def test_accumulation_divides_a_rank_s_part(mixture):
 
 def test_a_recipe_without_samples_feeds_no_training(toy_table):
     with pytest.raises(InputError, match="recipe base_r1 has no samples to train on"):
-        MixtureBatchSampler(compose_mixture(builtin_recipe("base_r1"), toy_table, seed=0), 8)
+        MixtureBatchSampler(compose_mixture(find_recipe("base_r1"), toy_table, seed=0), 8)
 
 
 def test_ranks_step_alike_in_a_partial_batch(toy_table):
-    recipe = builtin_recipe("toy_nominal").model_copy(update={"samples": 33})
+    recipe = find_recipe("toy_nominal").model_copy(update={"samples": 33})
     mixture = compose_mixture(recipe, toy_table, seed=0)
     ranks = [list(MixtureBatchSampler(mixture, 8, rank, world_size=4)) for rank in range(4)]
     assert [[len(batch) for batch in rank] for rank in ranks] == [[2, 2, 2, 2, 1]] * 4
@@ -155,13 +155,13 @@ def test_ranks_step_alike_in_a_partial_batch(toy_table):
 
 
 def test_fewer_samples_than_ranks_are_refused(toy_table):
-    mixture = compose_mixture(builtin_recipe("toy_nominal").model_copy(update={"samples": 3}), toy_table, seed=0)
+    mixture = compose_mixture(find_recipe("toy_nominal").model_copy(update={"samples": 3}), toy_table, seed=0)
     with pytest.raises(InputError, match="3 samples cannot feed 4 ranks"):
         MixtureBatchSampler(mixture, 8, rank=0, world_size=4)
 
 
 def test_a_real_clip_store_feeds_a_data_loader(real_store):
-    recipe = builtin_recipe("toy_nominal").model_copy(update={"samples": 9})
+    recipe = find_recipe("toy_nominal").model_copy(update={"samples": 9})
     mixture = compose_mixture(recipe, read_clip_tables([real_store]), seed=0)
     dataset = MixtureDataset(mixture, (18, 32))
     batches = list(DataLoader(dataset, batch_sampler=MixtureBatchSampler(mixture, batch_size=4)))

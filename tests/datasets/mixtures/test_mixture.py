@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from olt_datasets.mixtures.mixture import check_recipe, compose_mixture
-from olt_datasets.mixtures.recipe import builtin_recipe, parse_recipe
+from olt_datasets.mixtures.recipe import find_recipe, parse_recipe
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import ClipOrigin
 
@@ -273,7 +273,7 @@ def test_the_recipes_of_the_paper_give_its_numbers(make_clip, make_table):
     sizes = {"nominal": 10, "nv_ood": 4, "waymo": 3}
     got = {}
     for name in ("nominal_10k", "nv_ood_gt", "nv_ood_syn", "gt_longtail", "syn_longtail"):
-        recipe = builtin_recipe(name)
+        recipe = find_recipe(name)
         smaller = [part.model_copy(update={"count": sizes[part.name]}) for part in recipe.components]
         summary = compose_mixture(recipe.model_copy(update={"components": tuple(smaller)}), table, 0).describe()
         got[name] = {kind: numbers["got"] for kind, numbers in summary["by_kind"].items()}
@@ -299,13 +299,13 @@ def test_the_recipes_of_the_paper_give_its_numbers(make_clip, make_table):
     ],
 )
 def test_the_recipes_of_the_paper_ask_for_its_samples(name, samples):
-    assert sum(part.count for part in builtin_recipe(name).components) == samples
+    assert sum(part.count for part in find_recipe(name).components) == samples
 
 
 def test_a_recipe_of_nothing_is_composed_and_not_trained_on(toy_table):
-    mixture = compose_mixture(builtin_recipe("base_r1"), toy_table, 0)
+    mixture = compose_mixture(find_recipe("base_r1"), toy_table, 0)
     assert len(mixture) == 0 and mixture.counts() == [] and mixture.describe()["by_source"] == {}
-    assert check_recipe(builtin_recipe("base_r1"), toy_table) == {"shortages": [], "leaks": [], "absent": []}
+    assert check_recipe(find_recipe("base_r1"), toy_table) == {"shortages": [], "leaks": [], "absent": []}
     with pytest.raises(InputError, match="recipe base_r1 has no samples to train on"):
         mixture.epoch(0, 8)
 
@@ -317,8 +317,8 @@ def test_without_samples_the_scarcest_component_sets_the_epoch(toy_table):
 
 
 def test_toy_recipes_compare_mixtures_of_one_size(toy_table):
-    assert compose_mixture(builtin_recipe("toy_nominal"), toy_table, 0).counts() == [512]
-    assert compose_mixture(builtin_recipe("toy_nominal_long_tail"), toy_table, 0).counts() == [256, 256]
+    assert compose_mixture(find_recipe("toy_nominal"), toy_table, 0).counts() == [512]
+    assert compose_mixture(find_recipe("toy_nominal_long_tail"), toy_table, 0).counts() == [256, 256]
 
 
 def test_shortage_names_component_filter_and_what_was_found(toy_table):

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 import olt_datasets.mixtures.recipe as recipe_module
 from olt_datasets.mixtures.recipe import (
     Filter,
-    builtin_recipe,
     builtin_recipes,
     find_recipe,
     parse_filter,
@@ -55,7 +54,7 @@ def test_a_recipe_is_read_as_written(tmp_path):
 def test_built_in_recipes_are_sound_and_named_as_their_files():
     assert {"toy_nominal", "toy_nominal_long_tail"} <= set(builtin_recipes())
     for name in builtin_recipes():
-        assert builtin_recipe(name).name == name
+        assert find_recipe(name).name == name
     with pytest.raises(InputError, match="no built-in recipe 'toy'; there are base_1_5, "):
         find_recipe("toy")
 

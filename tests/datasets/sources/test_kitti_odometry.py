@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from olt_generator.errors import InputError
-from olt_toolkit.recordings import OpenOptions, open_recording
+from olt_toolkit import OpenOptions, open_recording
 from olt_toolkit.recordings.drives import open_dataset
 
 FRAMES, WIDTH, HEIGHT = 6, 120, 40

@@ -10,7 +10,7 @@ from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import invert, transform
 from olt_generator.video import write_video
-from olt_toolkit.recordings import OpenOptions, open_recording
+from olt_toolkit import OpenOptions, open_recording
 from olt_toolkit.recordings.drives import DatasetPlace, find_drives, find_reader, open_dataset
 
 WIDTH, HEIGHT, FRAMES = 120, 40, 6

@@ -83,22 +83,6 @@ def test_the_nearest_axis_wins_and_the_coarse_share_is_the_share(yaw, pitch, rol
     assert coverage(target, rig.cameras) == pytest.approx(float((chosen != NOBODY).mean()), abs=0.03)
 
 
-def test_a_stated_distance_is_exact_there_and_infinity_is_not(world):
-    """A globe of 6 m about the target, filmed by a camera 1 m beside it."""
-    target, source = looking(0.0, field_of_view=40.0), looking(0.0, position=(0.0, 1.0, 1.5), field_of_view=80.0)
-    rays = pixel_rays(source.camera) @ source.T_rig_camera[:3, :3].T
-    offset = source.T_rig_camera[:3, 3] - target.T_rig_camera[:3, 3]
-    along = rays @ offset
-    reach = -along + np.sqrt(along**2 - offset @ offset + 36.0)
-    film = {"beside": world.colours((offset + reach[..., None] * rays) / 6.0)}
-    errors = {
-        distance: world.mistakes(Mosaic(target, {"beside": source}, distance).compose(film), target).max()
-        for distance in (6.0, np.inf)
-    }
-    assert errors[6.0] <= 2
-    assert errors[np.inf] > 15
-
-
 def test_a_single_column_is_enough(world):
     """The last column of the view lies 29.9 degrees from the camera's axis, the one before it beyond its 30."""
     target, source = looking(59.7), looking(0.0)
@@ -114,12 +98,6 @@ def test_nobody_looks_there(world):
     assert behind.coverage == 0.0
     assert behind.compose({}).max() == 0
     assert coverage(looking(0.0), {}) == 0.0
-
-
-@pytest.mark.parametrize("distance", [0.0, -3.0, float("nan")])
-def test_distances_are_checked(distance):
-    with pytest.raises(InputError, match="distance of"):
-        Mosaic(looking(0.0), {"ahead": looking(0.0)}, distance)
 
 
 def test_images_of_another_size_are_refused(world):

@@ -7,7 +7,7 @@ import pytest
 
 from olt_generator.errors import InputError
 from olt_generator.video import write_video
-from olt_toolkit.recordings import OpenOptions
+from olt_toolkit import OpenOptions
 from olt_toolkit.recordings.drives import open_dataset
 
 

@@ -7,7 +7,7 @@ from olt_datasets.sources import video
 from olt_generator.cameras import FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.video import write_video
-from olt_toolkit.recordings import OpenOptions, open_recording
+from olt_toolkit import OpenOptions, open_recording
 from olt_toolkit.recordings.drives import open_dataset
 
 

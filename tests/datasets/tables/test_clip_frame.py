@@ -6,7 +6,7 @@ import pyarrow.parquet as pq
 import pytest
 from polars.testing import assert_frame_equal
 
-from olt_datasets.tables.clip_frame import explode_samples, read_clip_tables, scan_clip_tables, table_checksum
+from olt_datasets.tables.clip_frame import read_clip_tables, scan_clip_tables
 from olt_generator.errors import InputError
 
 
@@ -50,32 +50,6 @@ def test_stores_and_indexed_tables_are_read_together(write_store, make_clip, tmp
     table = scan_clip_tables([store, indexed]).select("clip_id", "store").collect()
     assert table["clip_id"].str.tail(1).to_list() == ["1", "2", "3", "4"]
     assert table["store"].to_list() == [str(indexed), str(store)] * 2
-
-
-def test_samples_are_exploded_and_clips_without_any_vanish(make_table, make_clip):
-    samples = explode_samples(make_table(make_clip(1, samples=2), make_clip(2, samples=0), make_clip(3)))
-    assert samples["clip_id"].str.tail(1).to_list() == ["1", "1", "3"]
-    assert samples["t0_us"].to_list() == [5_000_000, 5_100_000, 5_000_000]
-    assert "sample_t0_us" not in samples.columns
-
-
-def test_checksum_follows_what_decides_a_mixture_only(make_table, make_clip):
-    clips = (make_clip(1), make_clip(2, factors=("a", "b")))
-    checksum = table_checksum(make_table(*clips))
-    assert table_checksum(make_table(*clips, store="/elsewhere")) == checksum
-    assert table_checksum(make_table(clips[0], make_clip(2, factors=("a",)))) != checksum
-    assert table_checksum(make_table(make_clip(1, samples=2), clips[1])) != checksum
-    assert table_checksum(make_table(make_clip(1, split="val"), clips[1])) != checksum
-
-
-def test_checksum_is_that_of_the_rows_however_they_lie_in_memory(write_store, make_clip, make_table):
-    clips = [make_clip(number, samples=number % 4, factors=("a", "bc")[: number % 3]) for number in range(9)]
-    checksum = table_checksum(make_table(*clips))
-    assert table_checksum(pl.concat([make_table(*clips[:4]), make_table(*clips[4:])])) == checksum
-    assert table_checksum(make_table(make_clip(99), *clips)[1:]) == checksum
-    assert table_checksum(scan_clip_tables([write_store(*reversed(clips))])) == checksum
-    joined = [make_clip(1, factors=("ab", "c")), make_clip(1, factors=("a", "bc")), make_clip(1, factors=("abc",))]
-    assert len({table_checksum(make_table(clip)) for clip in joined}) == 3
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,8 @@ from olt_datasets.sources.video import assume_camera, describe_lens, find_field_
 from olt_generator.motion.focal_length import estimate_field_of_view
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
+from olt_toolkit import OpenOptions, open_recording
 from olt_toolkit.benchmarks.street import render_street
-from olt_toolkit.recordings import OpenOptions, open_recording
 
 FRAME_US = 100_000
 

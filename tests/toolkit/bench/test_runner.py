@@ -19,7 +19,7 @@ def fake_benchmark(times_and_errors):
             for name, error in times_and_errors
         ]
 
-    return Benchmark("fake", "A title", "distance", "m", "the truth", settings, lambda result: float(result))
+    return Benchmark("A title", "distance", "m", "the truth", settings, lambda result: float(result))
 
 
 @pytest.fixture

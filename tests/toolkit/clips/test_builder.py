@@ -131,7 +131,7 @@ def test_provenance_says_what_was_seen(built):
 
 def test_what_was_seen_is_closer_to_the_truth_than_what_was_invented(built):
     for name in SIDES:
-        assert built.view_errors[name].psnr_observed > built.view_errors[name].psnr > 5.0
+        assert built.view_errors[name]["psnr_observed"] > built.view_errors[name]["psnr"] > 5.0
 
 
 def test_errors_that_cannot_be_measured_are_none(built, recording):

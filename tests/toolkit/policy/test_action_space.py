@@ -5,9 +5,10 @@ from hypothesis import strategies as st
 
 from olt_generator.poses import planar_pose
 from olt_toolkit.policy.action_space import (
-    DEFAULT_SETTINGS,
     actions_to_trajectory,
     estimate_initial_speed,
+    normalise_actions,
+    physical_actions,
     trajectory_to_actions,
 )
 
@@ -72,13 +73,13 @@ def test_actions_drive_the_trajectory_they_were_fitted_to(speed, acceleration, l
 
 def test_standstill_gives_no_motion():
     history, future = drive(0.0, 0.0, 0.0, HISTORY_TIMES), drive(0.0, 0.0, 0.0, FUTURE_TIMES)
-    acceleration, curvature = DEFAULT_SETTINGS.physical(trajectory_to_actions(*history, *future))
+    acceleration, curvature = physical_actions(trajectory_to_actions(*history, *future))
     np.testing.assert_allclose(acceleration, 0.0, atol=1e-12)
     np.testing.assert_allclose(curvature, 0.0, atol=1e-12)
 
 
 def test_constant_actions_follow_the_equations_of_motion():
-    actions = np.broadcast_to(DEFAULT_SETTINGS.normalise(np.array(2.0), np.array(0.0)), (64, 2))
+    actions = np.broadcast_to(normalise_actions(np.array(2.0), np.array(0.0)), (64, 2))
     xyz, rotation = actions_to_trajectory(actions, 0.0)
     times = FUTURE_TIMES
     np.testing.assert_allclose(xyz[:, 0], times**2, atol=1e-9)  # half of 2 m/s^2
@@ -89,15 +90,15 @@ def test_constant_actions_follow_the_equations_of_motion():
 def test_left_and_right_are_mirror_images():
     history, future = drive(12.0, 0.5, 0.01, HISTORY_TIMES), drive(12.0, 0.5, 0.01, FUTURE_TIMES)
     mirrored = [drive(12.0, 0.5, -0.01, times) for times in (HISTORY_TIMES, FUTURE_TIMES)]
-    left = DEFAULT_SETTINGS.physical(trajectory_to_actions(*history, *future))
-    right = DEFAULT_SETTINGS.physical(trajectory_to_actions(*mirrored[0], *mirrored[1]))
+    left = physical_actions(trajectory_to_actions(*history, *future))
+    right = physical_actions(trajectory_to_actions(*mirrored[0], *mirrored[1]))
     np.testing.assert_allclose(right[0], left[0], atol=1e-9)
     np.testing.assert_allclose(right[1], -left[1], atol=1e-9)
 
 
 def test_a_turn_through_half_a_circle_is_unwrapped():
     history, future = drive(6.0, 0.0, 0.15, HISTORY_TIMES), drive(6.0, 0.0, 0.15, FUTURE_TIMES)
-    _, curvature = DEFAULT_SETTINGS.physical(trajectory_to_actions(*history, *future))
+    _, curvature = physical_actions(trajectory_to_actions(*history, *future))
     np.testing.assert_allclose(curvature, 0.15, atol=2e-3)
 
 

@@ -11,6 +11,14 @@ from olt_toolkit.rigs.ftheta_fit import fit_ftheta
 from olt_toolkit.rigs.rig_files import pav_rig
 
 
+def round_trip(camera):
+    """Largest distance in pixels between a radius and itself through both polynomials, out to the furthest corner."""
+    half_diagonals = [np.hypot(x - camera.cx, y - camera.cy) for x in (0, camera.width) for y in (0, camera.height)]
+    radii = np.linspace(0.0, max(half_diagonals) - 0.5, 400)
+    angles = np.polynomial.polynomial.polyval(radii, camera.bw_poly)
+    return np.abs(np.polynomial.polynomial.polyval(angles, camera.fw_poly) - radii).max()
+
+
 def largest_distance(pixels_a, pixels_b):
     return float(np.linalg.norm(pixels_a - pixels_b, axis=-1).max())
 
@@ -22,7 +30,7 @@ def test_fitted_pinhole_is_the_pinhole_to_a_twentieth_of_a_pixel(fov, size):
     fit = fit_ftheta(pinhole)
     pixels, _ = fit.camera.project(pixel_rays(pinhole))
     grid = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1)
-    assert fit.round_trip < 0.05
+    assert round_trip(fit.camera) < 0.05
     assert largest_distance(pixels, grid) <= 1.01 * fit.error + 1e-9
     assert fit.error < 0.05
     back, _ = pinhole.project(pixel_rays(fit.camera))
@@ -48,7 +56,7 @@ def test_rig_cameras_go_in_unchanged_at_any_output_size():
             fit = fit_ftheta(mounted.camera)
             assert fit.camera.fw_poly == mounted.camera.fw_poly, name
             assert fit.error < 0.5
-            assert fit.round_trip < 1e-6
+            assert round_trip(fit.camera) < 1e-6
 
 
 @pytest.mark.parametrize(
@@ -101,4 +109,4 @@ def test_measured_lenses_keep_their_polynomials(shared_real):
         camera = FthetaCamera(lens["width"], lens["height"], *lens["principal_point_px"], forward, backward)
         fit = fit_ftheta(camera)
         assert fit.camera.bw_poly == backward
-        assert fit.round_trip < 1.0
+        assert round_trip(fit.camera) < 1.0

@@ -1,16 +1,12 @@
 """Rigs as data: their figures, their lenses, and what is refused."""
 
-import json
-
 import numpy as np
 import pytest
 import yaml
 
 from olt_generator.cameras import BrownConradyCamera, FthetaCamera, KannalaBrandtCamera, PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
-from olt_generator.poses import invert
-from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE
-from olt_toolkit.rigs.rig_files import load_rig, pav_rig, read_nvidia_calibration, read_rig, rig_names
+from olt_toolkit.rigs.rig_files import load_rig, read_rig, rig_names
 
 CAMERA = {
     "size": [640, 480],
@@ -163,56 +159,3 @@ def test_wrong_files_are_refused_with_the_field(tmp_path, change, message):
     with pytest.raises(InputError, match=message) as caught:
         read_rig(write(tmp_path, {**RIG, **change}))
     assert "mine.yaml" in str(caught.value) and "\n" not in str(caught.value)
-
-
-def median_calibration():
-    lens = {
-        "width": 3848,
-        "height": 2168,
-        "principal_point_px": [1920.0, 1096.9],
-        "pixel_radius_to_angle_poly": [0.0, 5.4e-4, 1.6e-9, 2.4e-12, 2.0e-17],
-    }
-    names = ["front", "front_tele", "cross_left", "cross_right", "rear_left", "rear_right", "rear_tele"]
-    return {
-        "ftheta_intrinsics": dict.fromkeys(names, lens),
-        "relative_camera_poses_front_optical_from_camera": {name: np.eye(4).tolist() for name in names[1:]},
-    }
-
-
-def test_the_median_calibration_keeps_its_polynomials_and_marks_what_it_lacks(tmp_path):
-    path = tmp_path / "median.json"
-    path.write_text(json.dumps(median_calibration()))
-    rig = read_nvidia_calibration(path)
-    assert set(rig.cameras) == set(CAMERA_INDEX)
-    camera = rig[FRONT_WIDE].camera
-    assert isinstance(camera, FthetaCamera) and camera.primary == "backward"
-    assert camera.bw_poly == (0.0, 5.4e-4, 1.6e-9, 2.4e-12, 2.0e-17)
-    assert "height above ground" in rig.assumptions[0]
-    assert np.array_equal(rig["camera_rear_tele_30fov"].T_rig_camera, pav_rig()[FRONT_WIDE].T_rig_camera)
-
-
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (lambda c: c.pop("ftheta_intrinsics"), "field 'ftheta_intrinsics'"),
-        (lambda c: c["ftheta_intrinsics"].pop("rear_tele"), "field 'rear_tele'"),
-        (lambda c: c["relative_camera_poses_front_optical_from_camera"].update(rear_tele=[[2.0]]), "rear_tele: not"),
-        (lambda c: c["ftheta_intrinsics"]["front"].update(width="wide"), "not a calibration"),
-    ],
-)
-def test_a_damaged_median_calibration_is_refused(tmp_path, damage, message):
-    content = json.loads(json.dumps(median_calibration()))
-    damage(content)
-    path = tmp_path / "median.json"
-    path.write_text(json.dumps(content))
-    with pytest.raises(InputError, match=message):
-        read_nvidia_calibration(path)
-
-
-def test_the_measured_rig_is_close_to_the_nominal_one(shared_real):
-    measured = read_nvidia_calibration(shared_real / "nvidia_seven_camera_rig_calibration" / "median_calibration.json")
-    nominal = pav_rig()
-    for name, mounted in measured.cameras.items():
-        T_nominal_measured = invert(nominal[name].T_rig_camera) @ mounted.T_rig_camera
-        assert np.linalg.norm(T_nominal_measured[:3, 3]) < 0.5, name
-        assert np.degrees(np.arccos(min(1.0, 0.5 * (np.trace(T_nominal_measured[:3, :3]) - 1.0)))) < 6.0, name

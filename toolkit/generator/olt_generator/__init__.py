@@ -4,9 +4,9 @@ The package stands alone and imports nothing else of the project. The names in `
 first asked for.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from olt_generator.lazy_names import lazy_names
 from olt_generator.version import __version__ as __version__
 
 if TYPE_CHECKING:
@@ -26,23 +26,26 @@ if TYPE_CHECKING:
     from olt_generator.views.synthesis import synthesize_view
     from olt_generator.views.tele import crop_tele, tele_camera
 
-_NAMES_OF = {
-    "cameras": ("BrownConradyCamera", "Camera", "FthetaCamera", "KannalaBrandtCamera", "PinholeCamera"),
-    "distance.depth": ("estimate_distance",),
-    "errors": ("InputError",),
-    "metrics.image_metrics": ("psnr", "ssim"),
-    "motion.focal_length": ("estimate_field_of_view",),
-    "motion.odometry": ("estimate_odometry",),
-    "motion.pose_metrics": ("compare_trajectories",),
-    "motion.smoother": ("smooth_trajectory",),
-    "poses": ("camera_pose_in_rig",),
-    "trajectory": ("Trajectory",),
-    "video": ("read_video", "write_video"),
-    "views.front_view": ("FrontView",),
-    "views.moving_objects": ("find_moving",),
-    "views.synthesis": ("synthesize_view",),
-    "views.tele": ("crop_tele", "tele_camera"),
-}
+__getattr__, __dir__ = lazy_names(
+    __name__,
+    {
+        "cameras": ("BrownConradyCamera", "Camera", "FthetaCamera", "KannalaBrandtCamera", "PinholeCamera"),
+        "distance.depth": ("estimate_distance",),
+        "errors": ("InputError",),
+        "metrics.image_metrics": ("psnr", "ssim"),
+        "motion.focal_length": ("estimate_field_of_view",),
+        "motion.odometry": ("estimate_odometry",),
+        "motion.pose_metrics": ("compare_trajectories",),
+        "motion.smoother": ("smooth_trajectory",),
+        "poses": ("camera_pose_in_rig",),
+        "trajectory": ("Trajectory",),
+        "video": ("read_video", "write_video"),
+        "views.front_view": ("FrontView",),
+        "views.moving_objects": ("find_moving",),
+        "views.synthesis": ("synthesize_view",),
+        "views.tele": ("crop_tele", "tele_camera"),
+    },
+)
 
 __all__ = [
     "BrownConradyCamera",
@@ -68,11 +71,3 @@ __all__ = [
     "tele_camera",
     "write_video",
 ]
-
-
-def __getattr__(name: str) -> Any:
-    """The public names, each imported from its module when it is first asked for."""
-    for module, names in _NAMES_OF.items():
-        if name in names:
-            return getattr(import_module(f"olt_generator.{module}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,17 +2,15 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One way of doing the work.
+    """One way of doing the work; the default is the one that the project uses.
 
-    Attributes:
-        name: what the setting is called in tables and plots.
-        prepare: builds the input and returns the call that is timed. The call returns plain arrays or numbers.
-        default: whether this is the setting that the project uses.
+    `prepare` builds the input and returns the call that is timed, which returns plain arrays or numbers.
     """
 
     name: str
@@ -20,24 +18,21 @@ class Setting:
     default: bool = False
 
 
-def after(build_input: Callable[[], object], call: Callable[[], Any]) -> Callable[[], Callable[[], Any]]:
-    """A `Setting.prepare` for a call whose input is cached: builds the input, so that its time is not the call's."""
+def list_settings(
+    build_input: Callable[[], object], calls: Mapping[str, Callable[[], Any]], default: str
+) -> list[Setting]:
+    """Settings of calls by name that share a cached input: it is built first, so that its time is not the calls'."""
 
-    def prepare() -> Callable[[], Any]:
+    def prepare(call: Callable[[], Any]) -> Callable[[], Any]:
         build_input()
         return call
 
-    return prepare
+    return [Setting(name, partial(prepare, call), name == default) for name, call in calls.items()]
 
 
 @dataclass(frozen=True)
 class Grid:
-    """What a component does over its stiff and extreme cases.
-
-    Attributes:
-        rows: one JSON-able object for each case, with its outcome.
-        summary: lines that say how the cases came out.
-    """
+    """What a component does over its stiff and extreme cases: a JSON-able object for each, and lines that sum up."""
 
     rows: Sequence[dict[str, Any]]
     summary: Sequence[str]
@@ -45,20 +40,15 @@ class Grid:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Settings of one component, measured against a reference that does not use them.
+    """Settings of one component, measured against a reference that does not use them: an entry of `olt.benchmarks`.
 
     Attributes:
-        name: name of the entry point in the group `olt.benchmarks`.
-        title: what is measured, in one line.
-        error_name, error_unit: what the error is and its unit.
-        reference: what the error is measured against, in one sentence.
         settings: builds the settings; called in the measuring process too, so it must give the same ones each time.
         measure_error: the error of what a setting's call returned; called once per setting.
         figures: what else is told of a setting's call, by name with unit, or None where the error says all.
         grid: drives the stiff and extreme cases, or None where the component has none.
     """
 
-    name: str
     title: str
     error_name: str
     error_unit: str

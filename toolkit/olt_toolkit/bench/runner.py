@@ -26,11 +26,7 @@ def benchmark_names() -> list[str]:
 
 
 def load_benchmark(name: str) -> Benchmark:
-    """The registered benchmark of that name.
-
-    Raises:
-        InputError: there is none.
-    """
+    """The registered benchmark of that name; an `InputError` where there is none."""
     found = entry_points(group=GROUP, name=name)
     if not found:
         raise InputError(f"no benchmark {name!r}; there are {', '.join(benchmark_names())}")
@@ -71,10 +67,7 @@ def run_benchmark(name: str, repeats: int, on_progress: Progress = silent) -> di
         row["pareto"] = on_front
     return {
         "benchmark": name,
-        "title": benchmark.title,
-        "error_name": benchmark.error_name,
-        "error_unit": benchmark.error_unit,
-        "reference": benchmark.reference,
+        **{name: getattr(benchmark, name) for name in ("title", "error_name", "error_unit", "reference")},
         "settings": rows,
         "machine": describe_machine(),
     }

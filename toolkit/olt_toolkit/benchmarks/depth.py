@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.cameras import Camera, PinholeCamera, pixel_rays
+from olt_generator.cameras import PinholeCamera, pixel_rays
 from olt_generator.distance.background import FAR_DISTANCE, background_distance
 from olt_generator.distance.depth import SweepSettings, estimate_distance
-from olt_generator.poses import Array, camera_pose_in_rig, invert, planar_pose
+from olt_generator.poses import camera_pose_in_rig, invert, planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.bench.benchmark import Benchmark, Setting, after
+from olt_toolkit.bench.benchmark import Benchmark, list_settings
 from olt_toolkit.benchmarks.street import render_street
 
 WIDTH, HEIGHT = 832, 480
@@ -48,36 +48,22 @@ def flow_of_one_pair() -> NDArray[np.float32]:
     """Distances (m, H, W) by dense optical flow to the frame before, triangulated where it fits the motion."""
     frames, _, trajectory = _drive()
     T_world_camera = trajectory.T_world_rig @ T_RIG_CAMERA
-    small = CAMERA.resized(WIDTH // 2, HEIGHT // 2)
+    small, background = CAMERA.resized(WIDTH // 2, HEIGHT // 2), background_distance(CAMERA, T_RIG_CAMERA)
     grey = [cv2.cvtColor(cv2.resize(frame, (small.width, small.height)), cv2.COLOR_RGB2GRAY) for frame in frames]
-    return np.stack(
-        [
-            _triangulate_flow(
-                np.asarray(grey[index], np.uint8),
-                np.asarray(grey[index - 1], np.uint8),
-                small,
-                invert(T_world_camera[index]) @ T_world_camera[index - 1],
-            )
-            for index in SHOWN
-        ]
-    )
-
-
-def _triangulate_flow(
-    grey: NDArray[np.uint8], other: NDArray[np.uint8], camera: Camera, T_frame_other: Array
-) -> NDArray[np.float32]:
-    """Distances (H, W) at full size; the background where the rays do not meet in front of it."""
-    flow = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM).calc(grey, other, None)  # pyright: ignore
-    rows, columns = np.indices(grey.shape)
-    rays = pixel_rays(camera)
-    other_rays = camera.rays(np.stack([columns, rows], axis=-1) + flow) @ T_frame_other[:3, :3].T
-    between = np.cross(rays, other_rays)
-    squared_sine = np.maximum((between**2).sum(axis=-1), 1e-12)
-    # From s r = b + u p: the cross product with p gives s times the squared sine of the angle between the rays.
-    distance = (np.cross(T_frame_other[:3, 3], other_rays) * between).sum(axis=-1) / squared_sine
-    background = background_distance(CAMERA, T_RIG_CAMERA)
-    enlarged = cv2.resize(distance.astype(np.float32), (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
-    return np.where((enlarged > 0.0) & (enlarged < background), enlarged, background).astype(np.float32)
+    method, found = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM), []
+    for index in SHOWN:
+        T_frame_other = invert(T_world_camera[index]) @ T_world_camera[index - 1]
+        flow = method.calc(grey[index], grey[index - 1], None)  # pyright: ignore
+        rows, columns = np.indices((small.height, small.width))
+        rays = pixel_rays(small)
+        other_rays = small.rays(np.stack([columns, rows], axis=-1) + flow) @ T_frame_other[:3, :3].T
+        between = np.cross(rays, other_rays)
+        squared_sine = np.maximum((between**2).sum(axis=-1), 1e-12)
+        # From s r = b + u p: the cross product with p gives s times the squared sine of the angle between the rays.
+        distance = (np.cross(T_frame_other[:3, 3], other_rays) * between).sum(axis=-1) / squared_sine
+        enlarged = cv2.resize(distance.astype(np.float32), (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST)
+        found.append(np.where((enlarged > 0.0) & (enlarged < background), enlarged, background).astype(np.float32))
+    return np.stack(found)
 
 
 def _sweep(settings: SweepSettings) -> NDArray[np.float32]:
@@ -91,21 +77,16 @@ def measure_error(distance: NDArray[np.float32]) -> float:
     return float(100.0 * np.mean(~(np.abs(distance - truth) < RIGHT * truth)))
 
 
-def list_settings() -> list[Setting]:
-    """What is measured."""
-    sweeps = [
-        Setting(name, after(_drive, partial(_sweep, settings)), default=settings == SweepSettings())
-        for name, settings in SETTINGS.items()
-    ]
-    return [*sweeps, Setting("flow of one pair", after(_drive, flow_of_one_pair))]
-
-
 BENCHMARK = Benchmark(
-    name="depth",
     title=f"distances of {len(SHOWN)} of {FRAMES} frames of {WIDTH} x {HEIGHT} pixels, {METRES_PER_FRAME} m apart",
     error_name="wrong by more than a tenth",
     error_unit="% of pixels",
     reference="the distances to which the made-up street is ray-cast, at most 150 m",
-    settings=list_settings,
+    settings=lambda: list_settings(
+        _drive,
+        {name: partial(_sweep, settings) for name, settings in SETTINGS.items()}
+        | {"flow of one pair": flow_of_one_pair},
+        default="24 planes, 2 neighbours, 256 columns",
+    ),
     measure_error=measure_error,
 )

@@ -1,6 +1,5 @@
 """Visual odometry through a street that is ray-cast exactly: error of the motion against features and window."""
 
-from collections.abc import Sequence
 from functools import lru_cache, partial
 
 import numpy as np
@@ -11,14 +10,24 @@ from olt_generator.motion.odometry import OdometrySettings, estimate_odometry
 from olt_generator.motion.pose_metrics import compare_trajectories
 from olt_generator.poses import Array, camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.bench.benchmark import Benchmark, Setting, after
+from olt_toolkit.bench.benchmark import Benchmark, list_settings
 from olt_toolkit.benchmarks.street import render_street
 
 FRAMES, SECONDS_APART = 21, 0.1
 CAMERA: Camera = PinholeCamera.from_field_of_view(416, 240, float(np.radians(80.0)))
 MOUNTING = camera_pose_in_rig([1.5, 0.0, 1.5], 0.0, float(np.radians(1.0)), 0.0)
 NOISE_LEVELS = 2.0
-DEFAULT = OdometrySettings()
+DEFAULT = "6 rounds, window 10, 4 corners a cell"
+SETTINGS = {
+    "each step on its own": OdometrySettings(rounds=0),
+    "2 rounds": OdometrySettings(rounds=2),
+    DEFAULT: OdometrySettings(),
+    "12 rounds": OdometrySettings(rounds=12),
+    "window 3": OdometrySettings(window=3),
+    "window 20": OdometrySettings(window=20),
+    "1 corner a cell": OdometrySettings(corners_per_cell=1),
+    "8 corners a cell": OdometrySettings(corners_per_cell=8),
+}
 
 
 @lru_cache(maxsize=1)
@@ -50,30 +59,13 @@ def measure_error(poses: Array) -> float:
     return aligned.step_translation_percent
 
 
-def list_settings() -> Sequence[Setting]:
-    """What is measured."""
-    tried = {
-        "each step on its own": OdometrySettings(rounds=0),
-        "2 rounds": OdometrySettings(rounds=2),
-        "6 rounds, window 10, 4 corners a cell": DEFAULT,
-        "12 rounds": OdometrySettings(rounds=12),
-        "window 3": OdometrySettings(window=3),
-        "window 20": OdometrySettings(window=20),
-        "1 corner a cell": OdometrySettings(corners_per_cell=1),
-        "8 corners a cell": OdometrySettings(corners_per_cell=8),
-    }
-    return [
-        Setting(name, after(make_drive, partial(follow, settings)), settings == DEFAULT)
-        for name, settings in tried.items()
-    ]
-
-
 BENCHMARK = Benchmark(
-    name="odometry",
     title=f"Odometry over {FRAMES} frames of {CAMERA.width} x {CAMERA.height} pixels",
     error_name="error of a step after Sim(3) alignment",
     error_unit="%",
     reference="the path along which the frames were ray-cast",
-    settings=list_settings,
+    settings=lambda: list_settings(
+        make_drive, {name: partial(follow, settings) for name, settings in SETTINGS.items()}, default=DEFAULT
+    ),
     measure_error=measure_error,
 )

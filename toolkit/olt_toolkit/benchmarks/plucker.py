@@ -1,6 +1,5 @@
 """Pluecker rays of a drive at map coordinates of 5000 km: precision of the arithmetic against time."""
 
-from collections.abc import Callable
 from functools import lru_cache, partial
 
 import numpy as np
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 from olt_generator.cameras import PinholeCamera
 from olt_generator.poses import Array, camera_pose_in_rig, make_pose, planar_pose
 from olt_generator.views.plucker import MOMENT_SCALE, anchor_poses, plucker_rays
-from olt_toolkit.bench.benchmark import Benchmark, Setting, after
+from olt_toolkit.bench.benchmark import Benchmark, list_settings
 
 CAMERA = PinholeCamera.from_field_of_view(832, 480, float(np.radians(100.0)))
 T_RIG_FRONT = camera_pose_in_rig([1.7, 0.0, 1.45], 0.0, 0.01, -0.01)
@@ -64,22 +63,19 @@ def _inverse(pose: Floats) -> Floats:
     return inverse
 
 
-def list_settings() -> list[Setting]:
-    """What is measured."""
-    calls: dict[str, Callable[[], Floats]] = {
-        "float32 throughout": partial(chained, np.float32),
-        "float64 throughout": partial(chained, np.float64),
-        "float64, positions subtracted first, float32 result": differenced,
-    }
-    return [Setting(name, after(front_poses, call), call is differenced) for name, call in calls.items()]
-
-
 BENCHMARK = Benchmark(
-    name="plucker",
     title=f"Pluecker rays of {LATENT_FRAMES} x 30 x 52 tokens at map coordinates of 5000 km",
     error_name="largest feature error",
     error_unit="of 1",
     reference="the same rays in extended precision (80 bit on x86), by multiplying the poses as they are",
-    settings=list_settings,
+    settings=lambda: list_settings(
+        front_poses,
+        {
+            "float32 throughout": partial(chained, np.float32),
+            "float64 throughout": partial(chained, np.float64),
+            "float64, positions subtracted first, float32 result": differenced,
+        },
+        default="float64, positions subtracted first, float32 result",
+    ),
     measure_error=measure_error,
 )

@@ -1,6 +1,5 @@
 """Trajectory smoother against the exact solution of the same linear-Gaussian problem."""
 
-from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 
 import numpy as np
@@ -14,7 +13,7 @@ from olt_generator.motion.kalman import LinearSystem, filter_forward, smooth_sta
 from olt_generator.poses import Array, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.twists import exponential
-from olt_toolkit.bench.benchmark import Benchmark, Setting, after
+from olt_toolkit.bench.benchmark import Benchmark, list_settings
 
 Floats = NDArray[np.floating]
 
@@ -125,24 +124,21 @@ def measure_error(states: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum((states[:, :3] - exact_states()[:, :3]) ** 2, axis=1))))
 
 
-def list_settings() -> Sequence[Setting]:
-    """What is measured."""
-    calls: dict[str, Callable[[], Floats]] = {
-        "forward filter only": filter_only,
-        **{f"fixed-lag RTS, {lag} poses": partial(fixed_lag, lag) for lag in LAGS},
-        "full RTS": partial(full, np.float64),
-        "full RTS, float32": partial(full, np.float32),
-        "batch, sparse normal equations": batch_sparse,
-    }
-    return [Setting(name, after(make_system, call), name == "full RTS") for name, call in calls.items()]
-
-
 BENCHMARK = Benchmark(
-    name="smoother",
     title=f"Smoothing {POSES} noisy poses at irregular times, one linearisation",
     error_name="rms position difference",
     error_unit="m",
     reference="the dense batch least-squares solution of the same model and measurements",
-    settings=list_settings,
+    settings=lambda: list_settings(
+        make_system,
+        {
+            "forward filter only": filter_only,
+            **{f"fixed-lag RTS, {lag} poses": partial(fixed_lag, lag) for lag in LAGS},
+            "full RTS": partial(full, np.float64),
+            "full RTS, float32": partial(full, np.float32),
+            "batch, sparse normal equations": batch_sparse,
+        },
+        default="full RTS",
+    ),
     measure_error=measure_error,
 )

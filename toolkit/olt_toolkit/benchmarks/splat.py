@@ -1,7 +1,6 @@
 """Forward splat of a street scene into a camera two metres to the side: time against wrong surfaces."""
 
-from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +8,7 @@ from numpy.typing import NDArray
 from olt_generator.cameras import Camera, PinholeCamera
 from olt_generator.poses import Array, camera_pose_in_rig, invert
 from olt_generator.views.splat import Warp, land, splat, splat_reference
-from olt_toolkit.bench.benchmark import Benchmark, Setting, after
+from olt_toolkit.bench.benchmark import Benchmark, list_settings
 from olt_toolkit.benchmarks.street import render_street
 
 WIDTH, HEIGHT = 832, 480
@@ -17,17 +16,14 @@ WIDTH, HEIGHT = 832, 480
 # Two distances that differ by less than this share belong to one surface: neighbouring pixels of the road differ less.
 SAME_SURFACE = 0.05
 
-Splat = Callable[[NDArray[np.uint8], NDArray[np.float32], Camera, Camera, Array], Warp]
 
-
-def overwrite(
-    image: NDArray[np.uint8], distance: NDArray[np.float32], source: Camera, target: Camera, T_target_source: Array
-) -> Warp:
-    """Warp an image (H, W, 3) as the released generator does (docs/formats/generator.md), without a depth test.
+def overwrite() -> Warp:
+    """Warp the image as the released generator does (docs/formats/generator.md), without a depth test.
 
     Points are sorted from far to near and written once for each of the nine offsets of the footprint, so that a
     later offset of a far point overwrites an earlier one of a near point.
     """
+    image, distance, source, target, T_target_source = _scene()
     landings = list(land(distance, source, target, T_target_source))
     pixel, row, column, depth = (
         np.concatenate([getattr(landing, name) for landing in landings])
@@ -50,15 +46,9 @@ def overwrite(
     return warp
 
 
-def at_reduced_size(
-    factor: int,
-    image: NDArray[np.uint8],
-    distance: NDArray[np.float32],
-    source: Camera,
-    target: Camera,
-    T_target_source: Array,
-) -> Warp:
-    """Splat every `factor`-th pixel of an image (H, W, 3) into one smaller by `factor` and enlarge the result."""
+def at_reduced_size(factor: int) -> Warp:
+    """Splat every `factor`-th pixel of the image into one smaller by `factor` and enlarge the result."""
+    image, distance, source, target, T_target_source = _scene()
     height, width = distance.shape
     small = splat(
         np.ascontiguousarray(image[::factor, ::factor]),
@@ -93,26 +83,20 @@ def measure_error(distance: NDArray[np.float32]) -> float:
     return float(100.0 * (1.0 - right.mean()))
 
 
-def list_settings() -> list[Setting]:
-    """What is measured."""
-    methods: dict[str, Splat] = {
-        "radius 1": splat,
-        "overwrite without depth test": overwrite,
-        "half size, enlarged": partial(at_reduced_size, 2),
-        "quarter size, enlarged": partial(at_reduced_size, 4),
-    }
-    return [
-        Setting(name, after(_scene, lambda method=method: method(*_scene()).distance), default=method is splat)
-        for name, method in methods.items()
-    ]
-
-
 BENCHMARK = Benchmark(
-    name="splat",
     title=f"forward splat of {WIDTH} x {HEIGHT} pixels with a footprint of 3 x 3, one thread",
     error_name="wrong surface",
     error_unit="% of pixels",
     reference="the painter's algorithm in a plain loop (`splat_reference`); right is within 5 % of its distance",
-    settings=list_settings,
+    settings=lambda: list_settings(
+        _scene,
+        {
+            "radius 1": lambda: splat(*_scene()).distance,
+            "overwrite without depth test": lambda: overwrite().distance,
+            "half size, enlarged": lambda: at_reduced_size(2).distance,
+            "quarter size, enlarged": lambda: at_reduced_size(4).distance,
+        },
+        default="radius 1",
+    ),
     measure_error=measure_error,
 )

@@ -1,6 +1,6 @@
 """Cross views of a street from one front camera: how many other frames to draw on, against time."""
 
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.synthesis import SynthesisSettings, synthesize_view
-from olt_toolkit.bench.benchmark import Benchmark, Setting, after
+from olt_toolkit.bench.benchmark import Benchmark, list_settings
 from olt_toolkit.benchmarks.street import render_street
 
 FRONT = FthetaCamera.equidistant(576, 320, 286.0, 200.0, 280.0)
@@ -33,9 +33,9 @@ def drive() -> FrontView:
     return FrontView(frames, distance, Trajectory(100_000 * np.arange(FRAMES), poses), FRONT, T_RIG_FRONT)
 
 
-def make_views(front: FrontView, other_frames: int) -> NDArray[np.uint8]:
+def make_views(other_frames: int) -> NDArray[np.uint8]:
     """Images (2, h, w, 3) of the left and the right cross view at the last frame."""
-    settings = SynthesisSettings(other_frames=other_frames)
+    front, settings = drive(), SynthesisSettings(other_frames=other_frames)
     views = [synthesize_view(front, CROSS, T_RIG_CROSS[side], [FRAMES - 1], settings) for side in (0, 1)]
     return np.concatenate([view.images for view in views])
 
@@ -46,25 +46,18 @@ def measure_error(images: NDArray[np.uint8]) -> float:
     return float(np.sqrt(np.mean((images.astype(np.float64) - true) ** 2)))
 
 
-def list_settings() -> list[Setting]:
-    """What is measured."""
-    default = SynthesisSettings().other_frames
-    return [
-        Setting(
-            "same frame only" if count == 0 else f"at most {count} other frames",
-            after(drive, lambda count=count: make_views(drive(), count)),
-            count == default,
-        )
-        for count in OTHER_FRAMES
-    ]
-
-
 BENCHMARK = Benchmark(
-    name="views",
     title=f"two cross views of {CROSS.width} x {CROSS.height} pixels from frames of {FRONT.width} x {FRONT.height}",
     error_name="rms colour error",
     error_unit="of 255",
     reference="the true views of a made-up street, ray-cast; distances are true, so that the warp alone is measured",
-    settings=list_settings,
+    settings=lambda: list_settings(
+        drive,
+        {
+            f"at most {count} other frames" if count else "same frame only": partial(make_views, count)
+            for count in OTHER_FRAMES
+        },
+        default=f"at most {SynthesisSettings().other_frames} other frames",
+    ),
     measure_error=measure_error,
 )

@@ -31,14 +31,10 @@ PREVIEWS = "previews"
 
 @dataclass(frozen=True)
 class BuildResult:
-    """What became of one job.
+    """What became of one job, which is listed under `path`.
 
-    Attributes:
-        path: what the job is listed under.
-        state: built now, found in the store or prepared by an earlier run, or failed.
-        clip_id: id of the clip; None where it failed.
-        summary: numbers of a clip that was built now.
-        message: why it failed.
+    `clip_id` is None where it failed, and `message` says why. A clip is "found" in the store, or prepared by an earlier
+    run; `summary` holds the numbers of one that is built now.
     """
 
     path: Path
@@ -53,14 +49,10 @@ class BuildJob:
     """One drive, or a window of one, and how its clip is built; picklable, because workers build.
 
     Attributes:
-        place: the data set.
-        key: key of the drive in it.
-        store: folder of the clip store.
+        place, key: the data set, and the drive in it.
         window_us: drive times of the first and the last image; None for the whole drive, up to the duration of
             `opening`.
-        opening: how to open it.
         options: how to build the clip, but for its estimators; without a name the clip takes that of the drive.
-        estimators: where motion and distances come from.
         measured_motion: whether motion that the data set measured goes before what `estimators` say.
         source: the reader that the data set must have; None for any.
         keep_going: whether input that cannot be used is a result instead of an error.
@@ -84,20 +76,12 @@ class BuildJob:
 
     @property
     def clip_id(self) -> str:
-        """Id of the clip that will be built.
-
-        Raises:
-            InputError: no reader knows the data set.
-        """
+        """Id of the clip that will be built; an `InputError` where no reader knows the data set."""
         source = self.source or self.place.open().source
         return make_clip_id(source, self.name, "GT" if self.options.use_reference_views else "Syn", self.options.seed)
 
     def open(self) -> Recording:
-        """Open what the clip is built of.
-
-        Raises:
-            InputError: the input cannot be used, or is not of the `source`.
-        """
+        """Open what the clip is built of; an `InputError` where it cannot be used, or is not of the `source`."""
         dataset = self.place.open()
         if self.source not in (None, dataset.source):
             raise InputError(
@@ -110,11 +94,7 @@ class BuildJob:
     def prepare(
         self, recording: Recording, on_progress: Progress = silent, on_step: OnStep = unnoticed
     ) -> dict[str, Any]:
-        """Build the clip of the opened recording and prepare it in the store; returns its numbers.
-
-        Raises:
-            InputError: see `build_clip`.
-        """
+        """Build the clip of the opened recording and prepare it in the store; returns its numbers."""
         options = replace(self.options, name=self.name)
         if self.measured_motion and recording.reference is not None:
             options = replace(options, use_reference_motion=True)
@@ -131,11 +111,7 @@ class BuildJob:
         return summarize_build(built, info) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
 
     def run(self) -> BuildResult:
-        """Build the clip and prepare it on one thread, unless an earlier run did.
-
-        Raises:
-            InputError: the input cannot be used, and the job does not keep going.
-        """
+        """Build and prepare the clip on one thread, unless an earlier run did; an error unless the job keeps going."""
         use_one_thread()
         path, store = Path(self.options.name or self.place.path / self.key), ClipStore(self.store)
         try:
@@ -153,16 +129,7 @@ class BuildJob:
 def build_clips(
     jobs: Sequence[BuildJob], workers: int, on_progress: Progress = silent, engine: Engine = Engine.LOCAL
 ) -> list[BuildResult]:
-    """Build the clips of several jobs and commit them to their store.
-
-    Args:
-        jobs: what to build, all for one store.
-        workers: number of processes.
-        on_progress: told the share of jobs that are done.
-        engine: where the processes run.
-
-    Returns:
-        A result for each job, in their order.
+    """Build the clips of several jobs and commit them to their one store; gives a result for each, in their order.
 
     Raises:
         InputError: something cannot be used and its job does not keep going. Clips prepared by then are found by the

@@ -36,25 +36,16 @@ _NOTED_LENS_ERROR = 0.05
 
 
 @dataclass(frozen=True)
-class ViewError:
-    """PSNR in dB of a synthesized view against the true one, mean over frames: all pixels, and those observed."""
-
-    psnr: float
-    psnr_observed: float
-
-
-@dataclass(frozen=True)
 class BuiltClip:
     """A clip, what it was made from, and how good that is. What could not be measured is None.
 
     Attributes:
-        clip: the clip.
-        plan: which views were made, and how.
-        left_out: what was not made, and why.
-        motion: the motion as it was measured and smoothed, with its errors; None where the reference was taken.
+        plan, left_out: which views were made, and how; what was not, and why.
+        motion: as it was measured and smoothed, with its errors; None where the reference was taken.
         observed: (m, h, w) pixels taken from what the front camera saw, by synthesized view.
         distance_error: median relative error of the distances.
-        view_errors: errors of synthesized views, by camera.
+        view_errors: PSNR in dB of synthesized views against the true ones, mean over frames, by camera: "psnr" over all
+            pixels, "psnr_observed" over those observed.
         seconds: run time by step.
         assumptions: a sentence for everything assumed instead of measured.
     """
@@ -65,14 +56,9 @@ class BuiltClip:
     motion: RecoveredMotion | None
     observed: dict[str, NDArray[np.bool_]]
     distance_error: float | None
-    view_errors: dict[str, ViewError]
+    view_errors: dict[str, dict[str, float]]
     seconds: dict[str, float]
     assumptions: tuple[str, ...]
-
-
-def clip_id_of(recording: Recording, options: BuildOptions) -> str:
-    """The id of the clip that `build_clip` would build."""
-    return make_clip_id(recording.source, options.name or recording.name, _clip_kind(options), options.seed)
 
 
 def build_clip(
@@ -83,11 +69,7 @@ def build_clip(
 ) -> BuiltClip:
     """Build the clip of one recording.
 
-    Args:
-        recording: front images, lens and mounting, and the truth where it is known.
-        options: what to build.
-        on_progress: told the share of the work that is done.
-        on_step: told each step's name: odometry, smoothing, distance, views.
+    `on_progress` is told the share of the work that is done; `on_step` odometry, smoothing, distance, views.
 
     Raises:
         InputError: the motion cannot be recovered, a wanted view cannot be made, or a true view is not there.
@@ -117,7 +99,14 @@ def build_clip(
         front = replace(front, moving=distance.moving | find_moving(front))
         distance_error = _distance_error(distance.distance, recording, with_distance)
 
-    shown = _only_frames(recording, made)
+    shown = recording
+    if len(made) < len(recording.frames):
+        shown = replace(
+            recording,
+            frames=recording.frames[made],
+            timestamps_us=recording.timestamps_us[made],
+            views={name: images[made] for name, images in recording.views.items()},
+        )
     maker = ViewMaker(shown, options, T_rig_camera, front, np.searchsorted(with_distance, made))
     views: dict[str, View] = {}
     with steps.step("views") as on_part:
@@ -140,14 +129,6 @@ def build_clip(
             if (error := fit_ftheta(view.camera).error) > _NOTED_LENS_ERROR
         ),
     )
-
-
-def nominal_frame_rate(timestamps_us: Indices) -> float:
-    """Whole frames per second nearest to the median spacing of frames at times (n,).
-
-    Video files need one constant rate, and readers take times from the timestamp tables, so it only has to be close.
-    """
-    return float(max(1, round(1e6 / float(np.median(np.diff(timestamps_us))))))
 
 
 def _clip_kind(options: BuildOptions) -> ClipKind:
@@ -193,28 +174,18 @@ def _choose_frames(recording: Recording, options: BuildOptions, plan: ViewPlan) 
     return made, drawn_on, np.unique(np.concatenate([made, drawn_on, np.array(looked_back_to, np.int64)]))
 
 
-def _only_frames(recording: Recording, made: Indices) -> Recording:
-    """The recording with these of its images; its reference trajectory stays whole."""
-    if len(made) == len(recording.frames):
-        return recording
-    return replace(
-        recording,
-        frames=recording.frames[made],
-        timestamps_us=recording.timestamps_us[made],
-        views={name: images[made] for name, images in recording.views.items()},
-    )
-
-
 def _assemble(recording: Recording, options: BuildOptions, views: dict[str, View], ego_motion: EgoMotion) -> Clip:
-    times_us = recording.timestamps_us
-    wanted, rate = {camera: views[camera] for camera in options.cameras}, nominal_frame_rate(times_us)
+    times_us, name, kind = recording.timestamps_us, options.name or recording.name, _clip_kind(options)
+    # Video files need one constant rate, and readers take times from the timestamp tables: it only has to be close.
+    rate = float(max(1, round(1e6 / float(np.median(np.diff(times_us))))))
+    wanted = {camera: views[camera] for camera in options.cameras}
     return Clip(
-        clip_id=clip_id_of(recording, options),
-        name=options.name or recording.name,
+        clip_id=make_clip_id(recording.source, name, kind, options.seed),
+        name=name,
         scene_id=options.scene_id or recording.name,
         source=recording.source,
         origin=options.origin or ClipOrigin(recording.name, int(times_us[0]), int(times_us[-1])),
-        kind=_clip_kind(options),
+        kind=kind,
         category=options.category,
         factors=options.factors,
         split=options.split,
@@ -258,7 +229,7 @@ def _distance_error(distance: NDArray[np.float32], recording: Recording, frames:
     return float(np.median(np.abs(distance[both] - truth[both]) / truth[both]))
 
 
-def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, ViewError]:
+def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, dict[str, float]]:
     """Errors of the synthesized views whose true images are known: whole, by the same lens, from the same place."""
     errors = {}
     for name, view in views.items():
@@ -273,8 +244,7 @@ def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, View
             continue
         truth = fit_images(recording.views[name], width, height)
         triples = list(zip(view.images, truth, view.observed, strict=True))
-        errors[name] = ViewError(
-            float(np.mean([psnr(image, true_image) for image, true_image, _ in triples])),
-            float(np.mean([psnr(image, true_image, seen) for image, true_image, seen in triples if seen.any()])),
-        )
+        all_pixels = [psnr(image, true_image) for image, true_image, _ in triples]
+        observed = [psnr(image, true_image, seen) for image, true_image, seen in triples if seen.any()]
+        errors[name] = {"psnr": float(np.mean(all_pixels)), "psnr_observed": float(np.mean(observed))}
     return errors

@@ -34,11 +34,7 @@ class ByteRange:
 
 
 class ChunkArchive:
-    """The members of one zip file.
-
-    Raises:
-        InputError: the file is missing or no readable zip file.
-    """
+    """The members of one zip file; an `InputError` where the file is missing or no readable zip file."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -49,11 +45,7 @@ class ChunkArchive:
         return name in self._members
 
     def read(self, name: str) -> bytes:
-        """One whole member, held against its checksum.
-
-        Raises:
-            InputError: it is missing, damaged, encrypted, too large, or packed in an unusual way.
-        """
+        """One whole member; an `InputError` where it is missing, damaged, encrypted, too large, or oddly packed."""
         member = self._member(name)
         with _readable(self.path), self.path.open("rb") as file:
             file.seek(self._find_start(member))
@@ -69,11 +61,7 @@ class ChunkArchive:
         return data
 
     def locate(self, name: str) -> ByteRange | None:
-        """Where an uncompressed member lies in the file; None for a compressed one.
-
-        Raises:
-            InputError: see `read`.
-        """
+        """Where an uncompressed member lies in the file; None for a compressed one. Errors are those of `read`."""
         member = self._member(name)
         if member.compress_type != zipfile.ZIP_STORED:
             return None

@@ -139,13 +139,10 @@ class ViewProvenance:
     """Where the pixels of one view came from.
 
     Attributes:
-        kind: how the images came to be.
-        engine, version: what made them.
-        seed: seed of whatever was random; None where nothing was.
-        observed_share: share of pixels taken from what the vehicle's cameras saw, 0 to 1.
-        invented_share: share of pixels that no camera saw, 0 to 1.
-        other_times_share: share of pixels taken from what the front camera saw at other times than that of the image,
-            0 to 1; a part of `observed_share`.
+        engine, version: what made the images.
+        seed: of whatever was random; None where nothing was.
+        observed_share, invented_share: shares of pixels, 0 to 1, that the vehicle's cameras saw, and that none saw.
+        other_times_share: the part of `observed_share` that the front camera saw at other times than the image's.
     """
 
     kind: ViewKind
@@ -164,8 +161,7 @@ class ClipOrigin:
     Attributes:
         recording: key of the drive in its data set; the recording's name where it is a single file.
         start_us, end_us: times of the first and the last front image, counted from the start of the scene.
-        country: ISO 3166 code of two letters; None where it is not told.
-        licence: name of the licence; None where it is not told.
+        country, licence: ISO 3166 code of two letters, and name of the licence; None where not told.
     """
 
     recording: str
@@ -175,60 +171,17 @@ class ClipOrigin:
     licence: str | None = None
 
 
-@dataclass(frozen=True)
-class Clip:
-    """One clip, ready to be stored.
+@dataclass(frozen=True, kw_only=True)
+class ClipDescription:
+    """What a clip is, in memory as in the clip table.
 
     Attributes:
         clip_id: UUID text (`make_clip_id`).
         name: what people call the clip.
         scene_id: the scene it shows; clips of one scene belong in one split.
         source: the reader of the recording.
-        origin: what it was cut from, and when.
-        kind: whether all views are true images.
-        category: long-tail category, "nominal", or `UNLABELLED`.
-        factors: scene factors that hold.
-        split: training split.
-        streams: camera streams by camera name.
-        ego_motion: motion of the rig.
-        vehicle: size of the vehicle.
-        provenance: where each stream came from, by camera name.
-        sample_t0_us: the only times t0 at which it may be sampled, such as those before a crash; None for all times
-            that it covers.
-    """
-
-    clip_id: str
-    name: str
-    scene_id: str
-    source: str
-    origin: ClipOrigin
-    kind: ClipKind
-    category: str
-    factors: tuple[str, ...]
-    split: Split
-    streams: dict[str, CameraStream]
-    ego_motion: EgoMotion
-    vehicle: VehicleDimensions
-    provenance: dict[str, ViewProvenance]
-    sample_t0_us: tuple[int, ...] | None = None
-
-
-@dataclass(frozen=True)
-class ClipInfo:
-    """One row of the clip table: everything that choosing clips needs, without opening one.
-
-    Attributes:
+        category, factors: long-tail category, "nominal", or `UNLABELLED`; the scene factors that hold.
         split: training split; None for a clip that is only indexed and that no rule has put into a split yet.
-        duration_us: clip time of the last ego pose.
-        sample_t0_us: times t0, on a grid of 0.1 s, at which the clip gives a policy sample.
-        no_sample_reason: why there is no such time; None where there is one.
-        created_with: the code that wrote the clip (`runtime.version.code_version`).
-        checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
-            the description and the window of its drive where it is only indexed.
-        fingerprint: perceptual hashes of a few front images (`clips.image_hash`); None where none was decoded.
-        views: provenance by camera name.
-
-    The other attributes are those of `Clip`.
     """
 
     clip_id: str
@@ -240,6 +193,37 @@ class ClipInfo:
     category: str
     factors: tuple[str, ...]
     split: Split | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip(ClipDescription):
+    """One clip, ready to be stored; its streams, and where they came from, by camera name.
+
+    `sample_t0_us` are the only times t0 at which it may be sampled, such as those before a crash; None for all times
+    that it covers.
+    """
+
+    streams: dict[str, CameraStream]
+    ego_motion: EgoMotion
+    vehicle: VehicleDimensions
+    provenance: dict[str, ViewProvenance]
+    sample_t0_us: tuple[int, ...] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClipInfo(ClipDescription):
+    """One row of the clip table: everything that choosing clips needs, without opening one.
+
+    Attributes:
+        duration_us: clip time of the last ego pose.
+        sample_t0_us: times t0, on a grid of 0.1 s, at which the clip gives a policy sample.
+        no_sample_reason: why there is no such time; None where there is one.
+        created_with: the code that wrote the clip (`runtime.version.code_version`).
+        checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
+            the description and the window of its drive where it is only indexed.
+        fingerprint: perceptual hashes of a few front images (`clips.image_hash`); None where none was decoded.
+    """
+
     duration_us: int
     sample_t0_us: tuple[int, ...]
     no_sample_reason: str | None
@@ -255,11 +239,7 @@ def make_clip_id(*keys: int | str) -> str:
 
 
 def check_clip_id(clip_id: object, where: str) -> str:
-    """The clip id as lower-case UUID text.
-
-    Raises:
-        InputError: it is anything else.
-    """
+    """The clip id as lower-case UUID text; an `InputError` where it is anything else."""
     try:
         if isinstance(clip_id, str) and str(uuid.UUID(clip_id)) == clip_id:
             return clip_id

@@ -31,14 +31,7 @@ class DepthEstimator(StrEnum):
 
 @dataclass(frozen=True)
 class Estimators:
-    """Estimators by name.
-
-    Attributes:
-        poses: what measures the motion.
-        mapanything_weights: folder of MapAnything, for that estimator only.
-        depth: what measures the distances.
-        depth_weights: folder of the depth network, for the learned estimators only.
-        device: where torch runs the networks.
+    """Estimators by name, with the folders of the networks and the device on which torch runs them.
 
     Raises:
         InputError: weights are given without their estimator, or the other way round.
@@ -57,11 +50,7 @@ class Estimators:
             raise InputError("--depth-weights belongs to --depth depthanything or depthcrafter; give both or neither")
 
     def apply(self, options: "BuildOptions") -> "BuildOptions":
-        """The options with these estimators.
-
-        Raises:
-            InputError: weights are missing or those of another network.
-        """
+        """The options with these estimators; an `InputError` where weights are missing or those of another network."""
         from olt_generator.motion.map_anything import MapAnything
         from olt_generator.motion.pose_sources import VisualOdometry
 

@@ -3,6 +3,7 @@
 import hashlib
 import zipfile
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import pandas as pd
@@ -10,32 +11,11 @@ import pandas as pd
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.video import write_video
-from olt_toolkit.clips.clip import Clip, ClipInfo, check_clip_id
+from olt_toolkit.clips import pai_layout as layout
+from olt_toolkit.clips import pai_tables as tables
+from olt_toolkit.clips.clip import Clip, ClipDescription, ClipInfo, check_clip_id
 from olt_toolkit.clips.image_hash import fingerprint_images
-from olt_toolkit.clips.pai_layout import (
-    CALIBRATIONS,
-    CAMERA_INTRINSICS,
-    CLIP_INDEX,
-    DATA_COLLECTION,
-    EGOMOTION,
-    FEATURE_PRESENCE,
-    FEATURE_TABLE,
-    FEATURES,
-    FRAME_TIMESTAMPS,
-    SENSOR_EXTRINSICS,
-    VEHICLE_DIMENSIONS,
-    VIDEO,
-    Feature,
-    feature_rows,
-)
-from olt_toolkit.clips.pai_tables import (
-    egomotion_table,
-    extrinsics_table,
-    intrinsics_table,
-    timestamps_table,
-    to_bytes,
-    vehicle_table,
-)
+from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES, Feature
 from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
 from olt_toolkit.policy.window import Coverage, frames_per_step, sample_times
 from olt_toolkit.rigs.rig import FRONT_WIDE
@@ -46,27 +26,24 @@ _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
-    """Write everything a chunk takes from one clip: zip members, calibration rows and the row of the clip table.
-
-    Returns:
-        The row of the clip table.
-
-    Raises:
-        InputError: the clip contradicts itself or cannot be held by the layout.
-    """
+    """Write what a chunk takes from one clip: zip members, calibration rows, its row of the clip table, returned."""
     check_clip(clip)
+    clip_id = clip.clip_id
     calibration = {
-        CAMERA_INTRINSICS: intrinsics_table(clip.clip_id, clip.streams),
-        SENSOR_EXTRINSICS: extrinsics_table(clip.clip_id, clip.streams),
-        VEHICLE_DIMENSIONS: vehicle_table(clip.clip_id, clip.vehicle),
+        layout.CAMERA_INTRINSICS: tables.intrinsics_table(clip_id, clip.streams),
+        layout.SENSOR_EXTRINSICS: tables.extrinsics_table(clip_id, clip.streams),
+        layout.VEHICLE_DIMENSIONS: tables.vehicle_table(clip_id, clip.vehicle),
     }
     for name, table in calibration.items():
         table.to_parquet(folder / f"{name}.parquet")
-    egomotion_table(clip.ego_motion).to_parquet(folder / FEATURES[EGOMOTION].member(EGOMOTION, clip.clip_id))
+    tables.egomotion_table(clip.ego_motion).to_parquet(
+        folder / FEATURES[layout.EGOMOTION].member(layout.EGOMOTION, clip_id)
+    )
     for camera, stream in clip.streams.items():
         feature = FEATURES[camera]
-        timestamps_table(stream.timestamps_us).to_parquet(folder / feature.member(FRAME_TIMESTAMPS, clip.clip_id))
-        path = folder / feature.member(VIDEO, clip.clip_id)
+        timestamps = pd.DataFrame({"timestamp": stream.timestamps_us})
+        timestamps.to_parquet(folder / feature.member(layout.FRAME_TIMESTAMPS, clip_id))
+        path = folder / feature.member(layout.VIDEO, clip_id)
         write_video(path, stream.frames, stream.frame_rate, frames_per_step(stream.frame_rate))
     digest = hashlib.blake2b(digest_size=16)
     for path in sorted(folder.iterdir()):
@@ -79,11 +56,7 @@ def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
 
 
 def check_clip(clip: Clip) -> None:
-    """Check that a clip's parts agree.
-
-    Raises:
-        InputError: naming the clip and the part.
-    """
+    """Check that a clip's parts agree, with an `InputError` that names the clip and the part."""
     where = f"clip {clip.name}"
     check_clip_id(clip.clip_id, where)
     if clip.streams.keys() != clip.provenance.keys():
@@ -110,15 +83,7 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
         times = tuple(time for time in times if time in clip.sample_t0_us)
         reason = None if times else "it covers none of the times at which it may be sampled"
     return ClipInfo(
-        clip_id=clip.clip_id,
-        name=clip.name,
-        scene_id=clip.scene_id,
-        source=clip.source,
-        origin=clip.origin,
-        kind=clip.kind,
-        category=clip.category,
-        factors=clip.factors,
-        split=clip.split,
+        **{field.name: getattr(clip, field.name) for field in fields(ClipDescription)},
         duration_us=clip.ego_motion.span_us[1],
         sample_t0_us=times,
         no_sample_reason=reason,
@@ -182,11 +147,15 @@ def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int])
             "platform_class": pd.Series(None, index, "string"),
         }
     )
-    with write_whole(root / FEATURE_TABLE) as temporary:
-        pd.DataFrame(feature_rows()).to_csv(temporary, index=False)
-    for name, table in {CLIP_INDEX: clip_index, FEATURE_PRESENCE: presence, DATA_COLLECTION: collection}.items():
+    with write_whole(root / layout.FEATURE_TABLE) as temporary:
+        pd.DataFrame(layout.feature_rows()).to_csv(temporary, index=False)
+    for name, table in {
+        layout.CLIP_INDEX: clip_index,
+        layout.FEATURE_PRESENCE: presence,
+        layout.DATA_COLLECTION: collection,
+    }.items():
         with write_whole(root / name) as temporary:
-            temporary.write_bytes(to_bytes(table))
+            temporary.write_bytes(tables.to_bytes(table))
 
 
 def has_feature(info: ClipInfo, feature: str) -> bool:

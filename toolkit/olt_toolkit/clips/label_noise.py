@@ -18,7 +18,7 @@ from olt_generator.motion.smoother import SmoothedMotion
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import EgoMotion
-from olt_toolkit.policy.action_space import DEFAULT_SETTINGS, trajectory_to_actions
+from olt_toolkit.policy.action_space import physical_actions, trajectory_to_actions
 from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
 
@@ -36,14 +36,12 @@ class LabelNoise:
 
 @dataclass(frozen=True)
 class LabelNoiseBudget:
-    """Label noise of one clip. What could not be measured is None.
+    """Label noise of one clip, over so many times t0. What could not be measured is None.
 
     Attributes:
-        samples: how many times t0 were looked at.
-        expected: of the smoothed trajectory, by the smoother's own account.
+        expected: after smoothing, by the smoother's own account.
         taken_out: difference that the smoothing makes.
-        actual: of the smoothed trajectory, against the reference.
-        raw: of the trajectory before smoothing, against the reference.
+        actual, raw: after and before smoothing, against the reference.
     """
 
     samples: int
@@ -56,15 +54,9 @@ class LabelNoiseBudget:
 def measure_label_noise(
     measured: Trajectory, motion: SmoothedMotion, reference: Trajectory | None = None
 ) -> LabelNoiseBudget | None:
-    """What is wrong with the labels of a clip, and what smoothing does about it.
+    """What is wrong with the labels of a clip, by the trajectory before smoothing, after it, and the true one.
 
-    Args:
-        measured: the trajectory before smoothing.
-        motion: the smoothed one.
-        reference: the true one on the same clock, where it is known.
-
-    Returns:
-        The budget, or None where the trajectories have no 7.9 s in common, which one sample needs.
+    None where the trajectories have no 7.9 s in common, which one sample needs.
     """
     trajectories = [measured, motion.trajectory] + ([reference] if reference else [])
     t0_us = _sample_times(trajectories)
@@ -94,10 +86,9 @@ def _find_labels(trajectory: Trajectory, t0_us: NDArray[np.int64]) -> tuple[Arra
     start = int(trajectory.timestamps_us[0])
     motion = EgoMotion.from_trajectory(Trajectory(trajectory.timestamps_us - start, trajectory.T_world_rig))
     history, future = motion.around(t0_us - start)
-    actions = trajectory_to_actions(
-        history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3], DEFAULT_SETTINGS
+    return physical_actions(
+        trajectory_to_actions(history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3])
     )
-    return DEFAULT_SETTINGS.physical(actions)
 
 
 def _compare(labels: tuple[Array, Array], others: tuple[Array, Array]) -> LabelNoise:

@@ -22,13 +22,10 @@ CALIBRATIONS = (CAMERA_INTRINSICS, SENSOR_EXTRINSICS, VEHICLE_DIMENSIONS)
 
 @dataclass(frozen=True)
 class Feature:
-    """One kind of data, packed by chunk.
+    """One kind of data, packed by chunk, below a top folder.
 
-    Attributes:
-        name: feature name.
-        directory: top folder.
-        members: for zipped features, alias to name of the member; `{clip_id}` stands for the clip. Empty for the
-            others, which are one Parquet table a chunk.
+    `members` of zipped features are alias to name of the member; `{clip_id}` stands for the clip. They are empty for
+    the others, which are one Parquet table a chunk.
     """
 
     name: str

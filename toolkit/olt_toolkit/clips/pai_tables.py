@@ -44,11 +44,7 @@ def egomotion_table(motion: EgoMotion) -> pd.DataFrame:
 
 
 def read_egomotion(data: bytes, where: str) -> EgoMotion:
-    """Read `{clip}.egomotion.parquet`.
-
-    Raises:
-        InputError: a column is missing, or times or poses cannot be used.
-    """
+    """Read `{clip}.egomotion.parquet`; an `InputError` where a column is missing, or times or poses cannot be used."""
     table = read_table(data, ["timestamp", *QUATERNION, *POSITION, *VELOCITY, *ACCELERATION, "curvature"], where)
     timestamps_us = _timestamps(table, where)
     quaternion, position = _array(table, QUATERNION, where), _array(table, POSITION, where)
@@ -62,26 +58,13 @@ def read_egomotion(data: bytes, where: str) -> EgoMotion:
     )
 
 
-def timestamps_table(timestamps_us: NDArray[np.int64]) -> pd.DataFrame:
-    """The table `{clip}.<camera>.timestamps.parquet`: one row for each of the frames at clip times (n,)."""
-    return pd.DataFrame({"timestamp": timestamps_us})
-
-
 def read_timestamps(data: bytes, where: str) -> NDArray[np.int64]:
-    """Read the (n,) clip times of a camera's frames.
-
-    Raises:
-        InputError: the column is missing, not integer, shorter than two rows or not increasing.
-    """
+    """The (n,) clip times of `{clip}.<camera>.timestamps.parquet`; an `InputError` where they do not increase."""
     return _timestamps(read_table(data, ["timestamp"], where), where)
 
 
 def intrinsics_table(clip_id: str, streams: Mapping[str, CameraStream]) -> pd.DataFrame:
-    """Rows of `camera_intrinsics` for one clip; pinhole lenses are fitted by f-theta polynomials.
-
-    Raises:
-        InputError: a lens cannot be held by the table.
-    """
+    """Rows of `camera_intrinsics` for one clip; an `InputError` where f-theta polynomials cannot hold a lens."""
     rows = {}
     for name, stream in streams.items():
         try:
@@ -110,11 +93,7 @@ def vehicle_table(clip_id: str, vehicle: VehicleDimensions) -> pd.DataFrame:
 
 
 def read_mounted_camera(intrinsics: Path, extrinsics: Path, clip_id: str, camera: str) -> MountedCamera:
-    """Read the lens and the mounting of one camera of one clip.
-
-    Raises:
-        InputError: a file, column, index or row is missing.
-    """
+    """Lens and mounting of one camera of one clip; an `InputError` where a file, column, index or row is missing."""
     mounting = [*QUATERNION, *POSITION]
     key = (clip_id, camera)
     lens = _row(read_indexed(intrinsics, LENS, ["clip_id", "camera_name"]), key, LENS, intrinsics)
@@ -128,20 +107,12 @@ def read_mounted_camera(intrinsics: Path, extrinsics: Path, clip_id: str, camera
 
 
 def read_vehicle(path: Path, clip_id: str) -> VehicleDimensions:
-    """Read the size of a clip's vehicle.
-
-    Raises:
-        InputError: the file, a column, the index or the row is missing.
-    """
+    """Read the size of a clip's vehicle; an `InputError` where the file, a column, the index or the row is missing."""
     return VehicleDimensions(**_row(read_indexed(path, DIMENSIONS, ["clip_id"]), clip_id, DIMENSIONS, path))
 
 
 def read_indexed(path: Path, columns: list[str], index: list[str]) -> pd.DataFrame:
-    """Read a table with the given columns and pandas index.
-
-    Raises:
-        InputError: the file cannot be read, or lacks a column or the index.
-    """
+    """Read a table with the given columns and pandas index; an `InputError` where it has not both."""
     table = read_table(path, columns, str(path))
     names = (table.schema.pandas_metadata or {}).get("index_columns", [])
     if names != index:
@@ -156,11 +127,7 @@ def read_indexed(path: Path, columns: list[str], index: list[str]) -> pd.DataFra
 
 
 def read_table(source: Path | bytes, columns: list[str], where: str) -> pa.Table:
-    """Read a Parquet table that has at least the given columns.
-
-    Raises:
-        InputError: the file cannot be read or lacks a column.
-    """
+    """Read a Parquet table; an `InputError` where it cannot be read or lacks one of these columns."""
     try:
         file = pq.ParquetFile(io.BytesIO(source) if isinstance(source, bytes) else source)
         missing = [name for name in columns if name not in file.schema_arrow.names]

@@ -8,16 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.files import write_whole
-from olt_toolkit.rigs.rig import (
-    CROSS_LEFT,
-    CROSS_RIGHT,
-    FRONT_TELE,
-    FRONT_WIDE,
-    REAR_LEFT,
-    REAR_RIGHT,
-    REAR_TELE,
-    short_name,
-)
+from olt_toolkit.rigs import rig
 
 Image = NDArray[np.uint8]
 
@@ -30,9 +21,9 @@ _TEXT_COLOUR = (240, 240, 240)
 
 # Where the views stand in a preview: as the driver would look around.
 _PLACES = (
-    (CROSS_LEFT, FRONT_WIDE, CROSS_RIGHT),
-    (FRONT_TELE,),
-    (REAR_LEFT, REAR_TELE, REAR_RIGHT),
+    (rig.CROSS_LEFT, rig.FRONT_WIDE, rig.CROSS_RIGHT),
+    (rig.FRONT_TELE,),
+    (rig.REAR_LEFT, rig.REAR_TELE, rig.REAR_RIGHT),
 )
 _PREVIEW_RATE = 5.0
 _PREVIEW_TILE = 288
@@ -69,17 +60,14 @@ def contact_sheet(
     columns: int = 5,
     tile_width: int = 288,
 ) -> Image:
-    """All views of a clip at a few times, invented pixels tinted.
+    """All views of a clip at a few times, invented pixels tinted: one picture (H, W, 3).
 
     Args:
-        images: (n, H, W, 3) uint8 by view name, one size each.
+        images: (n, H, W, 3) uint8 by view name, one size each; each is a row.
         observed: (n, H, W) pixels that are not invented, for the views that have such.
         timestamps_us: (n,) clip times of the images.
         columns: number of times, spread evenly from the first to the last.
-        tile_width: width of one picture in pixels.
-
-    Returns:
-        One picture (H, W, 3): a row for each view, a column for each time.
+        tile_width: pixels.
     """
     indices = np.linspace(0, len(timestamps_us) - 1, min(columns, len(timestamps_us))).round().astype(int)
     times = [f"{timestamps_us[index] / 1e6:.1f} s" for index in indices]
@@ -95,12 +83,7 @@ def contact_sheet(
 def preview(
     images: Mapping[str, Image], timestamps_us: NDArray[np.int64], tile_width: int = _PREVIEW_TILE
 ) -> tuple[Image, float]:
-    """All views of a clip side by side over time.
-
-    Args:
-        images: (n, H, W, 3) uint8 by view name; views stand where their cameras look.
-        timestamps_us: (n,) clip times of the images.
-        tile_width: width of one view in pixels.
+    """All views of a clip, images (n, H, W, 3) at clip times (n,), side by side where their cameras look.
 
     Returns:
         Frames (m, h, w, 3), about five a second, and how many a second show the clip as fast as it was.
@@ -143,7 +126,7 @@ def _surround(images: Mapping[str, Image], tile_width: int) -> Image:
         names = [name for name in places if name in images]
         if names:
             tiles = _side_by_side([images[name] for name in names], tile_width)
-            rows.append(np.concatenate([_caption([short_name(name) for name in names], tile_width), tiles]))
+            rows.append(np.concatenate([_caption([rig.short_name(name) for name in names], tile_width), tiles]))
     width = max(row.shape[1] for row in rows)
     margins = [(width - row.shape[1]) // 2 for row in rows]
     return np.concatenate(

@@ -12,13 +12,10 @@ from olt_toolkit.clips.label_noise import LabelNoiseBudget, measure_label_noise
 
 @dataclass(frozen=True)
 class RecoveredMotion:
-    """A recovered motion. Its errors are measured when they are first asked for; those that cannot be are None.
+    """A motion before and after smoothing. Its errors are measured when first asked for; those that cannot be are None.
 
-    Attributes:
-        measured: the trajectory before smoothing.
-        smoothed: the motion after smoothing.
-        scale_sigma: relative standard deviation of the metric scale; None where it is not known.
-        reference: the true trajectory on the same clock, where it is known.
+    `scale_sigma` is the relative standard deviation of the metric scale, where it is known; `reference` the true
+    trajectory on the same clock.
     """
 
     measured: Trajectory

@@ -1,10 +1,9 @@
 """How good the views of a stored clip are: consistent with each other, and close to those of a reference clip."""
 
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.metrics.cross_view_consistency import (
@@ -23,6 +22,9 @@ from olt_toolkit.clips.images import fit_images
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, REAR_LEFT, REAR_RIGHT, REAR_TELE
 
+if TYPE_CHECKING:
+    from olt_generator.metrics.lpips import Lpips
+
 # The pairs of GeoKPM: neighbours around the vehicle. The front-tele view is cut out of the front view, has its centre,
 # and would agree with it whatever it shows.
 NEIGHBOURS = (
@@ -33,16 +35,6 @@ NEIGHBOURS = (
     (REAR_LEFT, REAR_TELE),
     (REAR_RIGHT, REAR_TELE),
 )
-
-
-class ImageDistance(Protocol):
-    """A learned distance between two images, and what to call it."""
-
-    name: str
-
-    def __call__(self, a: NDArray[np.uint8], b: NDArray[np.uint8]) -> float:
-        """Distance of two images (H, W, 3)."""
-        ...
 
 
 def open_matcher(loftr_weights: Path | None, device: str) -> Matcher:
@@ -56,7 +48,7 @@ def open_matcher(loftr_weights: Path | None, device: str) -> Matcher:
     return LoftrMatcher(loftr_weights, device)
 
 
-def open_lpips(weights: Path | None, device: str) -> ImageDistance | None:
+def open_lpips(weights: Path | None, device: str) -> "Lpips | None":
     """LPIPS where its weights are given."""
     if weights is None:
         return None
@@ -68,18 +60,7 @@ def open_lpips(weights: Path | None, device: str) -> ImageDistance | None:
 def score_consistency(
     store: ClipStore, clip_id: str, matcher: Matcher, moments: int, on_progress: Progress = silent
 ) -> dict[str, Any]:
-    """GeoKPM of a clip, over all pairs of neighbouring views and for each.
-
-    Args:
-        store: holds the clip.
-        clip_id: which clip.
-        matcher: finds the matches.
-        moments: how many moments of the clip, spread evenly.
-        on_progress: told the share of the work that is done.
-
-    Raises:
-        InputError: the clip has no two neighbouring views.
-    """
+    """GeoKPM of a clip at so many moments, spread evenly: over all pairs of neighbouring views, and for each."""
     views = store.info(clip_id).views
     pairs = [pair for pair in NEIGHBOURS if set(pair) <= views.keys()]
     if not pairs:
@@ -100,7 +81,7 @@ def score_consistency(
 
 
 def score_against(
-    store: ClipStore, clip_id: str, reference: ClipStore, reference_id: str, lpips: ImageDistance | None = None
+    store: ClipStore, clip_id: str, reference: ClipStore, reference_id: str, lpips: "Lpips | None" = None
 ) -> dict[str, Any]:
     """PSNR, SSIM and, where it is given, LPIPS of each view that both clips have, over the times of both.
 
@@ -152,7 +133,7 @@ def _describe_consistency(found: Consistency) -> dict[str, Any]:
 
 
 def _compare_view(
-    store: ClipStore, clip_id: str, reference: ClipStore, reference_id: str, name: str, lpips: ImageDistance | None
+    store: ClipStore, clip_id: str, reference: ClipStore, reference_id: str, name: str, lpips: "Lpips | None"
 ) -> dict[str, Any]:
     times_us = np.intersect1d(store.read_timestamps(clip_id, name), reference.read_timestamps(reference_id, name))
     if len(times_us) == 0:

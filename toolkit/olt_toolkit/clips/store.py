@@ -19,37 +19,16 @@ from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole_folder
+from olt_toolkit.clips import pai_layout as layout
+from olt_toolkit.clips import pai_tables as tables
 from olt_toolkit.clips.chunk_archive import ByteRange, ChunkArchive
 from olt_toolkit.clips.clip import Clip, ClipInfo, EgoMotion, check_clip_id
 from olt_toolkit.clips.files import pack_chunk, write_clip_files, write_metadata
-from olt_toolkit.clips.pai_layout import (
-    CALIBRATIONS,
-    CAMERA_INTRINSICS,
-    CLIP_INDEX,
-    EGOMOTION,
-    FEATURES,
-    FRAME_TIMESTAMPS,
-    SENSOR_EXTRINSICS,
-    VEHICLE_DIMENSIONS,
-    VIDEO,
-)
-from olt_toolkit.clips.pai_tables import (
-    read_egomotion,
-    read_indexed,
-    read_mounted_camera,
-    read_table,
-    read_timestamps,
-    read_vehicle,
-)
+from olt_toolkit.clips.pai_layout import CALIBRATIONS, CLIP_INDEX, EGOMOTION, FEATURES, FRAME_TIMESTAMPS, VIDEO
 from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
 from olt_toolkit.clips.video import check_video, decode_frames, decode_images
 from olt_toolkit.policy.sample import PolicySample, SampleKey
-from olt_toolkit.policy.window import (
-    IMAGE_OFFSETS_US,
-    Coverage,
-    check_sample_window,
-    newest_frames,
-)
+from olt_toolkit.policy.window import IMAGE_OFFSETS_US, Coverage, check_sample_window, newest_frames
 from olt_toolkit.rigs.rig import CAMERA_INDEX, POLICY_CAMERAS, MountedCamera, VehicleDimensions
 from olt_toolkit.runtime.version import code_version
 
@@ -69,10 +48,9 @@ class ClipStore:
     # Writing
 
     def prepare(self, clip: Clip) -> ClipInfo:
-        """Encode a clip beside the store, ready to be committed. Different clips may be prepared at the same time.
+        """Encode a clip beside the store, ready to be committed; returns its row in the clip table.
 
-        Returns:
-            The clip's row in the clip table.
+        Different clips may be prepared at the same time.
 
         Raises:
             InputError: the clip contradicts itself, or the layout cannot hold it.
@@ -85,14 +63,11 @@ class ClipStore:
         path = self._prepared(clip_id) / CLIP_TABLE
         return (
             path.is_file()
-            and read_table(path, ["created_with"], str(path))["created_with"][0].as_py() == code_version()
+            and tables.read_table(path, ["created_with"], str(path))["created_with"][0].as_py() == code_version()
         )
 
     def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
-        """Add prepared clips to the store; those that it holds already stay as they are.
-
-        Returns:
-            The ids that were added, in the order given.
+        """Add prepared clips to the store; returns the ids of those that it did not hold already.
 
         Raises:
             InputError: a clip is neither prepared nor in the store, or another process is committing.
@@ -184,11 +159,7 @@ class ClipStore:
             self.read_rows(clip_id, feature)
 
     def read_member(self, clip_id: str, feature: str, alias: str) -> bytes:
-        """One file of a clip out of its chunk's zip, as it is.
-
-        Raises:
-            InputError: it is missing or damaged.
-        """
+        """One file of a clip out of its chunk's zip, as it is; an `InputError` where it is missing or damaged."""
         return self._member(clip_id, feature, alias)[0]
 
     def read_rows(self, clip_id: str, feature: str) -> pd.DataFrame:
@@ -198,7 +169,7 @@ class ClipStore:
             InputError: the table is missing or damaged, or has no row for the clip.
         """
         path = self._chunk_file(clip_id, feature)
-        table = read_table(path, [], str(path)).to_pandas()
+        table = tables.read_table(path, [], str(path)).to_pandas()
         rows = table[table.index.get_level_values(0) == clip_id]
         if rows.empty:
             raise InputError(f"{path}: no row for {clip_id}")
@@ -206,30 +177,26 @@ class ClipStore:
 
     def read_ego_motion(self, clip_id: str) -> EgoMotion:
         """The motion of the rig in the clip's anchor frame."""
-        return read_egomotion(*self._member(clip_id, EGOMOTION, EGOMOTION))
+        return tables.read_egomotion(*self._member(clip_id, EGOMOTION, EGOMOTION))
 
     def read_camera(self, clip_id: str, camera: str) -> MountedCamera:
         """Lens and mounting of one camera."""
-        intrinsics = self._chunk_file(clip_id, CAMERA_INTRINSICS)
-        return read_mounted_camera(intrinsics, self._chunk_file(clip_id, SENSOR_EXTRINSICS), clip_id, camera)
+        lenses = self._chunk_file(clip_id, layout.CAMERA_INTRINSICS)
+        mountings = self._chunk_file(clip_id, layout.SENSOR_EXTRINSICS)
+        return tables.read_mounted_camera(lenses, mountings, clip_id, camera)
 
     def read_vehicle(self, clip_id: str) -> VehicleDimensions:
         """Size of the vehicle."""
-        return read_vehicle(self._chunk_file(clip_id, VEHICLE_DIMENSIONS), clip_id)
+        return tables.read_vehicle(self._chunk_file(clip_id, layout.VEHICLE_DIMENSIONS), clip_id)
 
     def read_timestamps(self, clip_id: str, camera: str) -> NDArray[np.int64]:
         """Clip times (n,) of one camera's frames."""
-        return read_timestamps(*self._member(clip_id, camera, FRAME_TIMESTAMPS))
+        return tables.read_timestamps(*self._member(clip_id, camera, FRAME_TIMESTAMPS))
 
     def read_frames(
         self, clip_id: str, camera: str, times_us: NDArray[np.int64]
     ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-        """The newest frame of one camera at or before each time.
-
-        Args:
-            clip_id: which clip.
-            camera: name of the camera.
-            times_us: (m,) ascending clip times.
+        """The newest frame of one camera at or before each of the ascending clip times (m,).
 
         Returns:
             Frames (m, H, W, 3) RGB and the times (m,) of these frames.
@@ -248,11 +215,7 @@ class ClipStore:
         return decode_frames(video, indices, where), timestamps_us[indices]
 
     def load_sample(self, key: SampleKey, image_size: tuple[int, int] | None = None) -> PolicySample:
-        """Load what the public loader gives for a clip and t0, by the same rules.
-
-        Args:
-            key: clip and t0; `key.store` tells which store to open and is not looked at here.
-            image_size: height and width to which images are scaled; None keeps those of the clip.
+        """Load what the public loader gives for a clip and t0, by the same rules; see `load_samples`.
 
         Raises:
             InputError: the clip does not cover the sample, or its files are damaged.
@@ -261,6 +224,8 @@ class ClipStore:
 
     def load_samples(self, keys: Sequence[SampleKey], image_size: tuple[int, int] | None = None) -> list[PolicySample]:
         """Load samples in the order of `keys`; every clip is opened and decoded once, whatever their order.
+
+        The stores of the keys are not looked at. Images are scaled to a height and width where these are given.
 
         Raises:
             InputError: see `load_sample`.
@@ -333,7 +298,7 @@ class ClipStore:
     @cached_property
     def _chunks(self) -> dict[str, int]:
         path = self.root / CLIP_INDEX
-        table = read_indexed(path, ["chunk"], ["clip_id"])
+        table = tables.read_indexed(path, ["chunk"], ["clip_id"])
         if table["chunk"].dtype != np.int64:
             raise InputError(f"{path}: column chunk is {table['chunk'].dtype}; it must be int64")
         clip_ids = [check_clip_id(clip_id, str(path)) for clip_id in table.index]

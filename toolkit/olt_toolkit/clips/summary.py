@@ -9,31 +9,21 @@ from olt_toolkit.clips.builder import BuiltClip
 from olt_toolkit.clips.clip import ClipInfo, EgoMotion
 from olt_toolkit.clips.store import ClipStore
 
-# What the numbers of a recovered motion are called among those of a clip.
-_MOTION_KEYS = {
-    "scale_sigma": "scale_sigma",
-    "errors": "pose_errors",
-    "errors_before_smoothing": "pose_errors_before_smoothing",
-    "smoothness": "smoothness",
-    "smoothness_before_smoothing": "smoothness_before_smoothing",
-    "label_noise": "label_noise",
-}
-
 
 def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
-    """Numbers of a built clip: trajectory and its errors, views and theirs, what was left out, assumed and timed.
-
-    Args:
-        built: the clip and what it was made from.
-        info: its row in the clip table.
-    """
-    motion = dict.fromkeys(_MOTION_KEYS) if built.motion is None else built.motion.to_dict()
+    """Numbers of a built clip: trajectory and its errors, views and theirs, what was left out, assumed and timed."""
+    motion = {} if built.motion is None else built.motion.to_dict()
     return {
         "clip": summarize_info(info),
         "trajectory": summarize_motion(built.clip.ego_motion),
-        **{_MOTION_KEYS[key]: value for key, value in motion.items()},
+        "scale_sigma": motion.get("scale_sigma"),
+        "pose_errors_before_smoothing": motion.get("errors_before_smoothing"),
+        "pose_errors": motion.get("errors"),
+        "smoothness_before_smoothing": motion.get("smoothness_before_smoothing"),
+        "smoothness": motion.get("smoothness"),
+        "label_noise": motion.get("label_noise"),
         "distance_median_relative_error": built.distance_error,
-        "view_errors": {name: asdict(error) for name, error in built.view_errors.items()},
+        "view_errors": built.view_errors,
         "left_out": [omission.to_dict() for omission in built.left_out],
         "assumptions": list(built.assumptions),
         "seconds": dict(built.seconds),
@@ -58,11 +48,7 @@ def summarize_motion(motion: EgoMotion) -> dict[str, float]:
 
 
 def summarize_stored(store: ClipStore, clip_id: str) -> dict[str, Any]:
-    """A clip as it is stored: its row in the clip table, motion, vehicle and cameras.
-
-    Raises:
-        InputError: the store has no such clip, or its files are damaged.
-    """
+    """A clip as it is stored: row of the clip table, motion, vehicle, cameras; an `InputError` where damaged."""
     info, cameras = store.info(clip_id), {}
     for name in info.views:
         mounted, times_us = store.read_camera(clip_id, name), store.read_timestamps(clip_id, name)

@@ -73,11 +73,7 @@ def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
 
 
 def read_clip_table(path: Path) -> list[ClipInfo]:
-    """Read the table.
-
-    Raises:
-        InputError: the file is missing, of another version, or holds what no clip can have.
-    """
+    """Read the table; an `InputError` where it is missing, of another version, or holds what no clip can have."""
     table = read_table(path, SCHEMA.names, str(path))
     check_table_version((table.schema.metadata or {}).get(VERSION_KEY), path)
     for name in SCHEMA.names:
@@ -89,11 +85,7 @@ def read_clip_table(path: Path) -> list[ClipInfo]:
 
 
 def check_table_version(version: bytes | str | None, path: Path) -> None:
-    """Check the version that the metadata of a table tell.
-
-    Raises:
-        InputError: there is none, or it is not the one that this release reads.
-    """
+    """Check the version that the metadata of a table tell; an `InputError` where this release does not read it."""
     text = version.decode(errors="replace") if isinstance(version, bytes) else version
     if text is None or not text.isdecimal():
         raise InputError(f"{path}: table_version is {text!r}; this is no clip table")
@@ -104,18 +96,12 @@ def check_table_version(version: bytes | str | None, path: Path) -> None:
 
 def _info(row: dict[str, Any], where: str) -> ClipInfo:
     check_clip_id(row["clip_id"], where)
-    _check_word(row["kind"], get_args(ClipKind), f"{where}: kind")
-    if row["split"] is not None:
-        _check_word(row["split"], get_args(Split), f"{where}: split")
-    for view in row["views"]:
-        _check_word(view["kind"], get_args(ViewKind), f"{where}: view {view['camera']}: kind")
+    views = [(f"view {view['camera']}: kind", view["kind"], ViewKind) for view in row["views"]]
+    for name, word, words in [("kind", row["kind"], ClipKind), ("split", row["split"], Split), *views]:
+        if word is not None and word not in get_args(words):
+            raise InputError(f"{where}: {name} is {word!r}; it must be one of {', '.join(get_args(words))}")
     row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
     row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
     row["fingerprint"] = None if row["fingerprint"] is None else tuple(row["fingerprint"])
     origin = ClipOrigin(**{field.name: row.pop(field.name) for field in fields(ClipOrigin)})
     return ClipInfo(**row, origin=origin)
-
-
-def _check_word(word: str, allowed: tuple[str, ...], where: str) -> None:
-    if word not in allowed:
-        raise InputError(f"{where} is {word!r}; it must be one of {', '.join(allowed)}")

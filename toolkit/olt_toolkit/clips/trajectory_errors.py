@@ -1,5 +1,6 @@
 """How well the motion of a recording is recovered, over clips of equal length that are each estimated on their own."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -37,28 +38,28 @@ class Jitter:
 
 
 @dataclass(frozen=True)
-class ClipMotion:
-    """Motion of one clip of a recording: index of its first frame, number of its frames, and what was recovered."""
+class ClipMotion(RecoveredMotion):
+    """Motion of one clip of a recording: with the index of its first frame, and the number of its frames."""
 
     first: int
     frames: int
-    motion: RecoveredMotion
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values; keys carry the units."""
-        found = self.motion.to_dict()
+        found = super().to_dict()
         before, after = found["smoothness_before_smoothing"], found["smoothness"]
-        jerk_ratio = _ratio(before["jerk_rms_m_s3"], after["jerk_rms_m_s3"])
+        jerk_ratio, variance_ratio = (
+            None if before[key] is None or not after[key] else before[key] / after[key]
+            for key in ("jerk_rms_m_s3", "acceleration_variance_m2_s4")
+        )
         return {
             "first_frame": self.first,
             "frames": self.frames,
-            "path_length_m": self.motion.smoothed.trajectory.path_length,
+            "path_length_m": self.smoothed.trajectory.path_length,
             **found,
             # How many times lower the mean squared jerk is: the paper's jerk has the size of a square (`pose_metrics`).
             "jerk_factor": None if jerk_ratio is None else jerk_ratio**2,
-            "acceleration_variance_factor": _ratio(
-                before["acceleration_variance_m2_s4"], after["acceleration_variance_m2_s4"]
-            ),
+            "acceleration_variance_factor": variance_ratio,
         }
 
 
@@ -77,8 +78,8 @@ def measure_clips(
         InputError: the recording is shorter than one clip, its motion cannot be recovered, or there is no reference to
             disturb.
     """
-    count = len(recording.frames)
-    if jitter is not None and recording.reference is None:
+    count, reference = len(recording.frames), recording.reference
+    if jitter is not None and reference is None:
         raise InputError(f"{recording.name}: has no reference to disturb; leave out the jitter")
     if frames is not None and count < frames:
         raise InputError(f"{recording.name}: has {count} frames, a clip needs {frames}; give a shorter --clip-frames")
@@ -86,25 +87,23 @@ def measure_clips(
     starts = range(0, count - length + 1, stride or length)
     motions = []
     for start in starts:
-        motions.append(_measure(recording, start, length, jitter))
+        part = slice(start, start + length)
+        times = recording.timestamps_us[part]
+        if jitter is not None and reference is not None:
+            measured, scale_sigma = jitter.disturb(Trajectory(times, reference.interpolate(times))), None
+            smoothed = smooth_trajectory(measured)
+        else:
+            found = VisualOdometry().estimate(recording.frames[part], times, recording.camera, recording.T_rig_camera)
+            measured, scale_sigma = found.trajectory, found.scale_sigma
+            smoothed = smooth_trajectory(measured, found.noise)
+        motions.append(ClipMotion(measured, smoothed, scale_sigma, reference, start, length))
         on_progress(len(motions) / len(starts))
     return motions
 
 
-def _measure(recording: Recording, first: int, frames: int, jitter: Jitter | None) -> ClipMotion:
-    part = slice(first, first + frames)
-    times, reference = recording.timestamps_us[part], recording.reference
-    if jitter is not None and reference is not None:
-        measured = jitter.disturb(Trajectory(times, reference.interpolate(times)))
-        return ClipMotion(first, frames, RecoveredMotion(measured, smooth_trajectory(measured), None, reference))
-    found = VisualOdometry().estimate(recording.frames[part], times, recording.camera, recording.T_rig_camera)
-    smoothed = smooth_trajectory(found.trajectory, found.noise)
-    return ClipMotion(first, frames, RecoveredMotion(found.trajectory, smoothed, found.scale_sigma, reference))
-
-
 def summarize_clips(motions: list[ClipMotion]) -> dict[str, Any]:
     """Mean and worst of the errors over the clips; None where there is no reference."""
-    errors = [clip.motion.errors.metric for clip in motions if clip.motion.errors is not None]
+    errors = [clip.errors.metric for clip in motions if clip.errors is not None]
     steps = [error.step_translation_percent for error in errors if error.step_translation_percent is not None]
     ate = [error.ate_m for error in errors]
     return {
@@ -116,28 +115,32 @@ def summarize_clips(motions: list[ClipMotion]) -> dict[str, Any]:
     }
 
 
-def plot_clips(recording: Recording, motions: list[ClipMotion], path: Path) -> None:
-    """Draw the path from above, with the reference where it is known, and the forward acceleration over time."""
+def draw_motions(path: Path, motions: Mapping[str, RecoveredMotion]) -> None:
+    """Draw motions by their label into a PNG file.
+
+    On the left paths from above, before and after smoothing, with the reference where it is known; on the right the
+    forward acceleration over time.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
     figure, (plan, over_time) = pyplot.subplots(1, 2, figsize=(13, 5), layout="constrained")
-    reference = recording.reference
-    for index, clip in enumerate(motions):
-        smoothed = clip.motion.smoothed
-        found = smoothed.trajectory
+    for index, (label, motion) in enumerate(motions.items()):
+        smoothed, reference = motion.smoothed.trajectory, motion.reference
         start = np.eye(4)
         if reference is not None:
-            start = reference.interpolate(found.timestamps_us[:1])[0]
-            true = reference.interpolate(found.timestamps_us)
-            plan.plot(true[:, 0, 3], true[:, 1, 3], color="black", lw=1, label="reference" if index == 0 else None)
-        x, y = (start @ invert(found.T_world_rig[0]) @ found.T_world_rig)[:, :2, 3].T
-        plan.plot(x, y, lw=1.5, label=f"clip from frame {clip.first}")
-        seconds = (found.timestamps_us - recording.timestamps_us[0]) * 1e-6
-        forward_acceleration = np.einsum("ni,ni->n", smoothed.acceleration, found.T_world_rig[:, :3, 0])
-        over_time.plot(seconds, forward_acceleration, lw=1.2)
+            true = reference.interpolate(smoothed.timestamps_us)
+            start = true[0]
+            plan.plot(true[:, 0, 3], true[:, 1, 3], color="black", lw=1, label=None if index else "reference")
+        T_drawn_world = start @ invert(smoothed.T_world_rig[0])
+        x, y = (T_drawn_world @ motion.measured.T_world_rig)[:, :2, 3].T
+        plan.plot(x, y, color="0.6", lw=0.8, label=None if index else "before smoothing")
+        x, y = (T_drawn_world @ smoothed.T_world_rig)[:, :2, 3].T
+        plan.plot(x, y, color=f"C{index}", lw=1.5, label=label)
+        forward_acceleration = np.einsum("ni,ni->n", motion.smoothed.acceleration, smoothed.T_world_rig[:, :3, 0])
+        over_time.plot(smoothed.timestamps_us * 1e-6, forward_acceleration, lw=1.2)
     plan.set(xlabel="x (m)", ylabel="y (m)", title="Path from above", aspect="equal", adjustable="datalim")
     plan.legend(fontsize=8)
     over_time.set(xlabel="time (s)", ylabel="acceleration (m/s²)", title="Forward acceleration after smoothing")
@@ -146,7 +149,3 @@ def plot_clips(recording: Recording, motions: list[ClipMotion], path: Path) -> N
     with write_whole(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
     pyplot.close(figure)
-
-
-def _ratio(before: float | None, after: float | None) -> float | None:
-    return None if before is None or not after else before / after

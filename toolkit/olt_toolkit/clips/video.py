@@ -30,12 +30,7 @@ def decode_frames(video: ByteRange | bytes, indices: NDArray[np.int64], where: s
     """Decode frames (m, H, W, 3), RGB, each once and in one pass.
 
     Frame k of a stream of constant rate starts at k whole periods of container time, which is how the public reader
-    counts (docs/formats/physicalai_av.md).
-
-    Args:
-        video: a whole video file, or where it lies.
-        indices: (m,) frame numbers; a number may repeat.
-        where: what an error message calls the video.
+    counts (docs/formats/physicalai_av.md). Numbers (m,) may repeat; `where` is what an error message calls the video.
 
     Raises:
         InputError: the video is damaged or has fewer frames.
@@ -72,11 +67,7 @@ def decode_images(
 
 
 def check_video(video: ByteRange | bytes, count: int, where: str) -> None:
-    """Check that the public reader finds `count` frames; decodes them only where the file's tables do not tell.
-
-    Raises:
-        InputError: the video is damaged, of changing rate, or has fewer frames.
-    """
+    """Check (`InputError`) that the public reader finds `count` frames; decodes only where the tables do not tell."""
     with _open(video) as (read, length):
         index = read_mp4_index(read, length)
     if index is None:

@@ -21,16 +21,9 @@ from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, short_name
 
-PLAN_FILE = "plan.json"
-PICTURES_NAME = "views"
-
 
 def parse_cameras(text: str) -> tuple[str, ...]:
-    """Camera names out of a list with commas; short ones (`cross_left`) stand for whole ones.
-
-    Raises:
-        InputError: a name is not one of the rig's cameras, or there is none.
-    """
+    """The rig's cameras out of a list with commas, short names (`cross_left`) for whole ones, or an `InputError`."""
     whole_names = {short_name(name): name for name in CAMERA_INDEX} | {name: name for name in CAMERA_INDEX}
     names = [name.strip() for name in text.split(",") if name.strip()]
     unknown = [name for name in names if name not in whole_names]
@@ -41,11 +34,7 @@ def parse_cameras(text: str) -> tuple[str, ...]:
 
 
 def reopen_clip(store: ClipStore, clip_id: str) -> Recording:
-    """The front view of a stored clip as a recording whose motion is known, so that more views can be made of it.
-
-    Raises:
-        InputError: the store has no such clip, or the clip no front view.
-    """
+    """A stored clip, which needs a front view, as a recording of known motion, so that more views can be made of it."""
     info = store.info(clip_id)
     if FRONT_WIDE not in info.views:
         raise InputError(f"{store.root}: clip {clip_id} has no {FRONT_WIDE} view, from which all others are made")
@@ -76,10 +65,7 @@ def leave_out_motion(recording: Recording, options: BuildOptions) -> BuildOption
 def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
     """Write one mp4 per view, a contact sheet, an animated preview, and the plan of what was made and left out.
 
-    Each file appears whole; the plan is written last.
-
-    Returns:
-        What the plan holds.
+    Each file appears whole; the plan, which is returned, is written last.
 
     Raises:
         InputError: the folder cannot be written to.
@@ -90,7 +76,7 @@ def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
         write_video(folder / f"{name}.mp4", stream.frames, stream.frame_rate)
     times_us = next(iter(streams.values())).timestamps_us
     images = {name: stream.frames for name, stream in streams.items()}
-    pictures = write_clip_pictures(folder, PICTURES_NAME, images, built.observed, times_us)
+    pictures = write_clip_pictures(folder, "views", images, built.observed, times_us)
     left_out = built.left_out
     if not built.plan.synthesizes:
         left_out += (Omission("motion of the vehicle", "no wanted view needs it"),)
@@ -106,6 +92,6 @@ def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
         "seconds": dict(built.seconds),
         "pictures": pictures,
     }
-    with write_whole(folder / PLAN_FILE) as temporary:
+    with write_whole(folder / "plan.json") as temporary:
         temporary.write_text(json.dumps(plan, indent=2, allow_nan=False) + "\n")
     return plan

@@ -33,20 +33,17 @@ class BuildOptions:
 
     Attributes:
         width, height: size of all views in pixels, even because video is coded in blocks of two.
-        rig: the rig whose views are wanted; synthesized views are seen from its cameras.
-        cameras: which of its views.
+        rig, cameras: the rig whose views are wanted, and which; synthesized views are seen from its cameras.
         frames: which frames are made: "all"; those that samples with t0 on the 0.1 s "grid" take, of this clip or one
             that goes on, which at 30 Hz is one in three; or those alone that are "sampled" from this clip, which leaves
             out its first 1.4 s and last 6.4 s.
         use_reference_views: take the recording's true images and trajectory instead of synthesizing: kind GT.
         use_reference_motion: take the recording's true trajectory although views are synthesized.
-        poses: where the motion comes from otherwise.
-        depth: where the distances come from.
+        poses, depth: where motion otherwise and distances come from.
         image_kind: how the recording's own images came to be, for the provenance.
         name, scene_id: None for the recording's name.
-        category, factors, split: see `Clip`.
+        category, factors, split, sample_t0_us: see `Clip`.
         origin: what the recording was cut from; None where it is whole, and nothing more is known of it.
-        sample_t0_us: see `Clip`.
         seed: goes into the clip's id and provenance; nothing in the build is random yet.
     """
 
@@ -76,13 +73,9 @@ class BuildOptions:
 
 @dataclass(frozen=True)
 class View:
-    """The images of one camera.
+    """The images (n, height, width, 3) of one camera, with its lens and mounting (4, 4), and where pixels came from.
 
     Attributes:
-        images: (n, height, width, 3) uint8.
-        camera: their lens.
-        T_rig_camera: (4, 4) mounting.
-        provenance: where the pixels came from.
         observed: (n, height, width) pixels taken from what the front camera saw; None where all are true.
         drawn_on: for each image the other front frames that it was made from; None where all are true.
     """
@@ -100,8 +93,6 @@ class ViewMaker:
     """Makes any view of a recording.
 
     Attributes:
-        recording: the images to make views for, and true images of other cameras where they are known.
-        options: size, rig and whether to take true images.
         T_rig_front: (4, 4) mounting of the front camera, as corrected by the motion.
         front: images of the front camera with their distances; None where nothing is synthesized.
         indices: (n,) numbers of the recording's images among those of `front`.
@@ -114,11 +105,7 @@ class ViewMaker:
     indices: NDArray[np.int64]
 
     def make(self, name: str, on_progress: Progress = silent) -> View:
-        """Make one view.
-
-        Raises:
-            InputError: its true images are wanted and not there, or the front lens cannot give it.
-        """
+        """Make one view; an `InputError` where its true images are not there, or the front lens cannot give it."""
         recording, size = self.recording, (self.options.width, self.options.height)
         if self.options.use_reference_views and name in recording.views:
             return self._true_view(name)

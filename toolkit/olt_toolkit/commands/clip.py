@@ -210,14 +210,9 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
 
 
 def build_all(jobs: "list[BuildJob]", workers: int | None, engine: Engine, as_json: bool, what: str) -> None:
-    """Build the clips of all jobs with a progress bar and print what became of them.
+    """Build the clips of all jobs, which have one store, and print what became of them.
 
-    Args:
-        jobs: what to build, all for one store.
-        workers: number of processes; None for one for each processor.
-        engine: where the processes run.
-        as_json: whether one JSON object is printed.
-        what: what the jobs are made of, plural; the key of the results in the JSON object.
+    `what` the jobs are made of, plural, is the key of the results in the JSON object.
 
     Raises:
         InputError: something could not be used.

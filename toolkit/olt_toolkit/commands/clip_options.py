@@ -18,7 +18,6 @@ if TYPE_CHECKING:
     from olt_toolkit.recordings.recording import OpenOptions
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
-FovOption = Annotated[float | None, typer.Option(help="Horizontal field of view in degrees, if not calibrated.")]
 DurationOption = Annotated[float, typer.Option(min=0.1, help="Use at most this many seconds.")]
 AllFramesOption = Annotated[bool, typer.Option("--all-frames", help="Make frames that no sample shows too.")]
 DeviceOption = Annotated[str, typer.Option(help="Where torch runs learned models.")]
@@ -30,7 +29,7 @@ StoreArgument = Annotated[Path, typer.Argument(help="Folder of the clip store.")
 class CameraOptions:
     """What is assumed of a camera of which nothing is known."""
 
-    fov: FovOption = None
+    fov: Annotated[float | None, typer.Option(help="Horizontal field of view in degrees, if not calibrated.")] = None
     camera_height: Annotated[float | None, typer.Option(help="Height of the camera in metres, if unknown.")] = None
 
     def opening(self, duration: float = float("inf")) -> "OpenOptions":
@@ -58,11 +57,7 @@ class BuildingOptions(CameraOptions):
     device: DeviceOption = "cpu"
 
     def estimators(self) -> Estimators:
-        """What measures motion and distances.
-
-        Raises:
-            InputError: weights are given without their estimator, or the other way round.
-        """
+        """What measures motion and distances; an `InputError` where weights are given without their estimator."""
         return Estimators(self.poses, self.mapanything_weights, self.depth, self.depth_weights, self.device)
 
 

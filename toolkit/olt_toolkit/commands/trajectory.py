@@ -43,7 +43,7 @@ def trajectory(
     """Recover and smooth the motion, clip by clip, and hold it against the reference where one is known."""
     from math import radians
 
-    from olt_toolkit.clips.trajectory_errors import Jitter, measure_clips, plot_clips, summarize_clips
+    from olt_toolkit.clips.trajectory_errors import Jitter, draw_motions, measure_clips, summarize_clips
     from olt_toolkit.recordings.drives import open_recording
     from olt_toolkit.runtime.console import print_json, show_progress
 
@@ -59,7 +59,7 @@ def trajectory(
         "assumptions": list(opened.assumptions),
     }
     if picture is not None:
-        plot_clips(opened, motions, picture)
+        draw_motions(picture, {f"clip from frame {motion.first}": motion for motion in motions})
         result["picture"] = str(picture)
     if as_json:
         print_json(result)

@@ -1,14 +1,13 @@
 """The acceleration-curvature action space of a unicycle, in which the policy plans.
 
 An action is (acceleration, curvature) for one step of 0.1 s, normalised to zero mean and unit spread. Equations and
-constants: docs/formats/alpamayo.md. Trajectories are in the rig frame at t0 (x forward, y left),
-where the vehicle stands at the origin with heading 0.
+constants: docs/formats/alpamayo.md. Trajectories are in the rig frame at t0 (x forward, y left), where the vehicle
+stands at the origin with heading 0.
 
 Everything here is float64 and takes leading batch dimensions `...`. In float64 the ridge terms keep every normal matrix
 positive definite, so the reference's retries with a larger ridge are not needed.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
@@ -16,70 +15,38 @@ import numpy as np
 from olt_generator.poses import Array, planar_pose, yaw_of
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
 
+# Of the released checkpoint; they differ from the defaults of its classes. Acceleration in m/s^2, curvature in 1/m.
+ACTION_MEAN: Array = np.array([0.02902694707164455, 0.0002692167976330542])
+ACTION_STD: Array = np.array([0.6810426736454882, 0.026148280660833106])
 
-@dataclass(frozen=True)
-class SmoothingSettings:
-    """Weights of one regularised least-squares fit: of its difference penalty and of its ridge."""
+Weights = tuple[float, float]
+"""Of a regularised least-squares fit: that of its difference penalty, and its ridge."""
 
-    smoothness: float
-    ridge: float
-
-
-@dataclass(frozen=True)
-class ActionSpaceSettings:
-    """Constants of the released checkpoint; they differ from the defaults of its classes.
-
-    Attributes:
-        acceleration_mean, acceleration_std: m/s^2.
-        curvature_mean, curvature_std: 1/m.
-        heading, speed, acceleration, curvature: how each quantity is fitted.
-    """
-
-    acceleration_mean: float = 0.02902694707164455
-    acceleration_std: float = 0.6810426736454882
-    curvature_mean: float = 0.0002692167976330542
-    curvature_std: float = 0.026148280660833106
-    heading: SmoothingSettings = SmoothingSettings(1e-6, 1e-8)
-    speed: SmoothingSettings = SmoothingSettings(1e-6, 1e-4)
-    acceleration: SmoothingSettings = SmoothingSettings(1e-4, 1e-4)
-    curvature: SmoothingSettings = SmoothingSettings(1e-4, 1e-4)
-
-    def normalise(self, acceleration: Array, curvature: Array) -> Array:
-        """Actions (..., 2) from acceleration (...) in m/s^2 and curvature (...) in 1/m."""
-        return np.stack(
-            [
-                (acceleration - self.acceleration_mean) / self.acceleration_std,
-                (curvature - self.curvature_mean) / self.curvature_std,
-            ],
-            axis=-1,
-        )
-
-    def physical(self, actions: Array) -> tuple[Array, Array]:
-        """Acceleration (...) in m/s^2 and curvature (...) in 1/m of normalised actions (..., 2)."""
-        return (
-            actions[..., 0] * self.acceleration_std + self.acceleration_mean,
-            actions[..., 1] * self.curvature_std + self.curvature_mean,
-        )
+HEADING_FIT: Weights = (1e-6, 1e-8)
+SPEED_FIT: Weights = (1e-6, 1e-4)
+ACCELERATION_FIT: Weights = (1e-4, 1e-4)
+CURVATURE_FIT: Weights = (1e-4, 1e-4)
 
 
-DEFAULT_SETTINGS = ActionSpaceSettings()
+def normalise_actions(acceleration: Array, curvature: Array) -> Array:
+    """Actions (..., 2) from acceleration (...) in m/s^2 and curvature (...) in 1/m."""
+    return (np.stack([acceleration, curvature], axis=-1) - ACTION_MEAN) / ACTION_STD
 
 
-def actions_to_trajectory(
-    actions: Array, initial_speed: Array | float, settings: ActionSpaceSettings = DEFAULT_SETTINGS
-) -> tuple[Array, Array]:
-    """Roll normalised actions out.
+def physical_actions(actions: Array) -> tuple[Array, Array]:
+    """Acceleration (...) in m/s^2 and curvature (...) in 1/m of normalised actions (..., 2)."""
+    physical = actions * ACTION_STD + ACTION_MEAN
+    return physical[..., 0], physical[..., 1]
 
-    Args:
-        actions: (..., n, 2) normalised.
-        initial_speed: (...) m/s at t0.
-        settings: constants of the action space.
+
+def actions_to_trajectory(actions: Array, initial_speed: Array | float) -> tuple[Array, Array]:
+    """Roll normalised actions (..., n, 2) out from a speed (...) in m/s at t0.
 
     Returns:
         xyz (..., n, 3) in metres and rotation (..., n, 3, 3) about z, at the ends of the steps.
     """
     dt = STEP_SECONDS
-    acceleration, curvature = settings.physical(np.asarray(actions, dtype=np.float64))
+    acceleration, curvature = physical_actions(np.asarray(actions, dtype=np.float64))
     speed = _accumulate(initial_speed, acceleration * dt)
     heading = _accumulate(0.0, curvature * _step_lengths(speed[..., :-1], acceleration))
     velocity = speed[..., None] * _direction(heading)
@@ -89,43 +56,29 @@ def actions_to_trajectory(
 
 
 def trajectory_to_actions(
-    history_xyz: Array,
-    history_rotation: Array,
-    future_xyz: Array,
-    future_rotation: Array,
-    settings: ActionSpaceSettings = DEFAULT_SETTINGS,
+    history_xyz: Array, history_rotation: Array, future_xyz: Array, future_rotation: Array
 ) -> Array:
-    """Fit the actions that drive the given future.
+    """Fit the normalised actions (..., 64, 2) that drive the given future.
 
-    Args:
-        history_xyz: (..., 16, 3) metres; the last pose is the origin.
-        history_rotation: (..., 16, 3, 3).
-        future_xyz: (..., 64, 3) metres.
-        future_rotation: (..., 64, 3, 3).
-        settings: constants of the action space.
-
-    Returns:
-        Normalised actions (..., 64, 2).
+    Positions are (..., 16, 3) and (..., 64, 3) metres, rotations (..., 16, 3, 3) and (..., 64, 3, 3); the last pose of
+    the history is the origin.
     """
     dt = STEP_SECONDS
-    initial_speed = estimate_initial_speed(history_xyz, history_rotation, settings)
-    heading = _prepend(0.0, np.unwrap(yaw_of(future_rotation)) @ _smoothing_matrix(3, 1, settings.heading).T)
+    initial_speed = estimate_initial_speed(history_xyz, history_rotation)
+    heading = _prepend(0.0, np.unwrap(yaw_of(future_rotation)) @ _smoothing_matrix(3, 1, HEADING_FIT).T)
     path = np.concatenate([history_xyz[..., -1:, :2], future_xyz[..., :2]], axis=-2)
-    speed = _prepend(initial_speed, _fit_speeds(path, heading, settings.speed, initial_speed))
-    acceleration = np.diff(speed) / dt @ _smoothing_matrix(2, 0, settings.acceleration).T
-    curvature = _fit_curvatures(np.diff(heading), _step_lengths(speed[..., :-1], acceleration), settings.curvature)
-    return settings.normalise(acceleration, curvature)
+    speed = _prepend(initial_speed, _fit_speeds(path, heading, initial_speed))
+    acceleration = np.diff(speed) / dt @ _smoothing_matrix(2, 0, ACCELERATION_FIT).T
+    curvature = _fit_curvatures(np.diff(heading), _step_lengths(speed[..., :-1], acceleration))
+    return normalise_actions(acceleration, curvature)
 
 
-def estimate_initial_speed(
-    history_xyz: Array, history_rotation: Array, settings: ActionSpaceSettings = DEFAULT_SETTINGS
-) -> Array:
+def estimate_initial_speed(history_xyz: Array, history_rotation: Array) -> Array:
     """Speed (...) in m/s at t0, fitted to a history of positions (..., n, 3) and rotations (..., n, 3, 3)."""
-    speeds = _fit_speeds(history_xyz[..., :2], yaw_of(history_rotation), settings.speed)
-    return speeds[..., -1]
+    return _fit_speeds(history_xyz[..., :2], yaw_of(history_rotation))[..., -1]
 
 
-def _fit_speeds(path: Array, heading: Array, fit: SmoothingSettings, first: Array | None = None) -> Array:
+def _fit_speeds(path: Array, heading: Array, first: Array | None = None) -> Array:
     """Speeds whose trapezoidal rule along the headings gives the path.
 
     With u_t the direction at step t, minimises sum |v_t u_t + v_{t+1} u_{t+1} - 2 dp_t / dt|^2
@@ -135,9 +88,9 @@ def _fit_speeds(path: Array, heading: Array, fit: SmoothingSettings, first: Arra
     Args:
         path: (..., n, 2) positions.
         heading: (..., n) radians.
-        fit: weights.
         first: (...) the first speed where it is known; then only the other n - 1 are fitted and returned.
     """
+    smoothness, ridge = SPEED_FIT
     direction = _direction(heading)
     n = heading.shape[-1]
     beside = np.sum(direction[..., :-1, :] * direction[..., 1:, :], axis=-1)
@@ -145,7 +98,7 @@ def _fit_speeds(path: Array, heading: Array, fit: SmoothingSettings, first: Arra
     index = np.arange(n)
     normal[..., index, index] = np.where((index == 0) | (index == n - 1), 1.0, 2.0)
     normal[..., index[:-1], index[1:]] = normal[..., index[1:], index[:-1]] = beside
-    normal += _penalty(n, 3, fit.smoothness / STEP_SECONDS**6)
+    normal += _penalty(n, 3, smoothness / STEP_SECONDS**6)
 
     wanted = 2.0 / STEP_SECONDS * np.diff(path, axis=-2)
     right = np.zeros(heading.shape)
@@ -155,25 +108,25 @@ def _fit_speeds(path: Array, heading: Array, fit: SmoothingSettings, first: Arra
     if first is not None:
         right = right[..., 1:] - normal[..., 1:, 0] * np.asarray(first)[..., None]
         normal = normal[..., 1:, 1:]
-    normal = normal + fit.ridge * np.eye(normal.shape[-1])
+    normal = normal + ridge * np.eye(normal.shape[-1])
     return np.asarray(np.linalg.solve(normal, right[..., None])[..., 0], dtype=np.float64)
 
 
-def _fit_curvatures(turn: Array, length: Array, fit: SmoothingSettings) -> Array:
+def _fit_curvatures(turn: Array, length: Array) -> Array:
     """Curvatures (..., n) whose product with the step lengths gives the turns; 0 where nothing moves."""
-    n = turn.shape[-1]
-    normal = _penalty(n, 2, fit.smoothness / STEP_SECONDS**4) + (length**2 + fit.ridge)[..., None] * np.eye(n)
+    n, (smoothness, ridge) = turn.shape[-1], CURVATURE_FIT
+    normal = _penalty(n, 2, smoothness / STEP_SECONDS**4) + (length**2 + ridge)[..., None] * np.eye(n)
     return np.asarray(np.linalg.solve(normal, (length * turn)[..., None])[..., 0], dtype=np.float64)
 
 
 @lru_cache(maxsize=8)
-def _smoothing_matrix(order: int, known: int, fit: SmoothingSettings) -> Array:
+def _smoothing_matrix(order: int, known: int, fit: Weights) -> Array:
     """Matrix (64, 64) from a series to the smoothed one, by differences of the given order.
 
     `known` values before the series are 0, as the heading at t0 is; they add nothing to the right side.
     """
-    penalty = _penalty(FUTURE_STEPS + known, order, fit.smoothness / STEP_SECONDS ** (2 * order))[known:, known:]
-    return np.asarray(np.linalg.inv((1.0 + fit.ridge) * np.eye(FUTURE_STEPS) + penalty), dtype=np.float64)
+    penalty = _penalty(FUTURE_STEPS + known, order, fit[0] / STEP_SECONDS ** (2 * order))[known:, known:]
+    return np.asarray(np.linalg.inv((1.0 + fit[1]) * np.eye(FUTURE_STEPS) + penalty), dtype=np.float64)
 
 
 @lru_cache(maxsize=32)

@@ -29,7 +29,6 @@ class Observation:
         history_xyz: (16, 3) float64 rig positions at t0 - 1.5 ... 0 s in the rig frame at t0; the last is the origin.
         history_rotation: (16, 3, 3) float64.
         route_xy: (n, 2) float64 points ahead on the route in the rig frame at t0; empty when no route is known.
-        time_us: t0.
         seed: seeds any sampling of this call, so that the answer is a pure function of the observation.
     """
 

@@ -91,11 +91,7 @@ def frames_per_step(frame_rate: float) -> int:
 
 
 def check_sample_window(t0_us: int, coverage: Coverage, where: str) -> None:
-    """Check that everything a sample at `t0_us` needs is there.
-
-    Raises:
-        InputError: naming `where`, the field or camera, and the times.
-    """
+    """Check that all is there that a sample at `t0_us` needs; an `InputError` names where, what and the times."""
     if t0_us <= LONGEST_REFUSED_T0_US:
         raise InputError(f"{where}: t0 = {_seconds(t0_us)} is not after 1.6 s; choose one of the clip's sample times")
     _check_span(f"{where}: ego motion", coverage.ego, t0_us, (HISTORY_OFFSETS_US[0], FUTURE_OFFSETS_US[-1]))

@@ -35,13 +35,7 @@ _SHOWN = 5
 
 @dataclass(frozen=True)
 class Licence:
-    """On what terms a data set may be used; carried along with every clip by its name.
-
-    Attributes:
-        name: short name of the licence.
-        access: how one comes by the data, in a sentence.
-        terms: what it allows and forbids, in a sentence.
-    """
+    """On what terms a data set may be used: a short name, and how one comes by it and what is allowed in a sentence."""
 
     name: str
     access: str
@@ -98,11 +92,7 @@ class Dataset(Protocol):
         ...
 
     def drive(self, key: str) -> Drive:
-        """Describe one drive without decoding its images.
-
-        Raises:
-            InputError: its files are missing or damaged; names file and field.
-        """
+        """Describe one drive without decoding its images; an `InputError` names file and field that are damaged."""
         ...
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
@@ -123,7 +113,6 @@ class DatasetReader:
 
     Attributes:
         name: what the data set is called as the source of clips.
-        licence: its licence.
         recognises: whether a folder or file looks like this layout, judged cheaply by names.
         open: opens the data set at a path, which is only read, with a folder for what takes long to find again. It
             raises an `InputError` where the tables that list the drives are missing or damaged.
@@ -150,11 +139,7 @@ class DatasetPlace:
     source: str | None = None
 
     def open(self) -> Dataset:
-        """Open the data set, once in each process.
-
-        Raises:
-            InputError: see `open_dataset`.
-        """
+        """Open the data set, once in each process; errors are those of `open_dataset`."""
         return _open_once(self)
 
     def drive_name(self, key: str) -> str:
@@ -175,12 +160,7 @@ def find_reader(path: Path) -> DatasetReader | None:
 
 
 def open_dataset(path: Path, cache: Path | None = None, source: str | None = None) -> Dataset:
-    """Open a data set with the reader of this name, or with the first that recognises the path.
-
-    Args:
-        path: its folder, or a single recording, which is a data set with one drive, whose key is ".".
-        cache: where its reader keeps what takes long to find again; None for a folder that goes with the process.
-        source: name of the reader.
+    """Open a data set, or a single recording as one; the arguments are those of a `DatasetPlace`.
 
     Raises:
         InputError: the path is missing, or no reader recognises it.
@@ -200,12 +180,7 @@ def open_dataset(path: Path, cache: Path | None = None, source: str | None = Non
 
 
 def open_recording(path: Path, options: OpenOptions | None = None, cache: Path | None = None) -> Recording:
-    """Open the only drive of what lies at a path, from its start.
-
-    Args:
-        path: a video, a drive folder, or the folder of a data set with one drive.
-        options: how to open it, and how much of it.
-        cache: see `open_dataset`.
+    """Open the only drive of a video, a drive folder or the folder of a data set, from its start.
 
     Raises:
         InputError: see `open_dataset`; there is more than one drive.
@@ -219,11 +194,7 @@ def open_recording(path: Path, options: OpenOptions | None = None, cache: Path |
 
 
 def open_start(dataset: Dataset, key: str, options: OpenOptions) -> Recording:
-    """Open a drive from its start, up to the duration of the options; motion is known while images last.
-
-    Raises:
-        InputError: see `Dataset.open`.
-    """
+    """Open a drive from its start, up to the duration of the options; motion is known while images last."""
     end_us = math.ceil(min(options.duration * 1e6, 2.0**62)) - 1
     recording = dataset.open(key, (0, end_us), options)
     if recording.reference is None:
@@ -238,10 +209,6 @@ def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlac
 
     A recording is its own only drive, `WHOLE`. Of a folder they are the recordings that lie directly in it, by name, or
     else the drives of the data set that it is.
-
-    Args:
-        path: a recording, a folder of some, or the folder of a data set.
-        cache: see `open_dataset`.
 
     Raises:
         InputError: there is none, or two have one name.

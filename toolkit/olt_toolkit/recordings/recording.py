@@ -16,13 +16,11 @@ class Recording:
     """A front-camera recording, decoded at working resolution.
 
     Attributes:
-        name: what the recording is called in results.
-        source: the reader that opened it.
+        name, source: what the recording is called in results, and the reader that opened it.
         frames: (n, H, W, 3) uint8 RGB.
         timestamps_us: (n,) int64, strictly increasing, the first is 0.
         camera: model of the front camera at the size of `frames`.
         T_rig_camera: (4, 4) pose of the front camera in the rig; its height above ground fixes the metric scale.
-        vehicle: size of the vehicle.
         assumptions: one sentence for everything that was assumed instead of measured (lens, mounting, vehicle).
         reference: the measured rig trajectory over the same times or beyond them, where one is known.
         distance: (n, H, W) float32 true distance along each pixel's ray in metres (inf: sky), where it is known.

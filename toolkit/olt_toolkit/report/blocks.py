@@ -88,8 +88,7 @@ class Rollouts:
     Attributes:
         step_seconds: time between frames.
         areas: closed outlines [[x, y], ...] of the drivable surface.
-        lines: polylines [[x, y], ...] of lane borders.
-        route: the line to follow.
+        lines, route: polylines [[x, y], ...] of lane borders, and the one to follow.
         paths: the ego of every rollout first, the agents in `agents`.
     """
 

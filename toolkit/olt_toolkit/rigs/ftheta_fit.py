@@ -25,17 +25,13 @@ _GRID = 41
 
 @dataclass(frozen=True)
 class FthetaFit:
-    """A camera as f-theta polynomials of degree 4.
+    """A camera as f-theta polynomials of degree 4, trusted up to its furthest image corner.
 
-    Attributes:
-        camera: the camera; its `max_angle` is that of the furthest image corner.
-        error: largest distance in pixels between the original lens and this one, in either direction.
-        round_trip: largest distance in pixels between a pixel and itself through both polynomials.
+    `error` is the largest distance in pixels between the original lens and this one, in either direction.
     """
 
     camera: FthetaCamera
     error: float
-    round_trip: float
 
 
 def fit_ftheta(camera: Camera) -> FthetaFit:
@@ -67,7 +63,7 @@ def _convert_ftheta(camera: FthetaCamera, shape_error: float) -> FthetaFit:
         (tuple(coefficients) + (0.0,) * TABLE_DEGREE)[: TABLE_DEGREE + 1] for coefficients in polynomials
     )
     converted = _trusted_to_corner(replace(camera, fw_poly=forward, bw_poly=backward, aspect=1.0))
-    return FthetaFit(converted, shape_error, _round_trip(converted))
+    return FthetaFit(converted, shape_error)
 
 
 def _fit_lens(camera: Camera, shape_error: float) -> FthetaFit:
@@ -93,7 +89,7 @@ def _fit_lens(camera: Camera, shape_error: float) -> FthetaFit:
     fitted = FthetaCamera(camera.width, camera.height, camera.cx, camera.cy, forward, backward)
     error = max(error, _difference(camera, fitted))
     _check_error(camera, error, angles)
-    return FthetaFit(_trusted_to_corner(fitted), error + shape_error, _round_trip(fitted))
+    return FthetaFit(_trusted_to_corner(fitted), error + shape_error)
 
 
 def _check_error(camera: Camera, error: float, angles: Array) -> None:
@@ -135,8 +131,3 @@ def _difference(camera: Camera, fitted: FthetaCamera) -> float:
         for by, to in ((camera, fitted), (fitted, camera))
     ]
     return float(np.max(distances))
-
-
-def _round_trip(camera: FthetaCamera) -> float:
-    radii = np.linspace(0.0, float(np.linalg.norm(_furthest_corner(camera) - [camera.cx, camera.cy])), _NODES)
-    return float(np.abs(evaluate(camera.fw_poly, evaluate(camera.bw_poly, radii)) - radii).max())

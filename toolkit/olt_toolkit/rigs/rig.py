@@ -58,14 +58,7 @@ class MountedCamera:
 
 @dataclass(frozen=True)
 class Rig:
-    """The cameras of a vehicle by name, and the vehicle itself.
-
-    Attributes:
-        name: what the rig is called.
-        cameras: the cameras by name.
-        vehicle: size of the vehicle.
-        assumptions: one sentence for everything above that is not measured, such as an unknown height above ground.
-    """
+    """The cameras of a vehicle by name, its size, and a sentence for everything about them that is assumed."""
 
     name: str
     cameras: dict[str, MountedCamera]
@@ -73,11 +66,7 @@ class Rig:
     assumptions: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> MountedCamera:
-        """The named camera.
-
-        Raises:
-            InputError: the rig has no such camera.
-        """
+        """The named camera; an `InputError` where the rig has no such camera."""
         if name not in self.cameras:
             raise InputError(f"rig {self.name} has no camera {name!r}; it has {', '.join(self.cameras)}")
         return self.cameras[name]

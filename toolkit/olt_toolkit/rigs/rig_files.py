@@ -1,4 +1,4 @@
-"""Camera rigs kept as data: one YAML file a rig in `rigs/`, and NVIDIA's median calibration.
+"""Camera rigs kept as data: one YAML file a rig in `rigs/`.
 
     name: example
     assumed: [...]            # a sentence for everything that is not measured
@@ -14,19 +14,18 @@ The lens models are pinhole, perspective (a centred pinhole by its field of view
 ftheta and equidistant; their fields are those of the classes below.
 """
 
-import json
 from functools import lru_cache
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import Annotated, Any, Literal, cast
+from typing import Annotated, Literal, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from olt_generator.cameras import BrownConradyCamera, Camera, FthetaCamera, KannalaBrandtCamera, PinholeCamera
 from olt_generator.errors import InputError
-from olt_generator.poses import Array, camera_pose_in_rig, pose_from_quaternion
-from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, MountedCamera, Rig, VehicleDimensions, short_name
+from olt_generator.poses import camera_pose_in_rig, pose_from_quaternion
+from olt_toolkit.rigs.rig import MountedCamera, Rig, VehicleDimensions
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
 
 _FOLDER = "rigs"
@@ -80,61 +79,19 @@ def read_rig(path: Path) -> Rig:
     return Rig(rig.name, cameras, VehicleDimensions(**rig.vehicle.model_dump()), rig.assumed)
 
 
-def read_nvidia_calibration(path: Path) -> Rig:
-    """Read the median calibration of NVIDIA's seven-camera rig: JSON with f-theta lenses and poses to the front camera.
-
-    The file does not say where the front camera sits on the vehicle, nor how large that is: both are those of the
-    nominal rig, and `Rig.assumptions` says so.
-
-    Raises:
-        InputError: the file cannot be read or a field is missing or wrong.
-    """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        lenses = content["ftheta_intrinsics"]
-        poses = {"front": np.eye(4), **content["relative_camera_poses_front_optical_from_camera"]}
-        nominal = load_rig("pav")
-        cameras = {}
-        for camera in CAMERA_INDEX:
-            name = "front" if camera == FRONT_WIDE else short_name(camera)
-            lens = lenses[name]
-            cx, cy = (float(value) for value in lens["principal_point_px"])
-            polynomial = tuple(float(value) for value in lens["pixel_radius_to_angle_poly"])
-            cameras[camera] = MountedCamera(
-                FthetaCamera.from_radius_to_angle(int(lens["width"]), int(lens["height"]), cx, cy, polynomial),
-                nominal[FRONT_WIDE].T_rig_camera @ _rigid(poses[name], name),
-            )
-    except (OSError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: not a calibration of the seven-camera rig ({error})") from error
-    except KeyError as error:
-        raise InputError(f"{path}: field {error} of the seven-camera calibration is missing") from error
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from error
-    assumptions = (
-        "The place and angles of the front-wide camera on the vehicle, and with it the height above ground of all "
-        "cameras, are those of the nominal PhysicalAI-AV rig; the calibration gives poses to that camera only.",
-        "The vehicle has the size of the nominal PhysicalAI-AV rig.",
-    )
-    return Rig("pav_median", cameras, nominal.vehicle, assumptions)
-
-
-def _rigid(values: Any, name: str) -> Array:
-    pose = np.array(values, dtype=np.float64)
-    if pose.shape != (4, 4) or not np.allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-6):
-        raise InputError(f"relative_camera_poses_front_optical_from_camera.{name}: not a rigid 4 x 4 motion")
-    return pose
-
-
 class _Part(BaseModel):
     """A part of a rig file: no unknown keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _Pinhole(_Part):
-    model: Literal["pinhole"]
+class _Focal(_Part):
     focal: tuple[Positive, Positive]
     centre: Pair
+
+
+class _Pinhole(_Focal):
+    model: Literal["pinhole"]
 
     def camera(self, width: int, height: int) -> Camera:
         return PinholeCamera(width, height, *self.focal, *self.centre)
@@ -149,24 +106,20 @@ class _Perspective(_Part):
         return PinholeCamera.from_field_of_view(width, height, field_of_view)
 
 
-class _BrownConrady(_Part):
+class _BrownConrady(_Focal):
     """Distortion k1, k2, p1, p2, k3 and, for the rational model, k4, k5, k6."""
 
     model: Literal["brown_conrady"]
-    focal: tuple[Positive, Positive]
-    centre: Pair
     distortion: Annotated[tuple[Number, ...], Field(min_length=5, max_length=8)]
 
     def camera(self, width: int, height: int) -> Camera:
         return BrownConradyCamera(width, height, *self.focal, *self.centre, *self.distortion)
 
 
-class _KannalaBrandt(_Part):
+class _KannalaBrandt(_Focal):
     """Distortion k1 ... k4."""
 
     model: Literal["kannala_brandt"]
-    focal: tuple[Positive, Positive]
-    centre: Pair
     distortion: tuple[Number, Number, Number, Number]
 
     def camera(self, width: int, height: int) -> Camera:

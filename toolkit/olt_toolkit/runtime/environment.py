@@ -5,14 +5,16 @@ import platform
 import re
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
 from typing import Any
 
 from olt_generator.version import __version__
 from olt_toolkit.runtime.threads import THREAD_VARIABLES
 from olt_toolkit.runtime.workers import default_workers
 
-CORE_PACKAGES = ("torch", "kornia", "casadi", "opencv-contrib-python-headless", "usd-core", "numpy", "scipy", "av")
+CORE_PACKAGES = ("torch", "casadi", "opencv-contrib-python-headless", "usd-core", "numpy", "scipy", "av")
 
 # What each extra of the distribution enables; which packages it takes stands in the distribution's metadata.
 OPTIONAL_PARTS = {
@@ -64,13 +66,9 @@ def _packages_of(distribution: str, extra: str) -> Iterator[str]:
 
 
 def _processor_name() -> str:
-    try:
-        with open("/proc/cpuinfo") as file:  # noqa: PTH123 - a pseudo file, read line by line
-            for line in file:
-                if line.startswith("model name"):
-                    return line.split(":", 1)[1].strip()
-    except OSError:
-        pass
+    with suppress(OSError):
+        if found := re.search(r"^model name\s*:(.*)$", Path("/proc/cpuinfo").read_text(), re.MULTILINE):
+            return found[1].strip()
     return platform.processor() or sys.platform
 
 

@@ -26,13 +26,9 @@ ADDRESS_VARIABLE = "RAY_ADDRESS"
 def map_on_ray(
     function: Callable[[Item], Result], items: Sequence[Item], workers: int, on_progress: Progress = silent
 ) -> list[Result]:
-    """Apply `function` to all items on Ray; results keep the order of the items.
+    """Apply `function` to all items on Ray, `workers` at the same time at most; results keep the order of the items.
 
-    Args:
-        function: importable on every machine, as the items' types are.
-        items: what to work on.
-        workers: tasks at the same time, at most.
-        on_progress: told the share of items that are done.
+    The function and the items' types must be importable on every machine.
 
     Raises:
         InputError: Ray is not installed, or the cluster cannot be reached, or a worker died too often.
@@ -76,19 +72,12 @@ def _cluster(ray: Any, workers: int) -> Iterator[None]:
         yield
         return
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is reported to anybody unless the user wants it
-    quiet = {"log_to_driver": False, "logging_level": "error"}
+    where: dict[str, Any] = {"num_cpus": workers, "include_dashboard": False, "_node_ip_address": "127.0.0.1"}
+    if ADDRESS_VARIABLE in os.environ:
+        where = {"address": os.environ[ADDRESS_VARIABLE]}
     variables = {"env_vars": dict.fromkeys(THREAD_VARIABLES, "1")}
     try:
-        if ADDRESS_VARIABLE in os.environ:
-            ray.init(address=os.environ[ADDRESS_VARIABLE], runtime_env=variables, **quiet)
-        else:
-            ray.init(
-                num_cpus=workers,
-                include_dashboard=False,
-                _node_ip_address="127.0.0.1",
-                runtime_env=variables,
-                **quiet,
-            )
+        ray.init(runtime_env=variables, log_to_driver=False, logging_level="error", **where)
     except (ConnectionError, RuntimeError, ValueError) as error:
         raise InputError(f"the Ray cluster cannot be used: {error}; check {ADDRESS_VARIABLE}") from error
     try:

@@ -17,10 +17,7 @@ def unnoticed(step: str) -> None:
 class Steps:
     """Times steps and maps the progress of each to that of the whole.
 
-    Args:
-        shares: the share of the whole that each step is expected to take, in order; they are scaled to sum to 1.
-        on_progress: told the share of the whole that is done.
-        on_step: told the name of each step when it starts.
+    `shares` are those of the whole that each step is expected to take, in order; they are scaled to sum to 1.
     """
 
     def __init__(

@@ -12,10 +12,7 @@ from olt_generator.errors import InputError
 def read_yaml_mapping(path: Path, what: str, keys: Iterable[str]) -> dict[Any, Any]:
     """Read a YAML file that holds a mapping, with safe tags only; keys and values are left to the caller to check.
 
-    Args:
-        path: the file.
-        what: what the file holds, as errors call it, such as "recipe".
-        keys: the keys that it may have, for the error where it is no mapping.
+    Errors call the file `what`, such as "recipe", and name the `keys` that it may have.
 
     Raises:
         InputError: the file cannot be read, is not YAML, or is not a mapping.

@@ -109,15 +109,19 @@ def read_motion_scenario(folder: Path) -> Scene:
     """
     path = _single(folder, "scenario_*.parquet")
     tracks = _table(path, "track_id object_type timestep position_x position_y heading scenario_id")
-    times_us = STEP_US * tracks["timestep"].astype(np.int64)
     ego, first = _motion_ego(tracks, path)
-    rows_of = dict(_rows_of(tracks["track_id"], times_us))
-    del rows_of[_EGO_TRACK]
+    times_us = STEP_US * (tracks["timestep"] - tracks["timestep"][first]).astype(np.int64)
     origin = np.array([tracks["position_x"][first], tracks["position_y"][first], 0.0])
     x, y, heading = tracks["position_x"] - origin[0], tracks["position_y"] - origin[1], tracks["heading"]
-
-    motions = np.column_stack([x, y, np.zeros_like(x), heading])
-    agents, left_out = _motion_agents(rows_of, tracks["object_type"], times_us - times_us[first], motions, path)
+    agents, left_out = [], 0
+    for track, rows in _rows_of(tracks["track_id"], times_us):
+        kind = str(tracks["object_type"][rows[0]])
+        if track == _EGO_TRACK or kind in _WITHOUT_SIZE:
+            left_out += track != _EGO_TRACK
+            continue
+        label, length, width, height = _look_up(_MOTION_CLASSES, kind, path)
+        poses = np.column_stack([x[rows], y[rows], np.full(len(rows), 0.5 * height), heading[rows]])
+        agents.append(Agent(track, label, length, width, height, times_us[rows], poses))
     return _scene(
         tracks["scenario_id"][0],
         ego,
@@ -239,26 +243,6 @@ def _ego_poses(path: Path, times_ns: NDArray[np.int64]) -> Array:
     if len(missing):
         raise InputError(f"{path}: no ego pose at timestamp_ns {missing[0]} of the annotations; give the whole log")
     return _poses({name: values[order[at]] for name, values in table.items()})
-
-
-def _motion_agents(
-    rows_of: dict[str, NDArray[np.intp]],
-    kinds: NDArray[Any],
-    times_us: NDArray[np.int64],
-    motions: Array,
-    path: Path,
-) -> tuple[list[Agent], int]:
-    """Agents of known size, standing on the ground, and how many tracks have none."""
-    agents, left_out = [], 0
-    for track, rows in rows_of.items():
-        kind = str(kinds[rows[0]])
-        if kind in _WITHOUT_SIZE:
-            left_out += 1
-            continue
-        label, length, width, height = _look_up(_MOTION_CLASSES, kind, path)
-        poses = motions[rows] + [0.0, 0.0, 0.5 * height, 0.0]
-        agents.append(Agent(track, label, length, width, height, times_us[rows], poses))
-    return agents, left_out
 
 
 def _rows_of(tracks: NDArray[Any], times_us: NDArray[np.int64]) -> list[tuple[str, NDArray[np.intp]]]:

@@ -18,13 +18,7 @@ from numpy.typing import NDArray
 from olt_closed_loop.scenes.actors import footprints
 from olt_closed_loop.scenes.polylines import length_of, without_repeats
 from olt_closed_loop.scenes.scene import Agent, Lane, Scene
-from olt_closed_loop.scenes.sources.roads import (
-    edges,
-    lane_around,
-    link_by_place,
-    outlines,
-    route_along,
-)
+from olt_closed_loop.scenes.sources.roads import edges, lane_around, link_by_place, outlines, route_along
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
 from olt_generator.trajectory import Trajectory

@@ -72,12 +72,8 @@ def route_along(path: Array, yaw: float, lanes: Sequence[Lane]) -> Array:
     """The line (n, 3) that a recorded drive follows, and goes on after its end.
 
     Beyond the recording it follows the lane in which the recording ends, at forks the successor whose direction is
-    closest, and straight on where the lanes end.
-
-    Args:
-        path: (m, 3) recorded positions.
-        yaw: recorded heading at the last of them.
-        lanes: lanes of the map.
+    closest, and straight on where the lanes end. `path` (m, 3) holds the recorded positions, `yaw` is the heading at
+    the last of them.
     """
     kept = [path[0]]
     for point in path[1:]:

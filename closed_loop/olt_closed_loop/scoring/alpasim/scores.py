@@ -109,7 +109,11 @@ def score_as_alpasim(record: RolloutRecord) -> AlpasimScores:
     # The first sample that is not warm-up; the very first when the drive ends before the hand-over.
     start_us = int(times[int(np.argmax(times >= record.handover_us))])
     series |= _combine(record, series, start_us)
-    end_us = _scored_until(series, start_us, int(times[-1]))
+    end_us = int(times[-1])
+    for name, limit in (("offroad_or_collision", 1.0), ("dist_to_gt_trajectory", MAX_PATH_DISTANCE)):
+        span = series[name].within(start_us, end_us)
+        reached = span.times_us[span.values >= limit]
+        end_us = int(reached[0]) if len(reached) else end_us
     final = {name: s.within(start_us, end_us).folded() for name, s in sorted(series.items()) if len(s.values)}
     final["progress_clipped_rel"] = final["progress_rel_to_total"]
     kept = int(((times >= start_us) & (times <= end_us)).sum())
@@ -130,15 +134,6 @@ def _combine(record: RolloutRecord, series: Metrics, start_us: int) -> Metrics:
         "duration_frac_20s": MetricSeries(times, duration, "last"),
         "eval_relevant": MetricSeries(times, (times >= record.handover_us).astype(np.float64), "max"),
     }
-
-
-def _scored_until(series: Metrics, start_us: int, end_us: int) -> int:
-    """The first incident of any kind or the first time 4 m off the recorded path, else the end."""
-    for name, limit in (("offroad_or_collision", 1.0), ("dist_to_gt_trajectory", MAX_PATH_DISTANCE)):
-        span = series[name].within(start_us, end_us)
-        reached = span.times_us[span.values >= limit]
-        end_us = int(reached[0]) if len(reached) else end_us
-    return end_us
 
 
 def _scene_score(final: Values) -> SceneScore:

@@ -4,7 +4,6 @@ An outline with rounded corners is costly to make. So pairs of boxes are first j
 outlines, and outlines are made only where those leave the answer open.
 """
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -13,7 +12,6 @@ import shapely
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scoring.alpasim.series import MetricSeries
 from olt_closed_loop.scoring.alpasim.tracks import (
-    BoxTracks,
     Geometries,
     Indices,
     RoundedBoxes,
@@ -31,26 +29,23 @@ _ROUNDING = 0.43
 """Share of the corner radius by which rounding, by chords of an arc, takes a corner back: a little over sqrt(2) - 1."""
 
 
-@dataclass(frozen=True)
 class Surroundings:
-    """The ego and the agents of a drive as AlpaSim sees them."""
+    """The ego and the agents of a drive as AlpaSim sees them.
 
-    record: RolloutRecord
+    Attributes:
+        ego, plans, agents: tracks of box centres: of the ego at the scored times, along each plan, and of the agents.
+        ego_shape, agent_shapes: their shapes, (1,) and (agents,).
+        ego_places: positions (n, 2) and yaws (n,) of the ego's box centre at the scored times.
+    """
 
-    @cached_property
-    def ego(self) -> BoxTracks:
-        """The ego's box centre at the scored times."""
-        return ego_track(self.record.timestamps_us, self.record.poses, self.record.box)
-
-    @cached_property
-    def ego_shape(self) -> RoundedBoxes:
-        """The ego's shape (1,)."""
-        return RoundedBoxes.of([self.record.box.length], [self.record.box.width])
-
-    @cached_property
-    def ego_places(self) -> tuple[Single, Single]:
-        """Positions (n, 2) and yaws (n,) of the ego's box centre at the scored times."""
-        return self.ego.at(self.record.timestamps_us)
+    def __init__(self, record: RolloutRecord) -> None:
+        self.record, plans, agents = record, record.plans, record.agents
+        self.ego = ego_track(record.timestamps_us, record.poses, record.box)
+        self.plans = ego_tracks([plan.timestamps_us for plan in plans], [plan.poses for plan in plans], record.box)
+        self.agents = agent_tracks(agents)
+        self.ego_shape = RoundedBoxes.of([record.box.length], [record.box.width])
+        self.agent_shapes = RoundedBoxes.of([agent.length for agent in agents], [agent.width for agent in agents])
+        self.ego_places = self.ego.at(record.timestamps_us)
 
     @cached_property
     def ego_outlines(self) -> Geometries:
@@ -61,23 +56,6 @@ class Surroundings:
     def ego_centers(self) -> Geometries:
         """Centroids (n,) of the ego's outlines, the points that all other metrics look at."""
         return np.asarray(shapely.centroid(self.ego_outlines))
-
-    @cached_property
-    def plans(self) -> BoxTracks:
-        """The ego's box centre along each plan."""
-        plans = self.record.plans
-        return ego_tracks([plan.timestamps_us for plan in plans], [plan.poses for plan in plans], self.record.box)
-
-    @cached_property
-    def agents(self) -> BoxTracks:
-        """The agents' box centres."""
-        return agent_tracks(self.record.agents)
-
-    @cached_property
-    def agent_shapes(self) -> RoundedBoxes:
-        """Their shapes."""
-        agents = self.record.agents
-        return RoundedBoxes.of([agent.length for agent in agents], [agent.width for agent in agents])
 
     def agents_at(self, times_us: Indices) -> tuple[Single, Single]:
         """Positions (agents, n, 2) and yaws (agents, n) at times (n,); NaN where an agent does not exist."""
@@ -122,11 +100,7 @@ class Surroundings:
         """Between which distances (m,) the outlines of the ego and of agents (m,) are, from their boxes.
 
         Boxes are no nearer than along any of their axes, and no farther apart than one is from the other's centre.
-
-        Args:
-            ego: positions (m, 2) and yaws (m,) of the ego.
-            others: positions and yaws of the agents.
-            agents: which agents they are.
+        `ego` and `others` are positions (m, 2) and yaws (m,).
         """
         shapes = self.agent_shapes.select(agents)
         own_half, half = self.ego_shape.half_sizes, shapes.half_sizes

@@ -12,15 +12,14 @@ import numpy as np
 import polars as pl
 
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
-from olt_datasets.sources.waymo.frames import CAMERAS, FrameImages, read_images
-from olt_datasets.sources.waymo.index import SHARDS, build_index, positions
+from olt_datasets.sources.waymo.frames import CAMERAS, read_images
+from olt_datasets.sources.waymo.index import SHARDS, build_index
 from olt_datasets.sources.waymo.motion import FramePath, chain_paths
 from olt_datasets.sources.waymo.tfrecord import map_records, read_record
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.recordings import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
 NAME = "waymo_e2e"
@@ -106,23 +105,14 @@ class WaymoE2E:
         mounted = records[0].calibrated
         # Cameras that have images throughout.
         steady = [name for name in CAMERAS.values() if front["cameras"].list.contains(name).all()]
+        images = {name: tuple(_RecordImage(record, name, mounted[name]) for record in records) for name in steady}
+        paths = [FramePath.from_states(*row) for row in frames.select("time_us", "past", "future").iter_rows()]
         return SurroundDrive(
             source=NAME,
             key=key,
             front=FRONT,
-            cameras={
-                name: CameraImages(
-                    mounted[name], tuple(_RecordImage(record, name, mounted[name]) for record in records), times_us
-                )
-                for name in steady
-            },
-            ego=chain_paths(
-                [
-                    FramePath.from_states(time_us, positions(past), positions(future))
-                    for time_us, past, future in frames.select("time_us", "past", "future").iter_rows()
-                ],
-                f"Waymo E2E drive {key}",
-            ),
+            cameras={name: CameraImages(mounted[name], images[name], times_us) for name in steady},
+            ego=chain_paths(paths, f"Waymo E2E drive {key}"),
             vehicle=JAGUAR_I_PACE,
             assumptions=_ASSUMPTIONS,
         )
@@ -140,10 +130,10 @@ class _Record:
     @property
     def calibrated(self) -> dict[str, MountedCamera]:
         """The cameras, read without looking at the images, so the checksum of the record is not looked at either."""
-        return read_images(self._shard[self._offset : self._offset + self._length], str(self), False).cameras
+        return read_images(self._shard[self._offset : self._offset + self._length], str(self), False)[1]
 
     @cached_property
-    def images(self) -> FrameImages:
+    def images(self) -> tuple[dict[str, bytes], dict[str, MountedCamera]]:
         """Images and cameras, checked; all images of a record are asked for one after the other."""
         return read_images(read_record(self._shard, self._offset, self._length, self._path), str(self))
 
@@ -160,11 +150,11 @@ class _RecordImage:
         return f"{self.record}: {self.camera}"
 
     def read_bytes(self) -> bytes:
-        images = self.record.images
-        own = images.cameras[self.camera]
+        jpegs, cameras = self.record.images
+        own = cameras[self.camera]
         if own.camera != self.mounted.camera or not np.array_equal(own.T_rig_camera, self.mounted.T_rig_camera):
             raise InputError(f"{self}: its calibration is not that of the first frame; give Waymo's shards unchanged")
-        return images.jpegs[self.camera]
+        return jpegs[self.camera]
 
 
 def _prefix(shard: str) -> str:

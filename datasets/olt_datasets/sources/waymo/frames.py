@@ -5,27 +5,17 @@ x forward, y left, z up.
 """
 
 import re
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from olt_datasets.sources.waymo.messages import read_frame
-from olt_generator.cameras import BrownConradyCamera
-from olt_generator.errors import InputError
+from olt_generator import BrownConradyCamera, InputError
 from olt_generator.poses import R_FORWARD_CAMERA, Array, make_pose
 from olt_toolkit.rigs.rig import MountedCamera
 
-CAMERAS = {
-    1: "FRONT",
-    2: "FRONT_LEFT",
-    3: "FRONT_RIGHT",
-    4: "SIDE_LEFT",
-    5: "SIDE_RIGHT",
-    6: "REAR_LEFT",
-    7: "REAR",
-    8: "REAR_RIGHT",
-}
+_CAMERAS = ("FRONT", "FRONT_LEFT", "FRONT_RIGHT", "SIDE_LEFT", "SIDE_RIGHT", "REAR_LEFT", "REAR", "REAR_RIGHT")
+CAMERAS = dict(enumerate(_CAMERAS, start=1))
 STATE_US = 250_000
 """Time between two states of the past or of the future, microseconds."""
 _MOST_PAST, _MOST_FUTURE = 16, 20
@@ -40,40 +30,12 @@ _FARTHEST = 1e4
 _NAME = re.compile(r"(?P<sequence>.+)-(?P<index>\d{1,6})")
 
 
-@dataclass(frozen=True)
-class FrameStates:
-    """What a frame tells beside its images.
+def read_states(record: memoryview, where: str) -> dict[str, Any]:
+    """What a record tells beside its images, which are jumped over; InputError names the field that is wrong.
 
-    Attributes:
-        sequence: name of the drive.
-        index: number of the frame in the drive.
-        past: (n, 2) x and y in the rig of this frame, one every `STATE_US`, the last is now.
-        future: (m, 2) the same from `STATE_US` after now on; empty in the test split.
-        cameras: names of the cameras that have an image.
-        rated: whether people rated trajectories at this frame.
-    """
-
-    sequence: str
-    index: int
-    past: Array
-    future: Array
-    cameras: tuple[str, ...]
-    rated: bool
-
-
-@dataclass(frozen=True)
-class FrameImages:
-    """Images of one frame by camera, as JPEG files, and the cameras."""
-
-    jpegs: dict[str, bytes]
-    cameras: dict[str, MountedCamera]
-
-
-def read_states(record: memoryview, where: str) -> FrameStates:
-    """What a record tells beside its images, which are jumped over.
-
-    Raises:
-        InputError: it is no frame of this data set; names the field.
+    `sequence` and `index` name the drive and the frame in it; `past` (n, 2) holds x and y in the rig of this frame, one
+    every `STATE_US` up to now, and `future` (m, 2) the same from then on, empty in the test split; `cameras` are those
+    that have an image, and `rated` is whether people rated trajectories at this frame.
     """
     message = read_frame(record, where)
     name = message.frame.context.name.decode(errors="replace")
@@ -86,30 +48,26 @@ def read_states(record: memoryview, where: str) -> FrameStates:
     past = _positions(message.past_states, _MOST_PAST, f"{where}: past_states")
     if len(past) < 2 or np.linalg.norm(past[-1]) > _NOW_TOLERANCE:
         raise InputError(f"{where}: past_states are fewer than 2 or do not end at the origin; copy the file again")
-    return FrameStates(
-        sequence=match["sequence"],
-        index=int(match["index"]),
-        past=past,
-        future=_positions(message.future_states, _MOST_FUTURE, f"{where}: future_states"),
-        cameras=tuple(_camera_name(number, where) for number in sorted(images)),
+    return {
+        "sequence": match["sequence"],
+        "index": int(match["index"]),
+        "past": past,
+        "future": _positions(message.future_states, _MOST_FUTURE, f"{where}: future_states"),
+        "cameras": [_camera_name(number, where) for number in sorted(images)],
         # A trajectory has a valid score, 0 to 10, or -1 for none.
-        rated=any(
+        "rated": any(
             rated.HasField("preference_score") and rated.preference_score >= 0.0
             for rated in message.preference_trajectories
         ),
-    )
+    }
 
 
-def read_images(record: bytes | memoryview, where: str, with_images: bool = True) -> FrameImages:
-    """The images of a record, still coded, and their cameras, matched by name.
+def read_images(
+    record: bytes | memoryview, where: str, with_images: bool = True
+) -> tuple[dict[str, bytes], dict[str, MountedCamera]]:
+    """The images of a record, JPEG files by camera, and their cameras; InputError names a field that is wrong.
 
-    Args:
-        record: the bytes of the record.
-        where: what errors call it.
-        with_images: False where only the cameras are wanted: images are jumped over, and each is empty.
-
-    Raises:
-        InputError: it is no frame of this data set, or an image has no calibration; names the field.
+    Without images their bytes are jumped over, and each is empty.
     """
     frame = read_frame(record, where, with_images).frame
     cameras = dict(_calibration(each, f"{where}: camera_calibrations") for each in frame.context.camera_calibrations)
@@ -117,7 +75,7 @@ def read_images(record: bytes | memoryview, where: str, with_images: bool = True
     for name in jpegs:
         if name not in cameras:
             raise InputError(f"{where}: camera {name} has an image and no calibration; copy the file again")
-    return FrameImages(jpegs, {name: cameras[name] for name in jpegs})
+    return jpegs, {name: cameras[name] for name in jpegs}
 
 
 def _camera_name(number: int, where: str) -> str:

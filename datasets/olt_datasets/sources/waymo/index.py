@@ -5,19 +5,15 @@ without reading an image. All of them together are one table sorted by drive, in
 """
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
-import numpy as np
 import polars as pl
 
 from olt_datasets.sources.waymo.frames import read_states
 from olt_datasets.sources.waymo.tfrecord import map_records, record_spans
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_generator.poses import Array
-from olt_generator.progress import Progress, silent
 from olt_toolkit.runtime.workers import default_workers, map_parallel
 
 SHARDS = "*.tfrecord*"
@@ -40,21 +36,16 @@ _ROWS_IN_GROUP = 4096
 _WORTH_WORKERS = 4 << 30
 
 
-@dataclass(frozen=True)
-class ShardTask:
+class ShardTask(NamedTuple):
     """A shard to index, its path in the data set, and where its index goes."""
 
     path: Path
     name: str
-    index: Path
+    target: Path
 
 
-def build_index(root: Path, cache: Path, on_progress: Progress = silent) -> Path:
-    """The index of all shards below a folder, in one Parquet file; only what is new since the last time is read.
-
-    Raises:
-        InputError: there are no shards, or one is damaged.
-    """
+def build_index(root: Path, cache: Path) -> Path:
+    """The index of all shards below a folder, else InputError, in one Parquet file; only what is new is read."""
     shards = sorted(path for path in root.rglob(SHARDS) if path.is_file())
     if not shards:
         raise InputError(f"{root}: holds no file {SHARDS}; give the folder with the shards of Waymo's E2E data set")
@@ -63,47 +54,27 @@ def build_index(root: Path, cache: Path, on_progress: Progress = silent) -> Path
         state, name = shard.stat(), shard.relative_to(root).as_posix()
         digest = _digest([name, str(state.st_size), str(state.st_mtime_ns), str(SCHEMA)])
         tasks.append(ShardTask(shard, name, cache / f"shard-{digest}.parquet"))
-    missing = [task for task in tasks if not task.index.is_file()]
+    missing = [task for task in tasks if not task.target.is_file()]
     worth_workers = sum(task.path.stat().st_size for task in missing) > _WORTH_WORKERS
-    map_parallel(index_shard, missing, default_workers() if worth_workers else 1, on_progress)
-    together = cache / f"frames-{_digest([task.index.name for task in tasks])}.parquet"
+    map_parallel(index_shard, missing, default_workers() if worth_workers else 1)
+    together = cache / f"frames-{_digest([task.target.name for task in tasks])}.parquet"
     if not together.is_file():
-        frames = pl.concat([pl.read_parquet(task.index) for task in tasks]).sort("sequence", "index", "shard")
+        frames = pl.concat([pl.read_parquet(task.target) for task in tasks]).sort("sequence", "index", "shard")
         with write_whole(together) as path:
             frames.write_parquet(path, row_group_size=_ROWS_IN_GROUP)
     return together
 
 
 def index_shard(task: ShardTask) -> None:
-    """Write the index of one shard.
-
-    Raises:
-        InputError: the shard is damaged; names the record.
-    """
+    """Write the index of one shard; where it is damaged, an InputError names the record."""
     content = map_records(task.path)
     rows = []
     for offset, length in record_spans(content, str(task.path)):
         states = read_states(content[offset : offset + length], f"{task.path}: record at byte {offset}")
-        rows.append(
-            {
-                "sequence": states.sequence,
-                "index": states.index,
-                "shard": task.name,
-                "offset": offset,
-                "length": length,
-                "past": states.past.ravel(),
-                "future": states.future.ravel(),
-                "cameras": states.cameras,
-                "rated": states.rated,
-            }
-        )
-    with write_whole(task.index) as path:
+        flat = {name: states[name].ravel() for name in ("past", "future")}
+        rows.append(states | flat | {"shard": task.name, "offset": offset, "length": length})
+    with write_whole(task.target) as path:
         pl.DataFrame(rows, schema=SCHEMA).write_parquet(path)
-
-
-def positions(values: Sequence[float]) -> Array:
-    """Positions (n, 2) of a cell of `past` or `future`."""
-    return np.array(values, dtype=np.float64).reshape(-1, 2)
 
 
 def _digest(words: list[str]) -> str:

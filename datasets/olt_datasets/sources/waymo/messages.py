@@ -41,11 +41,7 @@ _LONGEST_VARINT = 10
 
 
 def read_frame(record: bytes | memoryview, where: str, with_images: bool = False) -> Any:
-    """The `E2EDFrame` of a record; without images their bytes are jumped over, and so are not read from disk.
-
-    Raises:
-        InputError: the bytes are no such message.
-    """
+    """The `E2EDFrame` of a record, else InputError; without images their bytes are jumped over, not read from disk."""
     try:
         return _FRAME.FromString(bytes(record) if with_images else leave_out(memoryview(record), _IMAGES))
     except DecodeError as error:
@@ -53,15 +49,9 @@ def read_frame(record: bytes | memoryview, where: str, with_images: bool = False
 
 
 def leave_out(content: memoryview, fields: Mapping[int, Any]) -> bytes:
-    """The bytes of a message without some of its fields, which are jumped over.
+    """The bytes of a message without some of its fields, which are jumped over; DecodeError where it is damaged.
 
-    Args:
-        content: the message.
-        fields: numbers of the fields of bytes to leave out, with None; and of embedded messages, with what to leave
-            out of them.
-
-    Raises:
-        DecodeError: the message is cut off or damaged.
+    The fields are numbers of those of bytes, with None, and of embedded messages, with what to leave out of them.
     """
     kept: list[bytes | memoryview] = []
     at = 0

@@ -10,13 +10,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
 from olt_datasets.sources.waymo.frames import STATE_US
-from olt_generator.errors import InputError
+from olt_generator import InputError, Trajectory
 from olt_generator.poses import Array, planar_pose
-from olt_generator.trajectory import Trajectory
 
 # Two paths must share this much time to be laid on one another.
 _MIN_SHARED_US = 1_000_000
@@ -30,21 +29,16 @@ _MIN_TANGENT_SPEED = 0.5
 
 @dataclass(frozen=True)
 class FramePath:
-    """The path of one frame.
-
-    Attributes:
-        time_us: time of the frame in the drive.
-        offsets_us: (n,) times of the positions after it; 0 is among them.
-        positions: (n, 2) metres in the rig of the frame.
-    """
+    """The path of one frame: positions (n, 2), metres in its rig, at offsets (n,) from its time; 0 is among them."""
 
     time_us: int
     offsets_us: NDArray[np.int64]
     positions: Array
 
     @classmethod
-    def from_states(cls, time_us: int, past: Array, future: Array) -> "FramePath":
-        """The path of past states (n, 2), the last of them now, and future states (m, 2)."""
+    def from_states(cls, time_us: int, past: ArrayLike, future: ArrayLike) -> "FramePath":
+        """The path of past states (n, 2), the last of them now, and future states (m, 2); either may be flat."""
+        past, future = np.reshape(past, (-1, 2)), np.reshape(future, (-1, 2))
         offsets_us = STATE_US * np.arange(1 - len(past), len(future) + 1, dtype=np.int64)
         return cls(time_us, offsets_us, np.concatenate([past, future]))
 
@@ -55,16 +49,10 @@ class FramePath:
 
 
 def chain_paths(paths: list[FramePath], where: str) -> Trajectory:
-    """The trajectory of a drive in the rig of its first frame.
+    """The trajectory of a drive in the rig of its first frame, from paths in order of time, at least one.
 
-    It has the poses of all frames, before them the past of the first, and after them the future of the last.
-
-    Args:
-        paths: of the frames in order of time, at least one.
-        where: what errors call the drive.
-
-    Raises:
-        InputError: two neighbours share too little time, or their paths are not of one drive.
+    It has the poses of all frames, before them the past of the first, and after them the future of the last. Paths of
+    neighbours must be of one drive and share enough time, else InputError.
     """
     T_first_frame = [np.eye(4)]
     for before, after in pairwise(paths):

@@ -20,11 +20,7 @@ _MASK_DELTA = 0xA282EAD8
 
 
 def map_records(path: Path) -> memoryview:
-    """The bytes of a TFRecord file, mapped into memory.
-
-    Raises:
-        InputError: the file is missing or empty.
-    """
+    """The bytes of a TFRecord file, mapped into memory; InputError where it is missing or empty."""
     try:
         with path.open("rb") as file:
             mapped = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
@@ -36,11 +32,7 @@ def map_records(path: Path) -> memoryview:
 
 
 def record_spans(content: memoryview, where: str) -> Iterator[tuple[int, int]]:
-    """Offset and length in bytes of the content of every record; checks the lengths and not the content.
-
-    Raises:
-        InputError: a length is damaged, or the file ends within a record.
-    """
+    """Offset and length in bytes of the content of every record; InputError where a length is damaged or cut off."""
     at = number = 0
     while at < len(content):
         if at + _HEADER.size > len(content):
@@ -56,11 +48,7 @@ def record_spans(content: memoryview, where: str) -> Iterator[tuple[int, int]]:
 
 
 def read_record(content: memoryview, offset: int, length: int, where: str) -> bytes:
-    """The bytes of one record, checked against their checksum.
-
-    Raises:
-        InputError: they are damaged.
-    """
+    """The bytes of one record; InputError where their checksum differs."""
     record = bytes(content[offset : offset + length])
     if _FOOTER.unpack_from(content, offset + length)[0] != masked_crc32c(record):
         raise InputError(f"{where}: the record at byte {offset} is damaged (its checksum differs); copy the file again")
