@@ -45,4 +45,4 @@ def test_every_fault_is_put_in_once_and_alone(mutants):
 
 def test_the_modules_and_tests_that_are_named_exist(mutants):
     for module, tests in mutants.CONFIGURATION["modules"].items():
-        assert all((SCRIPT.parents[1] / file).is_file() for file in (module, *tests)), module
+        assert all((SCRIPT.parents[1] / file).exists() for file in (module, *tests)), module

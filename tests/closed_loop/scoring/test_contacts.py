@@ -118,6 +118,31 @@ def test_turning_alone_can_touch():
     assert contact == pytest.approx(times[np.argmax(gaps_at(ego, post, times) < TOUCH)], abs=10.0)
 
 
+@pytest.mark.parametrize("spinning", ["ego", "other", "both", "both alike"])
+def test_boxes_that_spin_between_two_samples_touch_as_in_very_fine_sampling(spinning):
+    """Up to half a turn and a few metres within one piece: what happens between its ends is up to the bound alone."""
+    generator = np.random.default_rng(0)
+    turn, count = 3.0 * (spinning != "other"), 150
+    ego = moving_box([0, SECOND], [[0, 0, 0, 0.3], [1.0, 0.5, 0, 0.3 + turn]], (6.0, 0.8, 1.5))
+    start = np.column_stack([*generator.uniform(-7, 7, (2, count)), np.zeros(count), generator.uniform(-3, 3, count)])
+    change = np.column_stack([*generator.uniform(-3, 3, (2, count)), np.zeros((count, 2))])
+    change[:, 3] = {"ego": 0.0, "both alike": turn}.get(spinning, generator.uniform(-3, 3, count))
+    boxes = [
+        moving_box([0, SECOND], [here, here + way], (5.0, 0.6, 1.5)) for here, way in zip(start, change, strict=True)
+    ]
+    contacts = first_contacts(ego, boxes, 0, SECOND)
+    times = np.arange(0, SECOND + 1, 1000)
+    late = 0
+    for box, contact in zip(boxes, contacts, strict=True):
+        touching = times[gaps_at(ego, box, times) < TOUCH]
+        assert len(touching) == 0 or contact <= touching[0]
+        if np.isfinite(contact):
+            assert gaps_at(ego, box, np.array([int(np.ceil(contact))]))[0] < 1e-4
+            assert len(touching) == 0 or contact > touching[0] - 1000
+            late += contact > 0.0
+    assert late > 20 and np.isinf(contacts).sum() > 20
+
+
 def test_boxes_side_by_side_without_a_gap_do_not_touch():
     ego = moving_box([0, SECOND], [[0, 0, 0, 0], [20, 0, 0, 0]])
     flush = moving_box([0, SECOND], [[0, 1.9, 0, 0]] * 2)

@@ -314,3 +314,36 @@ def test_a_lens_with_tangential_distortion_ends_where_it_folds():
     assert ((area < 0.0) & decided).any()
     seen = lens.project(np.stack([x, y, np.ones_like(x)], axis=-1))[1]
     np.testing.assert_array_equal(seen[decided], (area > 0.0)[decided])
+
+
+@pytest.mark.parametrize(("cx", "cy"), [(300.0, 100.0), (500.0, 480.0), (300.0, 480.0)])
+def test_a_backward_lens_must_rise_to_the_farthest_corner(cx, cy):
+    reach = max(np.hypot(u - cx, v - cy) for u in (-0.5, 799.5) for v in (-0.5, 599.5))
+
+    def turning_at(radius):
+        return (0.0, 2e-3, 0.0, -2e-3 / (3.0 * radius**2))
+
+    FthetaCamera.from_radius_to_angle(800, 600, cx, cy, turning_at(reach + 0.01))
+    with pytest.raises(InputError, match=f"does not rise to the corner at {reach:.0f} px"):
+        FthetaCamera.from_radius_to_angle(800, 600, cx, cy, turning_at(reach - 0.01))
+
+
+@pytest.mark.parametrize("primary", ["forward", "backward"])
+def test_pixels_per_radian_are_those_around_the_axis(primary):
+    lens = FthetaCamera(800, 600, 399.5, 299.5, (0.0, 240.0, 3.0), (0.0, 1 / 250.0, 1e-8), primary=primary)
+    lens = lens.redrawn(400, 200, (0.5, 0.25), (199.5, 99.5))
+    pixels, seen = lens.project(np.array([[1e-6, 0.0, 1.0], [0.0, 1e-6, 1.0]]))
+    assert seen.all()
+    expected = {"forward": 240.0, "backward": 250.0}[primary]
+    assert lens.pixels_per_radian == pytest.approx((0.5 * expected, 0.25 * expected))
+    assert np.diag(pixels - [199.5, 99.5]) * 1e6 == pytest.approx(lens.pixels_per_radian, rel=1e-4)
+
+
+@pytest.mark.parametrize("primary", ["forward", "backward"])
+def test_a_lens_without_a_limit_sees_to_straight_behind_and_no_farther(primary):
+    lens = FthetaCamera(800, 600, 399.5, 299.5, (0.0, 100.0), (0.0, 0.01), primary=primary)
+    angles = np.array([0.1, 1.6, 3.0, 3.14])
+    pixels, seen = lens.project(np.stack([np.sin(angles), np.zeros(4), np.cos(angles)], axis=-1))
+    assert seen.all() and pixels[:, 0] == pytest.approx(399.5 + 100.0 * angles)
+    rays = lens.rays(np.array([[399.5 + 314.0, 299.5], [399.5 + 315.0, 299.5]]))
+    assert rays[0] == pytest.approx([np.sin(3.14), 0.0, np.cos(3.14)]) and np.isnan(rays[1]).all()

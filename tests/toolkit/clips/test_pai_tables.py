@@ -1,15 +1,23 @@
 """What the columns of the tables hold, by the names of docs/formats/physicalai_av.md."""
 
+from dataclasses import asdict
+
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
+from olt_generator.errors import InputError
 from olt_generator.lenses.lens_curves import evaluate
 from olt_toolkit.clips.pai_tables import (
     egomotion_table,
     extrinsics_table,
     intrinsics_table,
     read_egomotion,
+    read_indexed,
+    read_timestamps,
+    read_vehicle,
+    timestamps_table,
     to_bytes,
     vehicle_table,
 )
@@ -72,3 +80,39 @@ def test_calibration_by_its_columns(clip):
 def test_the_vehicle_by_its_columns(clip):
     row = vehicle_table(clip.clip_id, clip.vehicle).loc[clip.clip_id]
     assert row.to_dict() == vars(clip.vehicle)
+
+
+def test_one_quaternion_that_is_far_from_unit_length_is_refused(clip):
+    table = egomotion_table(clip.ego_motion)
+    quaternion = ["qx", "qy", "qz", "qw"]
+    table.loc[7, quaternion] *= 0.6
+    np.testing.assert_allclose(
+        read_egomotion(to_bytes(table), "motion").trajectory.T_world_rig,
+        clip.ego_motion.trajectory.T_world_rig,
+        atol=1e-12,
+    )
+    table.loc[7, quaternion] *= 0.8
+    with pytest.raises(InputError, match="motion: columns qx, qy, qz, qw hold quaternions that are not unit length"):
+        read_egomotion(to_bytes(table), "motion")
+
+
+def test_one_time_that_repeats_is_refused_and_two_a_microsecond_apart_are_not():
+    times = np.array([0, 1, 7], np.int64)
+    assert read_timestamps(to_bytes(timestamps_table(times)), "frames").tolist() == [0, 1, 7]
+    assert read_timestamps(to_bytes(timestamps_table(times[:2])), "frames").tolist() == [0, 1]
+    for refused in (times[:1], np.array([0, 1, 1, 7], np.int64), np.array([0, 7, 1], np.int64)):
+        with pytest.raises(InputError, match="at least two strictly increasing times"):
+            read_timestamps(to_bytes(timestamps_table(refused)), "frames")
+
+
+def test_a_vehicle_with_one_number_missing_and_a_clip_with_two_rows_are_refused(clip, tmp_path):
+    path = tmp_path / "vehicle.parquet"
+    table = vehicle_table(clip.clip_id, clip.vehicle)
+    path.write_bytes(to_bytes(table))
+    assert asdict(read_vehicle(path, clip.clip_id)) == asdict(clip.vehicle)
+    path.write_bytes(to_bytes(table.assign(width=np.nan)))
+    with pytest.raises(InputError, match=f"row {clip.clip_id} holds values that are not finite"):
+        read_vehicle(path, clip.clip_id)
+    path.write_bytes(to_bytes(pd.concat([table, table])))
+    with pytest.raises(InputError, match=f"clip_id {clip.clip_id} is there more than once"):
+        read_indexed(path, ["width"], ["clip_id"])

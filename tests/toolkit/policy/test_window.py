@@ -1,13 +1,16 @@
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from olt_generator.errors import InputError
 from olt_toolkit.policy.window import (
+    FUTURE_OFFSETS_US,
+    HISTORY_OFFSETS_US,
     IMAGE_OFFSETS_US,
     Coverage,
     check_sample_window,
+    frames_per_step,
     grid_frame_indices,
     sample_times,
     sampled_frame_indices,
@@ -51,6 +54,44 @@ def test_window_is_the_one_of_the_public_loader(ego, camera, t0_us):
         and t0_us <= camera[1]
     )
     assert accepts(t0_us, covered(ego, camera)) == expected
+
+
+# Ends of spans on the grid of 0.1 s and a microsecond beside it, where one step more or less shows.
+edges = st.tuples(st.integers(-10, 40), st.integers(50, 140), st.integers(-1, 1), st.integers(-1, 1)).map(
+    lambda edge: (100_000 * edge[0] + edge[2], 100_000 * edge[1] + edge[3])
+)
+
+
+@given(edges, st.tuples(*[edges] * 4))
+@example((1_000_000, 20_000_000), ((2_000_000, 14_000_000),) * 4)  # images come last
+@example((1_000_000, 9_000_000), ((0, 14_000_000),) * 4)  # the history begins last, the future ends first
+@example((0, 20_000_000), ((0, 14_000_000), (0, 5_000_000), (0, 14_000_000), (0, 14_000_000)))
+def test_a_sample_time_is_one_at_which_everything_is_there(ego, cameras):
+    coverage = Coverage(ego, dict(zip(POLICY_CAMERAS, cameras, strict=True)))
+    expected = [
+        t0_us
+        for t0_us in range(0, 14_100_000, 100_000)
+        if t0_us > 1_600_000
+        and ego[0] <= t0_us - 1_500_000
+        and t0_us + 6_400_000 <= ego[1]
+        and all(first <= t0_us - 300_000 and t0_us <= last for first, last in cameras)
+    ]
+    assert list(sample_times(coverage)[0]) == expected
+    assert [t0_us for t0_us in range(0, 14_100_000, 100_000) if accepts(t0_us, coverage)] == expected
+
+
+def test_offsets_of_poses_and_images():
+    assert HISTORY_OFFSETS_US.tolist() == list(range(-1_500_000, 1, 100_000))
+    assert FUTURE_OFFSETS_US.tolist() == list(range(100_000, 6_400_001, 100_000))
+    assert IMAGE_OFFSETS_US.tolist() == [-300_000, -200_000, -100_000, 0]
+
+
+@pytest.mark.parametrize(
+    ("frame_rate", "expected"),
+    [(30.0, 3), (60.0, 6), (20.0, 2), (10.0, 1), (5.0, 1), (25.0, 1), (29.97, 1), (30.000005, 3), (30.000012, 1)],
+)
+def test_frames_of_a_step_are_a_whole_number_or_one(frame_rate, expected):
+    assert frames_per_step(frame_rate) == expected
 
 
 def test_exactly_the_refused_second_is_refused():
