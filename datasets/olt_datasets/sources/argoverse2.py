@@ -11,9 +11,9 @@ import numpy as np
 
 from olt_closed_loop.scenes.sources.argoverse2 import read_motion_ego, read_sensor_ego
 from olt_generator import InputError, Trajectory
+from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings import DatasetReader, Drive, Licence, OpenOptions, Recording
 
 NAME = "argoverse2"
 LICENCE = Licence(
