@@ -20,7 +20,8 @@ from olt_generator.errors import InputError
 from olt_generator.video import read_frame_times
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings import DatasetReader, Drive, Licence, OpenOptions, Recording
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE
 
 NAME = "nexar"

@@ -31,7 +31,8 @@ from olt_toolkit.clips.pai_tables import read_egomotion, read_mounted_camera, re
 from olt_toolkit.clips.table import CLIP_TABLE
 from olt_toolkit.clips.video import decode_frames
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings import DatasetReader, Drive, Licence, OpenOptions, Recording
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
+from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, short_name
 
 SOURCE = "pav"
