@@ -11,8 +11,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from olt_generator.cameras import PinholeCamera
+from olt_generator.motion.odometry import estimate_odometry
 from olt_generator.motion.pose_metrics import compare_trajectories, measure_smoothness
-from olt_generator.motion.pose_sources import KnownPoses, VisualOdometry
+from olt_generator.motion.pose_sources import KnownPoses
 from olt_generator.motion.smoother import smooth_trajectories, smooth_trajectory
 from olt_generator.poses import camera_pose_in_rig, invert, make_pose
 from olt_generator.trajectory import Trajectory
@@ -36,7 +37,7 @@ def kitti_06(shared_real):
     times = np.arange(len(rows), dtype=np.int64) * 103_600
     poses = make_pose(Rotation.from_matrix(rows[:, :, :3]).as_matrix(), rows[:, :, 3])
     known = KnownPoses(Trajectory(times, poses), of="camera")
-    return known.estimate(np.zeros(0, np.uint8), times, CAMERA_06, KITTI_06_MOUNTING).trajectory
+    return known(np.zeros(0, np.uint8), times, CAMERA_06, KITTI_06_MOUNTING).trajectory
 
 
 CAMERA_06 = PinholeCamera(1226, 370, 707.0912, 707.0912, 601.8873, 183.1104)
@@ -98,9 +99,7 @@ def test_jitter_on_true_poses(shared_real, drive, noise):
 
 def test_odometry_of_the_kitti_raw_drive(shared_real):
     recording = kitti_recording(shared_real)
-    found = VisualOdometry().estimate(
-        recording.frames, recording.timestamps_us, recording.camera, recording.T_rig_camera
-    )
+    found = estimate_odometry(recording.frames, recording.timestamps_us, recording.camera, recording.T_rig_camera)
     # The odometry's accelerations vary hardly more than the true ones (0.72 and 0.61 m2/s4), so less can be taken out.
     motion = smooth_trajectory(found.trajectory, found.noise)
     check("odometry on kitti 0013", [found.trajectory], [motion], recording.reference, 3.0)
@@ -110,9 +109,7 @@ def test_odometry_of_kitti_sequence_06(shared_real):
     files = sorted((shared_real / "kitti_odometry_06_first51_gray" / "image_0").iterdir())
     images = [cv2.resize(cv2.imread(str(file)), (832, 251), interpolation=cv2.INTER_AREA) for file in files]
     true = kitti_06(shared_real)
-    found = VisualOdometry().estimate(
-        np.stack(images), true.timestamps_us, CAMERA_06.resized(832, 251), KITTI_06_MOUNTING
-    )
+    found = estimate_odometry(np.stack(images), true.timestamps_us, CAMERA_06.resized(832, 251), KITTI_06_MOUNTING)
     # The truth is the camera's; it is seen with the mounting that the odometry found.
     camera_poses = true.T_world_rig @ KITTI_06_MOUNTING
     rig = Trajectory(true.timestamps_us, camera_poses @ invert(found.T_rig_camera)).in_first_frame()

@@ -11,10 +11,9 @@ import numpy as np
 
 from olt_closed_loop.scenes.sources.argoverse2 import read_motion_ego, read_sensor_ego
 from olt_generator import InputError, Trajectory
+from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
 
 NAME = "argoverse2"
 LICENCE = Licence(

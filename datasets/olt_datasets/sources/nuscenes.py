@@ -15,10 +15,9 @@ from olt_datasets.sources.nuscenes_tables import LENS, MOUNTING, POSITION, TABLE
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.poses import pose_from_quaternion
+from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import MountedCamera
 from olt_toolkit.rigs.rig_files import load_rig
 

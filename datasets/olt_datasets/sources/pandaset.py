@@ -21,9 +21,8 @@ from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_generator import BrownConradyCamera, InputError, Trajectory
 from olt_generator.poses import Array, invert, pose_from_quaternion
+from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig_files import load_rig
 
 SOURCE = "pandaset"

@@ -15,6 +15,7 @@ from olt_datasets.sources import pav_tables
 from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator.errors import InputError
 from olt_generator.video import shrink
+from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.chunk_archive import ChunkArchive
 from olt_toolkit.clips.pai_layout import (
     CAMERA_INTRINSICS,
@@ -31,8 +32,6 @@ from olt_toolkit.clips.pai_tables import read_egomotion, read_mounted_camera, re
 from olt_toolkit.clips.table import CLIP_TABLE
 from olt_toolkit.clips.video import decode_frames
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, short_name
 
 SOURCE = "pav"

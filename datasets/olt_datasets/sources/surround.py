@@ -19,10 +19,9 @@ from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_withi
 from olt_generator import Camera, InputError, PinholeCamera, Trajectory
 from olt_generator.lenses.remap import Remapper
 from olt_generator.video import shrink
+from olt_toolkit import Drive, OpenOptions, Recording
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import Drive
 from olt_toolkit.recordings.labels import Split
-from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, short_name
 from olt_toolkit.rigs.rig_files import pav_rig
 

@@ -23,10 +23,9 @@ from olt_closed_loop.scenes.procedural import CATEGORIES, DURATION_US, generate_
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.sensors.recorder import frame_times, record_drive
 from olt_generator import InputError, Trajectory
+from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
 from olt_toolkit.rigs.rig_files import pav_rig
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping

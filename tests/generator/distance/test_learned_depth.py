@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import PinholeCamera, pixel_rays
-from olt_generator.distance.depth import DistanceOrigin
+from olt_generator.distance.depth import DistanceOrigin, estimate_distance
 from olt_generator.distance.depth_anything import DepthAnything
 from olt_generator.distance.depth_crafter import FILES, DepthCrafter, DiffusionSettings
-from olt_generator.distance.depth_source import GeometricDepth, make_metric
+from olt_generator.distance.depth_source import RelativeDepth
 from olt_generator.distance.metric_alignment import align_affine
 from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose
-from olt_generator.progress import silent
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.benchmarks.street import render_street
@@ -57,10 +56,12 @@ def test_alignment_refuses_what_cannot_be_made_metric():
 
 def test_a_perfect_relative_network_gives_metres(rendered):
     frames, distance = rendered
-    relative = true_relative_depth(distance)
-    estimate = make_metric(
-        lambda wanted: list(relative[wanted]), frames, CAMERA, DRIVE, T_RIG_CAMERA, silent, frame_indices=[2, 4]
-    )
+
+    class PerfectNetwork(RelativeDepth):
+        def relative_inverse_depth(self, frames, wanted):
+            return true_relative_depth(distance)[wanted]
+
+    estimate = PerfectNetwork()(frames, CAMERA, DRIVE, T_RIG_CAMERA, frame_indices=[2, 4])
     truth = distance[[2, 4]]
     near = truth < 60.0
     assert estimate.distance.shape == (2, 72, 128)
@@ -70,9 +71,9 @@ def test_a_perfect_relative_network_gives_metres(rendered):
     assert estimate.confidence.max() == pytest.approx(estimate.alignment.agreement)
 
 
-def test_geometric_depth_is_a_source(rendered):
+def test_distance_by_geometry_is_not_aligned(rendered):
     frames, _ = rendered
-    estimate = GeometricDepth().estimate(frames, CAMERA, DRIVE, T_RIG_CAMERA, frame_indices=[1])
+    estimate = estimate_distance(frames, CAMERA, DRIVE, T_RIG_CAMERA, frame_indices=[1])
     assert estimate.distance.shape == (1, 72, 128) and estimate.alignment is None
 
 
@@ -121,9 +122,9 @@ def depth_anything_folder(tmp_path_factory):
 def test_depth_anything_runs_from_a_folder(rendered, depth_anything_folder):
     frames, _ = rendered
     network = DepthAnything(depth_anything_folder, shorter_side=70)
-    values = network.relative_inverse_depth(frames[0])
+    (values,) = network.relative_inverse_depth(frames, np.array([0]))
     assert values.shape == (70, 126) and values.dtype == np.float32
-    assert np.array_equal(values, network.relative_inverse_depth(frames[0]))
+    assert np.array_equal([values], network.relative_inverse_depth(frames, np.array([0])))
     assert np.all(np.isfinite(values)) and values.std() > 0.0
 
 
@@ -202,12 +203,12 @@ TINY = DiffusionSettings(width=64, height=64, steps=2, window=4, overlap=2)
 def test_depth_crafter_denoises_a_clip_in_windows(rendered, depth_crafter_folder):
     frames, _ = rendered
     assert all((depth_crafter_folder / name).is_file() for name in FILES)
-    values = DepthCrafter(depth_crafter_folder, settings=TINY).relative_inverse_depth(frames)
+    values = DepthCrafter(depth_crafter_folder, settings=TINY).relative_inverse_depth(frames, INDEX)
     assert values.shape == (6, 64, 64) and values.dtype == np.float32
     assert values.min() == 0.0 and values.max() == 1.0
-    again = DepthCrafter(depth_crafter_folder, settings=TINY).relative_inverse_depth(frames)
-    assert np.array_equal(values, again)
-    other_seed = DepthCrafter(depth_crafter_folder, settings=TINY, seed=1).relative_inverse_depth(frames)
+    again = DepthCrafter(depth_crafter_folder, settings=TINY).relative_inverse_depth(frames, INDEX[::2])
+    assert np.array_equal(values[::2], again)
+    other_seed = DepthCrafter(depth_crafter_folder, settings=TINY, seed=1).relative_inverse_depth(frames, INDEX)
     assert not np.array_equal(values, other_seed)
 
 
@@ -234,4 +235,4 @@ def test_clips_of_any_length_are_covered(rendered, depth_crafter_folder):
     frames, _ = rendered
     network = DepthCrafter(depth_crafter_folder, settings=TINY)
     for count in (1, 4, 5):
-        assert network.relative_inverse_depth(frames[:count]).shape == (count, 64, 64)
+        assert network.relative_inverse_depth(frames[:count], INDEX[:count]).shape == (count, 64, 64)

@@ -20,7 +20,7 @@ def smoothed_positions(measured: np.ndarray) -> np.ndarray:
         np.array([COUNT]), np.full((COUNT - 1, 1), STEP), poses, np.array([[SIGMA] * 3 + [0.01] * 3])
     )
     car = CarMotion(np.array([JERK]), np.array([0.1]), 0.1, 1.0, INITIAL_SIGMAS)
-    return smooth_poses(sequence, poses, car).motion.poses[:, 0, 0, 3]
+    return smooth_poses(sequence, poses, car)[0].poses[:, 0, 0, 3]
 
 
 def most_probable_positions(measured: np.ndarray, speed: float) -> np.ndarray:

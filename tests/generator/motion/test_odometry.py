@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from olt_generator.cameras import FthetaCamera, PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
 from olt_generator.motion.odometry import choose_keyframes, estimate_odometry
+from olt_generator.motion.smoother import ODOMETRY_SETTINGS
 from olt_generator.poses import R_FORWARD_CAMERA, camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
 
@@ -85,6 +86,7 @@ def test_metric_motion_and_mounting_from_rough_angles(camera):
     assert np.degrees(between.magnitude()) < 0.3
     assert np.array_equal(odometry.T_rig_camera[:3, 3], ROUGH_MOUNTING[:3, 3])
     assert 0.0 < odometry.scale_sigma < 0.1
+    assert odometry.noise == ODOMETRY_SETTINGS
     assert odometry.inliers.min() > 100
     assert not odometry.standstill.any()
 

@@ -1,4 +1,4 @@
-"""Odometry, known poses and MapAnything behind one door."""
+"""Known poses and MapAnything behind one door."""
 
 import sys
 from types import ModuleType
@@ -9,12 +9,10 @@ import torch
 
 from olt_generator.cameras import PinholeCamera
 from olt_generator.errors import InputError
-from olt_generator.motion import pose_sources
 from olt_generator.motion.map_anything import MapAnything
-from olt_generator.motion.odometry import Odometry
-from olt_generator.motion.pose_sources import KnownPoses, PoseSource, VisualOdometry
-from olt_generator.motion.smoother import ODOMETRY_SETTINGS
+from olt_generator.motion.pose_sources import KnownPoses, PoseSource
 from olt_generator.poses import camera_pose_in_rig, invert, planar_pose
+from olt_generator.progress import silent
 from olt_generator.trajectory import Trajectory
 
 CAMERA = PinholeCamera(8, 6, 5.0, 5.0, 3.5, 2.5)
@@ -34,7 +32,7 @@ def elsewhere(trajectory):
 
 
 def estimate(source: PoseSource):
-    return source.estimate(FRAMES, TIMES, CAMERA, MOUNTING)
+    return source(FRAMES, TIMES, CAMERA, MOUNTING, silent)
 
 
 @pytest.mark.parametrize("of", ["rig", "camera"])
@@ -53,15 +51,6 @@ def test_known_poses_are_not_extrapolated(part):
     short = Trajectory(motion.timestamps_us[part], motion.T_world_rig[part])
     with pytest.raises(InputError, match="known poses: they cover"):
         estimate(KnownPoses(short))
-
-
-def test_visual_odometry_says_how_noisy_it_is(monkeypatch):
-    inliers = np.ones(COUNT - 1, dtype=np.int64)
-    odometry = Odometry(true_motion(), MOUNTING, 0.03, inliers, inliers == 0)
-    monkeypatch.setattr(pose_sources, "estimate_odometry", lambda *arguments: odometry)
-    found = estimate(VisualOdometry())
-    assert found.trajectory is odometry.trajectory
-    assert (found.scale_sigma, found.noise) == (0.03, ODOMETRY_SETTINGS)
 
 
 def fake_package(monkeypatch, scale=2.5):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from olt_generator.cameras import FthetaCamera, PinholeCamera
 from olt_generator.poses import camera_pose_in_rig, invert, make_pose, pose_from_quaternion
 from olt_generator.seeds import make_generator
-from olt_generator.views.aggregate import SURFACE_TOLERANCE, Gathered, SourceFrame, gather
+from olt_generator.views.aggregate import SURFACE_TOLERANCE, SourceFrame, gather
 
 FRONT = PinholeCamera.from_field_of_view(24, 16, float(np.radians(80.0)))
 WIDE = FthetaCamera.equidistant(24, 16, 11.0, 9.0, 14.0)
@@ -59,15 +59,16 @@ def test_equals_a_plain_loop_but_for_rounding(seed, target, radius):
         distance = np.where(random.random((16, 24)) < 0.2, random.choice(odd, (16, 24)), distance)
         T = pose_from_quaternion([*random.normal(0.0, 0.2, 3), 1.0], random.normal(0.0, 1.0, 3))
         sources.append(SourceFrame(random.integers(0, 256, (16, 24, 3)).astype(np.uint8), distance, T))
-    gathered = gather(sources, FRONT, target, radius)
+    gathered, gathered_source, _ = gather(sources, FRONT, target, radius)
     image, source = gather_plainly(sources, FRONT, target, radius)
     # Single precision may move a point that lies on the edge of a pixel or of a level.
-    assert (gathered.source != source).mean() < 0.01
-    assert (gathered.image != image).any(axis=-1).mean() < 0.02
+    assert (gathered_source != source).mean() < 0.01
+    assert (gathered != image).any(axis=-1).mean() < 0.02
 
 
-def colours(gathered: Gathered) -> set[int]:
-    return set(np.unique(gathered.image[gathered.source < 2]).tolist())
+def colours(gathered: tuple[np.ndarray, np.ndarray, np.ndarray]) -> set[int]:
+    image, source, _ = gathered
+    return set(np.unique(image[source < 2]).tolist())
 
 
 def test_the_nearest_surface_wins_whichever_frame_shows_it():
@@ -93,15 +94,15 @@ def test_of_equal_frames_the_first_wins():
 def test_what_is_infinitely_far_is_turned_and_not_moved():
     image = make_generator("sky").integers(0, 256, (16, 24, 3)).astype(np.uint8)
     moved = SourceFrame(image, np.full((16, 24), np.inf, np.float32), make_pose(np.eye(3), [5.0, -2.0, 30.0]))
-    gathered = gather([moved], FRONT, FRONT, radius=0)
-    assert np.array_equal(gathered.image, image)
-    assert gathered.far.all()
+    gathered, _, far = gather([moved], FRONT, FRONT, radius=0)
+    assert np.array_equal(gathered, image)
+    assert far.all()
     aside = invert(camera_pose_in_rig([0, 0, 0], 0.0, 0.0, np.pi / 2)) @ camera_pose_in_rig([0, 0, 0], 0.0, 0.0, 0.0)
-    assert not (gather([SourceFrame(image, moved.distance, aside)], FRONT, FRONT).source == 0).any()
+    assert not (gather([SourceFrame(image, moved.distance, aside)], FRONT, FRONT)[1] == 0).any()
 
 
 def test_nothing_lands_of_what_must_not_be_taken():
-    gathered = gather([flat(200, float("nan"))], FRONT, WIDE)
-    assert np.all(gathered.source == 1)
-    assert not gathered.image.any()
-    assert not gathered.far.any()
+    image, source, far = gather([flat(200, float("nan"))], FRONT, WIDE)
+    assert np.all(source == 1)
+    assert not image.any()
+    assert not far.any()

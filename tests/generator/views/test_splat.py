@@ -10,7 +10,7 @@ from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.poses import make_pose, pose_from_quaternion
 from olt_generator.seeds import make_generator
-from olt_generator.views.splat import Warp, splat, splat_reference
+from olt_generator.views.splat import Warp, land, splat, splat_reference
 
 PINHOLE = PinholeCamera.from_field_of_view(40, 24, float(np.radians(80.0)))
 WIDE = FthetaCamera.equidistant(40, 24, 18.0, 13.5, 20.0)
@@ -19,6 +19,10 @@ STILL = np.eye(4)
 
 def same(a: Warp, b: Warp) -> bool:
     return all(np.array_equal(x, y) for x, y in zip(vars(a).values(), vars(b).values(), strict=True))
+
+
+def painted(image, distance, source, target, T_target_source, radius=1) -> Warp:
+    return splat_reference(image, land(distance, source, target, T_target_source, radius), target, radius)
 
 
 def one_point(camera: Camera, row: int, column: int, distance: float) -> np.ndarray:
@@ -48,7 +52,7 @@ def test_equals_the_painters_algorithm_bit_for_bit(seed, source, target, radius,
     distance = np.where(random.random((24, 40)) < 0.1, random.choice(odd, (24, 40)), distance)
     T_target_source = pose_from_quaternion([*random.normal(0.0, 0.2, 3), 1.0], random.normal(0.0, 0.5, 3))
     arguments = (image, distance, source, target, T_target_source, radius)
-    assert same(splat(*arguments), splat_reference(*arguments))
+    assert same(splat(*arguments), painted(*arguments))
 
 
 def test_equals_the_painters_algorithm_when_everything_ties():
@@ -56,7 +60,7 @@ def test_equals_the_painters_algorithm_when_everything_ties():
     distance = np.full((24, 40), 5.0, np.float32)
     target = PINHOLE.resized(20, 12)
     arguments = (noise_image(PINHOLE), distance, PINHOLE, target, STILL)
-    assert same(splat(*arguments), splat_reference(*arguments))
+    assert same(splat(*arguments), painted(*arguments))
 
 
 def test_identity_returns_the_image():
@@ -122,7 +126,7 @@ def test_surfaces_close_to_the_target_are_dropped():
     T_target_source = make_pose(np.eye(3), [0.0, 0.0, -4.8])  # the target stands 4.8 m further on
     distance = one_point(PINHOLE, 12, 20, 5.0)
     assert not splat(noise_image(PINHOLE), distance, PINHOLE, PINHOLE, T_target_source).visible.any()
-    assert splat(noise_image(PINHOLE), distance, PINHOLE, PINHOLE, T_target_source, nearest=0.1).visible.any()
+    assert splat(noise_image(PINHOLE), distance, PINHOLE, PINHOLE, T_target_source, limits=(0.1, 200.0)).visible.any()
 
 
 def test_large_coordinates_cost_nothing():
@@ -169,7 +173,7 @@ def test_extreme_lenses_baselines_and_distances(camera, baseline, along):
     T_target_source = make_pose(np.eye(3), baseline * np.array(along))
     arguments = (noise_image(camera), distance, camera, camera, T_target_source)
     warp = splat(*arguments)
-    assert same(warp, splat_reference(*arguments))
+    assert same(warp, painted(*arguments))
     assert warp.visible.any()
     assert np.all(warp.distance[warp.visible] > 0.5)
     assert warp.distance[warp.visible].max() < 200.0 + baseline

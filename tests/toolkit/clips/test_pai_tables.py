@@ -17,7 +17,6 @@ from olt_toolkit.clips.pai_tables import (
     read_indexed,
     read_timestamps,
     read_vehicle,
-    timestamps_table,
     to_bytes,
     vehicle_table,
 )
@@ -98,11 +97,11 @@ def test_one_quaternion_that_is_far_from_unit_length_is_refused(clip):
 
 def test_one_time_that_repeats_is_refused_and_two_a_microsecond_apart_are_not():
     times = np.array([0, 1, 7], np.int64)
-    assert read_timestamps(to_bytes(timestamps_table(times)), "frames").tolist() == [0, 1, 7]
-    assert read_timestamps(to_bytes(timestamps_table(times[:2])), "frames").tolist() == [0, 1]
+    assert read_timestamps(to_bytes(pd.DataFrame({"timestamp": times})), "frames").tolist() == [0, 1, 7]
+    assert read_timestamps(to_bytes(pd.DataFrame({"timestamp": times[:2]})), "frames").tolist() == [0, 1]
     for refused in (times[:1], np.array([0, 1, 1, 7], np.int64), np.array([0, 7, 1], np.int64)):
         with pytest.raises(InputError, match="at least two strictly increasing times"):
-            read_timestamps(to_bytes(timestamps_table(refused)), "frames")
+            read_timestamps(to_bytes(pd.DataFrame({"timestamp": refused})), "frames")
 
 
 def test_a_vehicle_with_one_number_missing_and_a_clip_with_two_rows_are_refused(clip, tmp_path):

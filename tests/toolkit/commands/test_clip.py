@@ -307,7 +307,7 @@ def test_views_cut_out_of_the_front_view_need_no_motion(tmp_path, drive, monkeyp
     def measure(*_arguments):
         raise AssertionError("measured although no view needs it")
 
-    monkeypatch.setattr("olt_generator.motion.pose_sources.estimate_odometry", measure)
+    monkeypatch.setattr("olt_generator.motion.odometry.estimate_odometry", measure)
     arguments = ("--cameras", "front_tele", "--width", 96, "--height", 54, "--json")
     result = run("views", drive, "--out", tmp_path / "views", *arguments)
     assert result.exit_code == 0, result.output

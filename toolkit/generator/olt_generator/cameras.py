@@ -1,8 +1,4 @@
-"""Camera models, one a module, gathered under one name.
-
-Convention: pixel (u, v) has its origin in the centre of the top-left pixel, u to the right, v down, so the pixel in
-row i and column j is sampled at exactly (j, i). Camera axes are x right, y down, z forward. Rays are unit vectors.
-"""
+"""Camera models, one a module, gathered under one name; conventions of pixels and axes: `lenses.camera_model`."""
 
 from olt_generator.lenses.brown_conrady import BrownConradyCamera
 from olt_generator.lenses.camera_model import Camera, Mask, fit_camera, pixel_rays

@@ -53,9 +53,7 @@ def read_video(path: Path, width: int = 832, duration: float = 20.0) -> Video:
         InputError: the file is missing, empty, no video, damaged or cut off, or its times run backwards.
     """
     with _opened(path) as (container, stream):
-        frames, timestamps_us = _decode(path, container, stream, width, duration)
-        declared_rate = float(stream.average_rate or 0.0)
-    return Video(frames, timestamps_us, _mean_rate(timestamps_us, declared_rate))
+        return _as_video(stream, *_decode(path, container, stream, width, duration))
 
 
 def read_frame_times(path: Path) -> NDArray[np.int64]:
@@ -89,8 +87,7 @@ def read_video_window(path: Path, first_us: int, last_us: int, width: int = 832)
         if len(inside) == 0:
             raise InputError(f"{path}: no frame is shown between {first_us} and {last_us} us; give times of the video")
         frames = _decode_some(path, container, stream, coded[: inside[-1] + 1], len(inside), width)
-        declared_rate = float(stream.average_rate or 0.0)
-    return Video(frames, timestamps_us[inside], _mean_rate(timestamps_us[inside], declared_rate))
+        return _as_video(stream, frames, timestamps_us[inside])
 
 
 def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fraction, grid: int = 1) -> None:
@@ -123,13 +120,15 @@ def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fract
         stream.time_base = 1 / rate
         stream.thread_count = 1
         stream.gop_size = KEY_FRAME_EVERY
-        stream.options = {"crf": QUALITY, "preset": "fast", "threads": "1", "bf": str(grid - 1)}
+        # No macroblock tree: where a frame's width in blocks of 16 is no multiple of 8, x264 with AVX-512 weighs the
+        # last blocks by memory behind its tables, and equal frames give unequal bytes.
+        coding = ["mbtree=0"]
         if grid > 1:
             # Always as many B-frames, which no other frame refers to, between two frames of the grid; and variable
-            # length codes, which take a fifth more room than arithmetic ones and are decoded 1.7 times as fast. No
-            # macroblock tree: with fixed frame types x264 weighs blocks by memory that it did not write,
-            # and equal frames give unequal bytes.
-            stream.options |= {"x264-params": "b-adapt=0:b-pyramid=none:scenecut=0:cabac=0:mbtree=0"}
+            # length codes, which take a fifth more room than arithmetic ones and are decoded 1.7 times as fast.
+            coding += ["b-adapt=0", "b-pyramid=none", "scenecut=0", "cabac=0"]
+        stream.options = {"crf": QUALITY, "preset": "fast", "threads": "1", "bf": str(grid - 1)}
+        stream.options |= {"x264-params": ":".join(coding)}
         for index, image in enumerate(frames):
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format="rgb24")
             frame.pts, frame.time_base = index, 1 / rate
@@ -171,9 +170,10 @@ def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
         raise InputError(f"{path}: not a readable video ({error.strerror}); copy or convert it again") from error
 
 
-def _mean_rate(timestamps_us: NDArray[np.int64], declared: float) -> float:
-    measured = len(timestamps_us) > 1
-    return 1e6 * (len(timestamps_us) - 1) / float(timestamps_us[-1] - timestamps_us[0]) if measured else declared
+def _as_video(stream: VideoStream, frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64]) -> Video:
+    if len(frames) == 1:
+        return Video(frames, timestamps_us, float(stream.average_rate or 0.0))
+    return Video(frames, timestamps_us, 1e6 * (len(frames) - 1) / float(timestamps_us[-1] - timestamps_us[0]))
 
 
 def _coded_frames(path: Path, container: InputContainer, stream: VideoStream) -> list[_CodedFrame]:

@@ -72,7 +72,8 @@ def _scene() -> tuple[NDArray[np.uint8], NDArray[np.float32], Camera, Camera, Ar
 
 @lru_cache(maxsize=1)
 def _reference() -> Warp:
-    return splat_reference(*_scene())
+    image, distance, source, target, T_target_source = _scene()
+    return splat_reference(image, land(distance, source, target, T_target_source), target)
 
 
 def measure_error(distance: NDArray[np.float32]) -> float:

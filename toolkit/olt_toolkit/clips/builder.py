@@ -83,7 +83,7 @@ def build_clip(
     front, distance_error = None, None
     if _clip_kind(options) == "Syn":
         with steps.step("distance") as on_part:
-            distance = options.depth.estimate(
+            distance = options.depth(
                 recording.frames, recording.camera, at_frames, T_rig_camera, on_part, with_distance
             )
         front = FrontView(
@@ -148,7 +148,7 @@ def _measure_motion(
         at_frames = Trajectory(times_us, reference.interpolate(times_us))
         return None, EgoMotion.from_trajectory(reference), at_frames, recording.T_rig_camera
     with steps.step("odometry") as on_part:
-        measured = options.poses.estimate(recording.frames, times_us, recording.camera, recording.T_rig_camera, on_part)
+        measured = options.poses(recording.frames, times_us, recording.camera, recording.T_rig_camera, on_part)
     with steps.step("smoothing"):
         smoothed = smooth_trajectory(measured.trajectory, measured.noise)
     recovered = RecoveredMotion(measured.trajectory, smoothed, measured.scale_sigma, reference)

@@ -52,10 +52,10 @@ class Estimators:
     def apply(self, options: "BuildOptions") -> "BuildOptions":
         """The options with these estimators; an `InputError` where weights are missing or those of another network."""
         from olt_generator.motion.map_anything import MapAnything
-        from olt_generator.motion.pose_sources import VisualOdometry
+        from olt_generator.motion.odometry import estimate_odometry
 
         weights = self.mapanything_weights
-        poses = VisualOdometry() if weights is None else MapAnything(weights, self.device)
+        poses = estimate_odometry if weights is None else MapAnything(weights, self.device)
         reference = options.use_reference_motion or self.poses is PoseEstimator.REFERENCE
         return replace(options, use_reference_motion=reference, poses=poses, depth=_open_depth(self))
 
@@ -63,9 +63,9 @@ class Estimators:
 @lru_cache(maxsize=1)  # a process builds many clips with one network
 def _open_depth(estimators: Estimators) -> "DepthSource":
     if estimators.depth_weights is None:
-        from olt_generator.distance.depth_source import GeometricDepth
+        from olt_generator.distance.depth import estimate_distance
 
-        return GeometricDepth()
+        return estimate_distance
     if estimators.depth is DepthEstimator.DEPTHANYTHING:
         from olt_generator.distance.depth_anything import DepthAnything
 

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_generator.motion.pose_sources import VisualOdometry
+from olt_generator.motion.odometry import estimate_odometry
 from olt_generator.motion.smoother import smooth_trajectory
 from olt_generator.poses import invert, make_pose
 from olt_generator.progress import Progress, silent
@@ -93,7 +93,7 @@ def measure_clips(
             measured, scale_sigma = jitter.disturb(Trajectory(times, reference.interpolate(times))), None
             smoothed = smooth_trajectory(measured)
         else:
-            found = VisualOdometry().estimate(recording.frames[part], times, recording.camera, recording.T_rig_camera)
+            found = estimate_odometry(recording.frames[part], times, recording.camera, recording.T_rig_camera)
             measured, scale_sigma = found.trajectory, found.scale_sigma
             smoothed = smooth_trajectory(measured, found.noise)
         motions.append(ClipMotion(measured, smoothed, scale_sigma, reference, start, length))

@@ -7,9 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera, fit_camera
-from olt_generator.distance.depth_source import DepthSource, GeometricDepth
+from olt_generator.distance.depth import estimate_distance
+from olt_generator.distance.depth_source import DepthSource
 from olt_generator.errors import InputError
-from olt_generator.motion.pose_sources import PoseSource, VisualOdometry
+from olt_generator.motion.odometry import estimate_odometry
+from olt_generator.motion.pose_sources import PoseSource
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
 from olt_generator.views.front_view import FrontView
@@ -54,8 +56,8 @@ class BuildOptions:
     frames: Literal["all", "grid", "sampled"] = "grid"
     use_reference_views: bool = False
     use_reference_motion: bool = False
-    poses: PoseSource = field(default_factory=VisualOdometry)
-    depth: DepthSource = field(default_factory=GeometricDepth)
+    poses: PoseSource = estimate_odometry
+    depth: DepthSource = estimate_distance
     image_kind: ViewKind = "observed"
     name: str | None = None
     scene_id: str | None = None

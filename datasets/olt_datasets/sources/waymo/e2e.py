@@ -17,10 +17,9 @@ from olt_datasets.sources.waymo.index import SHARDS, build_index
 from olt_datasets.sources.waymo.motion import FramePath, chain_paths
 from olt_datasets.sources.waymo.tfrecord import map_records, read_record
 from olt_generator.errors import InputError
+from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
-from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
 NAME = "waymo_e2e"

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
-from olt_generator.distance.background import FAR_DISTANCE, background_distance, road_distance
+from olt_generator.distance.background import FAR_DISTANCE, road_distance
 from olt_generator.distance.ego_vehicle import find_ego_vehicle
 from olt_generator.distance.metric_alignment import AffineAlignment
+from olt_generator.distance.plane_sweep import PlaneSweep
 from olt_generator.distance.surfaces import SurfaceFinder, Surfaces
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -29,6 +30,9 @@ __all__ = ["FAR_DISTANCE", "DistanceEstimate", "DistanceOrigin", "SweepSettings"
 KNOWLEDGE = (0.0, 0.02, 0.05, 0.12, 0.3, 0.6, 1.0)
 SURFACE_CONFIDENCE = (0.0, 0.12, 0.22, 0.42, 0.55, 0.78, 0.85)
 BACKGROUND_CONFIDENCE = (0.0, 0.4, 0.6, 0.85, 0.97, 0.99, 0.99)
+
+# Numbers (m,) of frames; None for all.
+FrameIndices = Sequence[int] | NDArray[np.integer] | None
 
 
 class DistanceOrigin(IntEnum):
@@ -91,7 +95,7 @@ def estimate_distance(
     trajectory: Trajectory,
     T_rig_camera: Array,
     on_progress: Progress = silent,
-    frame_indices: Sequence[int] | NDArray[np.integer] | None = None,
+    frame_indices: FrameIndices = None,
     settings: SweepSettings | None = None,
 ) -> DistanceEstimate:
     """Estimate the distance of every pixel of a clip.
@@ -101,8 +105,7 @@ def estimate_distance(
 
     Args:
         frames: (n, H, W, 3) uint8.
-        camera: camera of the frames at their size.
-        trajectory: n rig poses, one per frame.
+        camera, trajectory: camera of the frames at their size, and n rig poses, one per frame.
         T_rig_camera: (4, 4) pose of the camera in the rig; its height above the road scales the plane.
         on_progress: told the share of frames that are done.
         frame_indices: numbers (m,) of the frames whose distance is wanted; the others only help with them. None: all.
@@ -112,7 +115,12 @@ def estimate_distance(
         InputError: frames, camera and trajectory do not belong together, a frame that is not there is asked for, or
             the camera is not above the road.
     """
-    check_clip(frames, camera, trajectory)
+    if frames.shape[1:] != (camera.height, camera.width, 3):
+        raise InputError(
+            f"frames of shape {frames.shape[1:]} for a camera of {camera.width} x {camera.height}; resize the camera"
+        )
+    if len(frames) != len(trajectory):
+        raise InputError(f"{len(frames)} frames for {len(trajectory)} poses; give one pose per frame")
     wanted = check_frame_indices(frame_indices, len(frames))
     settings = settings or SweepSettings()
     T_world_camera = trajectory.T_world_rig @ T_rig_camera
@@ -121,14 +129,15 @@ def estimate_distance(
     factor = min(1.0, settings.width / camera.width)
     small = camera.resized(round(factor * camera.width), round(factor * camera.height))
     images = [cv2.resize(frame, (small.width, small.height), interpolation=cv2.INTER_AREA) for frame in frames]
-    finder = SurfaceFinder(images, small, T_world_camera, T_rig_camera, settings.planes, settings.neighbours)
-    small_background = background_distance(small, T_rig_camera)
+    grey = [np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8) for image in images]
+    sweep = PlaneSweep(grey, small, T_world_camera, T_rig_camera, settings.planes, settings.neighbours)
+    finder = SurfaceFinder(images, grey, sweep)
     shape = (len(wanted), camera.height, camera.width)
     estimate = DistanceEstimate(
         np.empty(shape, np.float32), np.empty(shape, np.uint8), np.empty(shape, np.float32), np.empty(shape, np.bool_)
     )
     for place, index in enumerate(wanted):
-        _insert(estimate, place, finder.find(int(index)), small_background, road)
+        _insert(estimate, place, finder.find(int(index)), sweep.background, road)
         on_progress((place + 1) / len(wanted))
     estimate.distance[:, vehicle], estimate.origin[:, vehicle] = np.nan, DistanceOrigin.VEHICLE
     estimate.confidence[:, vehicle], estimate.moving[:, vehicle] = 0.0, False
@@ -168,7 +177,7 @@ def _insert(
     estimate.moving[place] = moving > 0
 
 
-def check_frame_indices(frame_indices: Sequence[int] | NDArray[np.integer] | None, count: int) -> NDArray[np.int64]:
+def check_frame_indices(frame_indices: FrameIndices, count: int) -> NDArray[np.int64]:
     """Numbers (m,) of the frames that are wanted out of `count`; all where `frame_indices` is None.
 
     Raises:
@@ -179,17 +188,3 @@ def check_frame_indices(frame_indices: Sequence[int] | NDArray[np.integer] | Non
     if outside.any():
         raise InputError(f"frame_indices: there is no frame {wanted[outside][0]} in a clip of {count}; count from 0")
     return wanted
-
-
-def check_clip(frames: NDArray[np.uint8], camera: Camera, trajectory: Trajectory) -> None:
-    """Check that frames (n, H, W, 3), camera and trajectory belong together.
-
-    Raises:
-        InputError: they do not.
-    """
-    if frames.shape[1:] != (camera.height, camera.width, 3):
-        raise InputError(
-            f"frames of shape {frames.shape[1:]} for a camera of {camera.width} x {camera.height}; resize the camera"
-        )
-    if len(frames) != len(trajectory):
-        raise InputError(f"{len(frames)} frames for {len(trajectory)} poses; give one pose per frame")

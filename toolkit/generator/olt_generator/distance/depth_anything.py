@@ -4,16 +4,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from olt_generator.cameras import Camera
-from olt_generator.distance.depth import DistanceEstimate
-from olt_generator.distance.depth_source import FrameIndices, make_metric
+from olt_generator.distance.depth_source import RelativeDepth
 from olt_generator.distance.model_folder import check_model_folder, load_network
 from olt_generator.errors import InputError
-from olt_generator.poses import Array
-from olt_generator.progress import Progress, silent
-from olt_generator.trajectory import Trajectory
 
 # Length of the shorter side of what the network sees, of which it was trained on squares.
 SHORTER_SIDE = 518
@@ -22,8 +18,8 @@ MEAN = np.array([0.485, 0.456, 0.406], np.float32)
 SPREAD = np.array([0.229, 0.224, 0.225], np.float32)
 
 
-class DepthAnything:
-    """A `DepthSource` by a Depth Anything network of relative inverse depth.
+class DepthAnything(RelativeDepth):
+    """Depth Anything, which sees one frame at a time.
 
     Args:
         folder: as published for transformers: `config.json` and `model.safetensors`.
@@ -45,26 +41,11 @@ class DepthAnything:
             raise InputError(f"{folder}: a network of metric depth; give one of relative depth, such as V2-Small")
         self._device, self._shorter_side = device, shorter_side
 
-    def estimate(
-        self,
-        frames: NDArray[np.uint8],
-        camera: Camera,
-        trajectory: Trajectory,
-        T_rig_camera: Array,
-        on_progress: Progress = silent,
-        frame_indices: FrameIndices = None,
-    ) -> DistanceEstimate:
-        """See `DepthSource.estimate`."""
+    def relative_inverse_depth(self, frames: NDArray[np.uint8], wanted: NDArray[np.int64]) -> list[NDArray[np.float32]]:
+        """See `RelativeDepth`."""
+        return [self._look_at(frames[index]) for index in wanted]
 
-        def relative(wanted: NDArray[np.int64]) -> list[NDArray[np.float32]]:
-            return [self.relative_inverse_depth(frames[index]) for index in wanted]
-
-        return make_metric(relative, frames, camera, trajectory, T_rig_camera, on_progress, frame_indices)
-
-    def relative_inverse_depth(self, frame: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """The network's map (h, w) of an image (H, W, 3); nearer is larger."""
-        import torch
-
+    def _look_at(self, frame: NDArray[np.uint8]) -> NDArray[np.float32]:
         # What the network sees is whole patches.
         patch = self._model.config.patch_size
         factor = self._shorter_side / min(frame.shape[:2])

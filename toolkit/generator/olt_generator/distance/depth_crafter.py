@@ -8,24 +8,18 @@ overlap they are blended.
 from dataclasses import dataclass
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
-from olt_generator.cameras import Camera
-from olt_generator.distance.depth import DistanceEstimate
-from olt_generator.distance.depth_source import FrameIndices, make_metric
+from olt_generator.distance.depth_source import RelativeDepth
 from olt_generator.distance.model_folder import check_model_folder, load_network
 from olt_generator.errors import InputError
-from olt_generator.poses import Array
-from olt_generator.progress import Progress, silent
 from olt_generator.seeds import derive_seed
-from olt_generator.trajectory import Trajectory
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 FILES = (
     "unet/config.json",
@@ -70,8 +64,8 @@ class DiffusionSettings:
             raise InputError(f"{self}: give sides that are multiples of 64, a step and an overlap below the window")
 
 
-class DepthCrafter:
-    """A `DepthSource` by DepthCrafter.
+class DepthCrafter(RelativeDepth):
+    """DepthCrafter, which sees a whole clip.
 
     Args:
         folder: with subfolders as diffusers writes them: `unet` of DepthCrafter; `vae`, `image_encoder` and
@@ -91,26 +85,8 @@ class DepthCrafter:
         self._networks = _load(folder, device)
         self._device, self._settings, self._seed = device, settings or DiffusionSettings(), seed
 
-    def estimate(
-        self,
-        frames: NDArray[np.uint8],
-        camera: Camera,
-        trajectory: Trajectory,
-        T_rig_camera: Array,
-        on_progress: Progress = silent,
-        frame_indices: FrameIndices = None,
-    ) -> DistanceEstimate:
-        """See `DepthSource.estimate`; the network sees all frames, whichever are asked for."""
-
-        def relative(wanted: NDArray[np.int64]) -> list[NDArray[np.float32]]:
-            return list(self.relative_inverse_depth(frames)[wanted])
-
-        return make_metric(relative, frames, camera, trajectory, T_rig_camera, on_progress, frame_indices)
-
-    def relative_inverse_depth(self, frames: NDArray[np.uint8]) -> NDArray[np.float32]:
-        """The network's inverse depth (n, h, w) of frames (n, H, W, 3), 0 to 1 over the clip; nearer is larger."""
-        import torch
-
+    def relative_inverse_depth(self, frames: NDArray[np.uint8], wanted: NDArray[np.int64]) -> NDArray[np.float32]:
+        """See `RelativeDepth`; the network sees all frames, whichever are wanted. 0 to 1 over the clip."""
         size = (self._settings.width, self._settings.height)
         resized = np.stack([cv2.resize(frame, size, interpolation=cv2.INTER_AREA) for frame in frames])
         generator = torch.Generator().manual_seed(derive_seed("DepthCrafter", self._seed))
@@ -125,22 +101,18 @@ class DepthCrafter:
             decoded = [vae.decode(chunk, num_frames=len(chunk)).sample for chunk in latents.split(CHUNK)]
         depth = torch.cat([0.5 * part.clamp(-1.0, 1.0).mean(dim=1) + 0.5 for part in decoded]).float().cpu().numpy()
         low, high = depth.min(), depth.max()
-        return ((depth - low) / max(high - low, 1e-6)).astype(np.float32)
+        return ((depth - low) / max(high - low, 1e-6)).astype(np.float32)[wanted]
 
-    def _embed(self, video: "Tensor") -> "Tensor":
+    def _embed(self, video: Tensor) -> Tensor:
         """Embeddings (n, c) of frames (n, 3, h, w), one each."""
-        import torch
-
         side = self._networks.image_encoder.config.image_size
         small = torch.nn.functional.interpolate(video, (side, side), mode="bicubic", antialias=True)
         mean, spread = (video.new_tensor(values)[:, None, None] for values in (CLIP_MEAN, CLIP_SPREAD))
         pixels = ((0.5 * small + 0.5) - mean) / spread
         return torch.cat([self._networks.image_encoder(chunk).image_embeds for chunk in pixels.split(CHUNK)])
 
-    def _denoise(self, conditions: "Tensor", embeddings: "Tensor", generator: Any) -> "Tensor":
+    def _denoise(self, conditions: Tensor, embeddings: Tensor, generator: Any) -> Tensor:
         """Latents (n, c, h, w) of the depth of the whole clip, window by window."""
-        import torch
-
         count, overlap = len(conditions), self._settings.overlap
         done = conditions[:0]
         for start in range(0, max(count - overlap, 1), self._settings.window - overlap):
@@ -153,12 +125,8 @@ class DepthCrafter:
             done = torch.cat([done[:start], blended, latents[len(before) :]])
         return done
 
-    def _denoise_window(
-        self, noise: "Tensor", before: "Tensor", conditions: "Tensor", embeddings: "Tensor"
-    ) -> "Tensor":
+    def _denoise_window(self, noise: Tensor, before: Tensor, conditions: Tensor, embeddings: Tensor) -> Tensor:
         """Latents (k, c, h, w) from noise; the first frames start from what is known of them `before` (j, c, h, w)."""
-        import torch
-
         unet, scheduler = self._networks.unet, self._networks.scheduler
         scheduler.set_timesteps(self._settings.steps, device=self._device)
         latents = noise * scheduler.init_noise_sigma

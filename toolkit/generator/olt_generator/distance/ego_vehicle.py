@@ -37,10 +37,9 @@ def find_ego_vehicle(
 
     Args:
         frames: (n, H, W, 3) uint8.
-        camera: camera of the frames.
-        T_rig_camera: (4, 4) pose of the camera in the rig.
+        camera, T_rig_camera: their camera, and its pose (4, 4) in the rig.
         positions: (n, 3) camera positions, metres.
-        road: (H, W) distance along the rays to the road.
+        road: (H, W) metres along the rays to the road.
     """
     vehicle = np.zeros(road.shape, np.bool_)
     near = road < BONNET_REACH

@@ -10,16 +10,14 @@ from olt_generator.poses import Array
 def contact_distance(
     is_object: NDArray[np.bool_], road: NDArray[np.float32], camera: Camera, T_rig_camera: Array
 ) -> NDArray[np.float32]:
-    """Distance (h, w) along the rays of upright objects, by the road where the lowest pixel of each column stands.
+    """Metres (h, w) along the rays of upright objects, by the road where the lowest pixel of each column stands.
+
+    Inf where there is no object or its foot does not lie on the road.
 
     Args:
         is_object: (h, w) pixels of things that stand on the road.
         road: (h, w) metres along the rays to the road, inf above the horizon.
-        camera: camera of these pixels; image columns are taken to be upright.
-        T_rig_camera: (4, 4) its pose in the rig.
-
-    Returns:
-        Metres, inf where there is no object or its foot does not lie on the road.
+        camera, T_rig_camera: of these pixels; image columns are taken to be upright.
     """
     climb = pixel_rays(camera) @ T_rig_camera[2, :3]
     level = np.sqrt(np.maximum(1.0 - climb**2, 1e-6)).astype(np.float32)

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -30,11 +29,6 @@ class AffineAlignment:
     shift: float
     residual: float
     agreement: float
-
-    def metric_depth(self, relative: NDArray[np.float32], farthest: float) -> NDArray[np.float32]:
-        """Depth (...) in metres along the optical axis from a network's values (...), at most `farthest`."""
-        inverse = np.maximum(self.scale * relative + self.shift, 1.0 / farthest)
-        return (1.0 / inverse).astype(np.float32)
 
 
 def align_affine(relative: Array, inverse_depth: Array) -> AffineAlignment:

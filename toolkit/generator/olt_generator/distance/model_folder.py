@@ -8,11 +8,7 @@ from olt_generator.errors import InputError
 
 
 def check_model_folder(folder: Path, files: Sequence[str]) -> None:
-    """Check that a folder of a network holds what is needed to load it.
-
-    Raises:
-        InputError: the folder or a file is missing.
-    """
+    """Raise an `InputError` where a folder of a network, or a file that is needed to load it, is missing."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; download the network and give the path of its folder")
     for name in files:

@@ -5,6 +5,7 @@ hypothesis were true is compared with what it shows (Collins, A space-sweep appr
 1996). The background, which is the road and beyond it the far, is the first hypothesis.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import cv2
@@ -92,8 +93,7 @@ class PlaneSweep:
     Args:
         grey: n pictures (h, w) uint8.
         camera: the camera at their size.
-        T_world_camera: (n, 4, 4) camera poses.
-        T_rig_camera: (4, 4) pose of the camera in the rig.
+        T_world_camera, T_rig_camera: (n, 4, 4) its poses, and (4, 4) its pose in the rig.
         planes: number of hypotheses besides the background.
         neighbours: 1 or 2 frames with which each hypothesis is judged.
     """
@@ -108,20 +108,19 @@ class PlaneSweep:
         neighbours: int,
     ) -> None:
         self._pictures = [normalize_contrast(picture) for picture in grey]
-        self._camera = camera
-        self._T_world_camera, self._T_rig_camera = T_world_camera, T_rig_camera
-        self._neighbours = neighbours
-        self._background = background_distance(camera, T_rig_camera)
+        self.camera, self.T_rig_camera = camera, T_rig_camera
+        self._T_world_camera, self._neighbours = T_world_camera, neighbours
+        self.background = background_distance(camera, T_rig_camera)
         self._distances = np.geomspace(FARTHEST, NEAREST, planes)
         self._baseline_of = _suitable_baseline(self._distances)
-        self._background_baseline = _suitable_baseline(self._background)
+        self._background_baseline = _suitable_baseline(self.background)
 
     def background_mismatch(self, index: int) -> NDArray[np.float32] | None:
         """Mean difference (h, w) in normalised grey levels if all is background; None where the camera hardly moved."""
         partners = self._partners(index)
         if not partners[0]:
             return None
-        return _grey_levels(self._background_cost(index, partners, 0, self._camera.height))
+        return _grey_levels(self._background_cost(index, partners, 0, self.camera.height))
 
     def match(self, index: int, top: int, bottom: int) -> Match | None:
         """The best hypothesis for the pixels in rows `top` to `bottom`; None where the camera hardly moved."""
@@ -129,9 +128,9 @@ class PlaneSweep:
         if not partners[0]:
             return None
         costs = self._costs(index, partners, top, bottom)
-        far = pixel_rays(_grid_camera(self._band_camera(top, bottom), SPHERE_CELL)) * WITHOUT_PARALLAX
-        still = self._cost(index, partners[MIDDLE_BASELINE], far, SPHERE_CELL, top, bottom)
-        road = self._background[top:bottom] < FAR_DISTANCE
+        far = pixel_rays(self._grid(top, bottom, SPHERE_CELL)) * WITHOUT_PARALLAX
+        still = next(self._compare(index, partners[MIDDLE_BASELINE], far[None], SPHERE_CELL, top, [bottom - top]))
+        road = self.background[top:bottom] < FAR_DISTANCE
         bonus = (np.where(road, ROAD_BONUS, FAR_BONUS) * COST_SCALE).astype(np.uint16)
         costs[0] -= np.minimum(costs[0], bonus)
         best, label = _least(costs)
@@ -143,7 +142,7 @@ class PlaneSweep:
         offset = np.divide(before - after, 2.0 * bend, out=np.zeros_like(bend), where=bend > 0.0)
         offset = np.where(inner[0] == label, np.clip(offset, -0.5, 0.5), 0.0).astype(np.float32)
         distance = self._distances[np.maximum(label, 1) - 1] * np.exp(-step * offset)
-        background = self._background[top:bottom]
+        background = self.background[top:bottom]
         return Match(
             distance=np.where(label == 0, background, np.minimum(distance, background)).astype(np.float32),
             mismatch=_grey_levels(best),
@@ -156,51 +155,50 @@ class PlaneSweep:
 
     def _costs(self, index: int, partners: list[list[int]], top: int, bottom: int) -> NDArray[np.uint16]:
         """Summed differences (1 + planes, rows, w): of the background, then of the distances from far to near."""
-        costs = np.empty((1 + len(self._distances), bottom - top, self._camera.width), np.uint16)
+        costs = np.empty((1 + len(self._distances), bottom - top, self.camera.width), np.uint16)
         costs[0] = self._background_cost(index, partners, top, bottom)
-        sphere = pixel_rays(_grid_camera(self._band_camera(top, bottom), SPHERE_CELL))
+        sphere = pixel_rays(self._grid(top, bottom, SPHERE_CELL))
         # Nothing that stands still is seen through the road: a distance is tried only where the road is not nearer.
-        possible = self._background[top:bottom] >= self._distances[:, None, None]
+        possible = self.background[top:bottom] >= self._distances[:, None, None]
         rows = possible.shape[1] - np.any(possible[:, ::-1], axis=2).argmax(axis=1)
         for baseline, judges in enumerate(partners):
             planes = np.flatnonzero(self._baseline_of == baseline)
             points = sphere * self._distances[planes, None, None, None]
-            self._compare(
-                index, judges, points, SPHERE_CELL, top, [costs[1 + plane, : rows[plane]] for plane in planes]
-            )
+            found = self._compare(index, judges, points, SPHERE_CELL, top, rows[planes])
+            for plane, cost in zip(planes, found, strict=True):
+                costs[1 + plane, : len(cost)] = cost
         costs[1:][~possible] = int(LARGEST_DIFFERENCE) * COST_SCALE
         return costs
 
     def _background_cost(self, index: int, partners: list[list[int]], top: int, bottom: int) -> NDArray[np.uint16]:
         """Summed differences (rows, w) of the background, each pixel at the baseline that suits its distance."""
-        grid = _grid_camera(self._band_camera(top, bottom), BACKGROUND_CELL)
-        distance = np.minimum(road_distance(grid, self._T_rig_camera), WITHOUT_PARALLAX)
-        points = pixel_rays(grid) * distance[..., None]
-        costs = [self._cost(index, judges, points, BACKGROUND_CELL, top, bottom) for judges in partners]
+        grid = self._grid(top, bottom, BACKGROUND_CELL)
+        distance = np.minimum(road_distance(grid, self.T_rig_camera), WITHOUT_PARALLAX)
+        points = (pixel_rays(grid) * distance[..., None])[None]
+        costs = [next(self._compare(index, each, points, BACKGROUND_CELL, top, [bottom - top])) for each in partners]
         return np.choose(self._background_baseline[top:bottom], costs).astype(np.uint16)
 
-    def _band_camera(self, top: int, bottom: int) -> Camera:
-        return self._camera.cropped(0, top, self._camera.width, bottom - top)
-
-    def _cost(
-        self, index: int, judges: list[int], points: Array, cell: int, top: int, bottom: int
-    ) -> NDArray[np.uint16]:
-        """Mean over the judging frames of the differences (rows, w) if the surface is at `points` of a grid."""
-        cost = np.empty((bottom - top, self._camera.width), np.uint16)
-        self._compare(index, judges, points[None], cell, top, [cost])
-        return cost
+    def _grid(self, top: int, bottom: int, cell: int) -> Camera:
+        """The camera whose pixels are the centres of cells of these rows, with one more cell on every side."""
+        width, height = self.camera.width, bottom - top
+        columns, rows = -(-width // cell), -(-height // cell)
+        cells = self.camera.cropped(0, top, width, height).cropped(0, 0, columns * cell, rows * cell)
+        return cells.resized(columns, rows).cropped(-1, -1, columns + 2, rows + 2)
 
     def _compare(
-        self, index: int, judges: list[int], points: Array, cell: int, top: int, costs: list[NDArray[np.uint16]]
-    ) -> None:
-        """Fill k costs (rows, w), each from row `top` on, for surfaces at k sets of `points` of a grid."""
+        self, index: int, judges: list[int], points: Array, cell: int, top: int, rows: Iterable[int]
+    ) -> Iterator[NDArray[np.uint16]]:
+        """Mean over the judging frames of the differences (rows, w) from `top` on if the surface is at `points`.
+
+        Of each of several surfaces, given as points (k, ..., 3) of a `_grid`, for so many rows.
+        """
         grids = []
         for judge in judges:
             T_judge_frame = invert(self._T_world_camera[judge]) @ self._T_world_camera[index]
-            pixels, _ = self._camera.project(transform(T_judge_frame, points.reshape(-1, 3)))
+            pixels, _ = self.camera.project(transform(T_judge_frame, points.reshape(-1, 3)))
             grids.append(pixels.astype(np.float32).reshape(*points.shape[:-1], 2))
-        for surface, cost in enumerate(costs):
-            picture = self._pictures[index][top : top + len(cost)]
+        for surface, count in enumerate(rows):
+            picture = self._pictures[index][top : top + count]
             (difference, unseen), *others = [
                 _difference(picture, self._pictures[judge], grid[surface], cell)
                 for judge, grid in zip(judges, grids, strict=True)
@@ -209,8 +207,8 @@ class PlaneSweep:
                 # The mean of both; the one of them that is seen where the other is not.
                 np.copyto(difference, other, where=unseen)
                 np.copyto(other, difference, where=other_unseen)
-                difference = (difference >> 1) + (other >> 1)
-            cost[:] = difference
+                difference = np.add(difference >> 1, other >> 1, dtype=np.uint16)
+            yield difference
 
 
 def _grey_levels(cost: NDArray[np.uint16]) -> NDArray[np.float32]:
@@ -227,7 +225,7 @@ def _difference(
 ) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
     """Summed differences (h, w) between a picture and what another one shows of it, and where that is unseen.
 
-    The pixels of the other one are given on the grid (rows, columns, 2) of a `_grid_camera` and interpolated.
+    The pixels of the other one are given on the grid (rows, columns, 2) of a `_grid` and interpolated.
     """
     places = cv2.resize(grid, (grid.shape[1] * cell, grid.shape[0] * cell), interpolation=cv2.INTER_LINEAR)
     table = places[cell : cell + picture.shape[0], cell : cell + picture.shape[1]]
@@ -251,14 +249,6 @@ def local_contrast(grey: NDArray[np.uint8], window: tuple[int, int]) -> tuple[ND
     values = grey.astype(np.float32)
     mean = np.asarray(cv2.blur(values, window), np.float32)
     return mean, np.sqrt(np.maximum(cv2.blur(values**2, window) - mean**2, 0.0))
-
-
-def _grid_camera(camera: Camera, cell: int) -> Camera:
-    """The camera whose pixels are the centres of cells of `camera`, with one more cell on every side."""
-    columns, rows = -(-camera.width // cell), -(-camera.height // cell)
-    return (
-        camera.cropped(0, 0, columns * cell, rows * cell).resized(columns, rows).cropped(-1, -1, columns + 2, rows + 2)
-    )
 
 
 def _least(costs: NDArray[np.uint16]) -> tuple[NDArray[np.uint16], NDArray[np.uint8]]:

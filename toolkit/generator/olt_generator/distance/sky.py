@@ -14,16 +14,12 @@ STEPS = 16
 # Counts that every colour has from the start, as share of all pixels: a colour seen nowhere is not sky.
 PRIOR_SKY, PRIOR_OTHER = 2e-6, 1e-5
 
+# An image (h, w, 3), and where (h, w) it certainly shows the far and where it certainly does not.
 LabelledImage = tuple[NDArray[np.uint8], NDArray[np.bool_], NDArray[np.bool_]]
-"""An image (h, w, 3), and where (h, w) it certainly shows the far and where it certainly does not."""
 
 
 class SkyColours:
-    """How often each colour was sky.
-
-    Args:
-        examples: images with what is known about them.
-    """
+    """How often each colour was sky in the examples."""
 
     def __init__(self, examples: Iterable[LabelledImage]) -> None:
         sky = np.zeros(STEPS**3)

@@ -13,12 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.cameras import Camera
-from olt_generator.distance.background import FAR_DISTANCE, background_distance, road_distance
+from olt_generator.distance.background import FAR_DISTANCE, road_distance
 from olt_generator.distance.ground_contact import contact_distance
 from olt_generator.distance.plane_sweep import Match, PlaneSweep, local_contrast
 from olt_generator.distance.sky import LabelledImage, SkyColours
-from olt_generator.poses import Array
 
 # Frames, spread over the clip, that teach the colours of the sky.
 MOST_EXAMPLES = 3
@@ -84,31 +82,12 @@ class Surfaces:
 
 
 class SurfaceFinder:
-    """Finds the surfaces of the frames of one clip.
+    """Finds the surfaces of a clip's frames, from its pictures (h, w, 3) uint8, in grey (h, w), and their sweep."""
 
-    Args:
-        images: n pictures (h, w, 3) uint8.
-        camera: the camera at their size.
-        T_world_camera: (n, 4, 4) camera poses.
-        T_rig_camera: (4, 4) pose of the camera in the rig.
-        planes, neighbours: see `PlaneSweep`.
-    """
-
-    def __init__(
-        self,
-        images: list[NDArray[np.uint8]],
-        camera: Camera,
-        T_world_camera: Array,
-        T_rig_camera: Array,
-        planes: int,
-        neighbours: int,
-    ) -> None:
-        self._images, self._camera, self._T_rig_camera = images, camera, T_rig_camera
-        grey = [np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8) for image in images]
+    def __init__(self, images: list[NDArray[np.uint8]], grey: list[NDArray[np.uint8]], sweep: PlaneSweep) -> None:
+        self._images, self._sweep, self._background = images, sweep, sweep.background
         self._textured = [local_contrast(picture, CONTRAST_WINDOW)[1] > LEAST_CONTRAST for picture in grey]
-        self._sweep = PlaneSweep(grey, camera, T_world_camera, T_rig_camera, planes, neighbours)
-        self._road = road_distance(camera, T_rig_camera)
-        self._background = background_distance(camera, T_rig_camera)
+        self._road = road_distance(sweep.camera, sweep.T_rig_camera)
         self._above = self._road >= FAR_DISTANCE
         self._sky = SkyColours(self._examples())
 
@@ -135,7 +114,7 @@ class SurfaceFinder:
         """What parallax says about the colours of some frames; frames in which it says nothing are left out."""
         count = len(self._images)
         for index in np.unique(np.linspace(0, count - 1, min(count, MOST_EXAMPLES)).round().astype(int)):
-            match = self._sweep.match(index, 0, self._camera.height)
+            match = self._sweep.match(index, 0, self._sweep.camera.height)
             if match is None:
                 continue
             evidence, ratio = _evidence(match, self._textured[index]), self._background / match.distance
@@ -172,7 +151,7 @@ class SurfaceFinder:
         """The ratio (h, w) with what moves put where its foot is, and what moves (h, w)."""
         goes_along = _without_specks(still, 3)
         stands = (ratio > 1.0) | goes_along
-        foot = contact_distance(stands, self._road, self._camera, self._T_rig_camera)
+        foot = contact_distance(stands, self._road, self._sweep.camera, self._sweep.T_rig_camera)
         floats = (ratio > 1.0) & (FLOATING * self._background / ratio < foot) & (foot < FARTHEST_CONTACT)
         moving = (goes_along & (foot < FARTHEST_CONTACT)) | _without_specks(floats, 5)
         return np.where(moving, np.maximum(self._background / foot, 1.0), ratio).astype(np.float32), moving

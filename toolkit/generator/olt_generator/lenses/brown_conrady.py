@@ -30,18 +30,9 @@ class BrownConradyCamera(FocalCamera):
     the model ends where the radius stops growing, and nothing beyond is seen.
 
     Attributes:
-        width, height: image size in pixels.
-        fx, fy: focal lengths in pixels.
-        cx, cy: principal point in pixels.
         k1, k2, p1, p2, k3, k4, k5, k6: distortion in OpenCV's order.
     """
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
     k1: float = 0.0
     k2: float = 0.0
     p1: float = 0.0

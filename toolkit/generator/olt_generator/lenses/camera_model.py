@@ -5,7 +5,7 @@ row i and column j is sampled at exactly (j, i). Camera axes are x right, y down
 """
 
 from abc import ABC, abstractmethod
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Self, TypeVar
 
@@ -68,15 +68,22 @@ class Camera(ABC):
         return self.redrawn(width, height, (1.0, 1.0), (self.cx - left, self.cy - top))
 
 
+@dataclass(frozen=True)
 class FocalCamera(Camera):
     """A camera with a focal length (pixels) in each direction.
 
     Attributes:
+        width, height: image size in pixels.
         fx, fy: focal lengths in pixels.
+        cx, cy: principal point in pixels.
     """
 
+    width: int
+    height: int
     fx: float
     fy: float
+    cx: float
+    cy: float
 
     @property
     def pixels_per_radian(self) -> tuple[float, float]:
@@ -86,7 +93,7 @@ class FocalCamera(Camera):
     def redrawn(self, width: int, height: int, scale: tuple[float, float], centre: tuple[float, float]) -> Self:
         """See `Camera.redrawn`."""
         fx, fy = self.fx * scale[0], self.fy * scale[1]
-        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=centre[0], cy=centre[1])  # pyright: ignore
+        return replace(self, width=width, height=height, fx=fx, fy=fy, cx=centre[0], cy=centre[1])
 
 
 def fit_camera(camera: C, width: int, height: int) -> C:

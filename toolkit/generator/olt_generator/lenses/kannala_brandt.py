@@ -26,9 +26,6 @@ class KannalaBrandtCamera(FocalCamera):
     lenses", PAMI 2006, its radially symmetric part.
 
     Attributes:
-        width, height: image size in pixels.
-        fx, fy: focal lengths in pixels.
-        cx, cy: principal point in pixels.
         k1, k2, k3, k4: coefficients of the odd powers.
         max_angle: largest angle from the axis, radians, at which the model is trusted; inf for as far as the
             polynomial rises. Nothing lies beyond half a turn.
@@ -37,12 +34,6 @@ class KannalaBrandtCamera(FocalCamera):
         InputError: the polynomial does not rise as far as `max_angle`.
     """
 
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
     k1: float = 0.0
     k2: float = 0.0
     k3: float = 0.0

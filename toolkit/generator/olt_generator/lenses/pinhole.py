@@ -16,20 +16,7 @@ WIDEST_FIELD_OF_VIEW = np.radians(175.0)
 
 @dataclass(frozen=True)
 class PinholeCamera(FocalCamera):
-    """An ideal perspective camera.
-
-    Attributes:
-        width, height: image size in pixels.
-        fx, fy: focal lengths in pixels.
-        cx, cy: principal point in pixels.
-    """
-
-    width: int
-    height: int
-    fx: float
-    fy: float
-    cx: float
-    cy: float
+    """An ideal perspective camera."""
 
     @classmethod
     def from_field_of_view(cls, width: int, height: int, horizontal_fov: float) -> "PinholeCamera":

@@ -24,12 +24,7 @@ _LEVEL_SWITCH = 2.0**-0.25
 
 
 def remap_table(source: Camera, target: Camera, R_source_target: Array) -> tuple[NDArray[np.float32], Mask]:
-    """Where each pixel of `target` is found in `source` when both share one centre.
-
-    Args:
-        source: camera that took the image.
-        target: camera whose image is wanted.
-        R_source_target: (3, 3) rotation from target axes to source axes.
+    """Where each pixel of `target` is found in `source` when both share one centre; arguments as of `Remapper`.
 
     Returns:
         A table (height, width, 2) of source pixels as `cv2.remap` takes it, and the mask (height, width) of target
@@ -43,8 +38,7 @@ class Remapper:
     """Turns images of one camera into images of another, again and again; the geometry is worked out once.
 
     Attributes:
-        source: camera that takes the images.
-        target: camera whose images are wanted.
+        source, target: cameras that take the images, and whose images are wanted.
         seen: (height, width) target pixels of which the source sees every sample; the others come out black.
     """
 
@@ -59,8 +53,7 @@ class Remapper:
         """Work out where the pixels come from.
 
         Args:
-            source: camera that takes the images.
-            target: camera whose images are wanted.
+            source, target: see the attributes.
             R_source_target: (3, 3) rotation from target axes to source axes.
             samples: samples along each side of a target pixel; their square multiplies the run time.
             shift: (3,) place of the target in source axes, in units of the distance at which everything is taken to

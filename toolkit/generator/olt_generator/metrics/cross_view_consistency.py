@@ -22,6 +22,7 @@ from olt_generator.lenses.remap import Remapper
 from olt_generator.metrics.matchers import Matcher, Matches
 from olt_generator.poses import Array, invert
 from olt_generator.progress import Progress, silent
+from olt_generator.twists import cross_matrix
 
 METRIC_WIDTH, METRIC_HEIGHT = 832, 480
 WIDEST_FIELD_OF_VIEW = np.radians(120.0)
@@ -116,11 +117,10 @@ def fundamental_matrix(camera_a: PinholeCamera, camera_b: PinholeCamera, T_b_a: 
     Raises:
         InputError: the cameras share one centre, so that every match would agree.
     """
-    x, y, z = T_b_a[:3, 3]
     if np.linalg.norm(T_b_a[:3, 3]) < MIN_BASELINE:
         raise InputError("the two views are seen from one point: nothing can be said about their consistency")
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.linalg.inv(_intrinsics(camera_b)).T @ cross @ T_b_a[:3, :3] @ np.linalg.inv(_intrinsics(camera_a))
+    essential = cross_matrix(T_b_a[:3, 3]) @ T_b_a[:3, :3]
+    return np.linalg.inv(_intrinsics(camera_b)).T @ essential @ np.linalg.inv(_intrinsics(camera_a))
 
 
 def sampson_errors(fundamental: Array, matches: Matches) -> Array:

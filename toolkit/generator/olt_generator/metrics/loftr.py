@@ -36,7 +36,7 @@ class LoftrMatcher:
         self._device = device
         network = LoFTR(pretrained=None)
         try:
-            network.load_state_dict(read_weights(weights).tensors)
+            network.load_state_dict(read_weights(weights))
         except RuntimeError as error:
             raise InputError(f"{weights}: not the weights of LoFTR; give loftr_outdoor.ckpt") from error
         self._network = network.to(device).eval()

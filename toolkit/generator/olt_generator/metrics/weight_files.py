@@ -1,7 +1,6 @@
 """Tensors of trained networks, read from local files without running any code in them."""
 
 import pickle
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -12,27 +11,15 @@ from torch import Tensor
 from olt_generator.errors import InputError
 
 
-@dataclass(frozen=True)
-class Weights:
-    """The tensors of a network by name.
+class Weights(dict[str, Tensor]):
+    """The float32 tensors of the file `path` by name; asking for one that it does not hold is an `InputError`."""
 
-    Attributes:
-        path: the file that holds them.
-        tensors: float32 on the device where the network runs.
-    """
+    def __init__(self, path: Path, tensors: dict[str, Tensor]) -> None:
+        super().__init__(tensors)
+        self.path = path
 
-    path: Path
-    tensors: dict[str, Tensor]
-
-    def __getitem__(self, name: str) -> Tensor:
-        """The named tensor.
-
-        Raises:
-            InputError: the file has none of that name.
-        """
-        if name not in self.tensors:
-            raise InputError(f"{self.path}: holds no tensor {name!r}; these are the weights of another network")
-        return self.tensors[name]
+    def __missing__(self, name: str) -> Tensor:
+        raise InputError(f"{self.path}: holds no tensor {name!r}; these are the weights of another network")
 
 
 def read_weights(path: Path, device: str = "cpu") -> Weights:

@@ -69,9 +69,6 @@ def adjust_poses(poses: Array, tracks: FeatureTracks, ray_sigma: float, priors: 
         ray_sigma: angular noise of a ray, radians.
         priors: expected motion between neighbouring keyframes; it decides what the tracks leave open.
         rounds: Gauss-Newton rounds at most.
-
-    Returns:
-        Refined poses (n, 4, 4).
     """
     # Triangulation: the inverse distance (points,) at which each anchor ray passes closest to the other rays, 1/m.
     turned, baseline = _seen_from(poses, tracks)

@@ -13,6 +13,7 @@ turn rate, forward acceleration.
 """
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,8 +69,7 @@ class CarMotion:
         return noise
 
 
-@dataclass(frozen=True)
-class BodyMotion:
+class BodyMotion(NamedTuple):
     """Poses (n, b, 4, 4), and in body axes velocity (n, b, 3), turn rate (n, b, 3), forward acceleration (n, b)."""
 
     poses: Array
@@ -79,17 +79,14 @@ class BodyMotion:
 
     def select(self, sequences: NDArray[np.intp]) -> "BodyMotion":
         """The motion of these sequences only."""
-        return BodyMotion(*(np.take(values, sequences, axis=1) for values in self._arrays()))
+        return BodyMotion(*(np.take(values, sequences, axis=1) for values in self))
 
     def replaced(self, sequences: NDArray[np.intp], other: "BodyMotion") -> "BodyMotion":
         """The motion with these sequences taken from another one, which holds only them."""
-        arrays = [values.copy() for values in self._arrays()]
-        for values, new in zip(arrays, other._arrays(), strict=True):
+        arrays = [values.copy() for values in self]
+        for values, new in zip(arrays, other, strict=True):
             values[:, sequences] = new
         return BodyMotion(*arrays)
-
-    def _arrays(self) -> tuple[Array, Array, Array, Array]:
-        return self.poses, self.velocity, self.turn_rate, self.acceleration
 
     def rates(self) -> Array:
         """Velocity, turn rate and acceleration as one array (n, b, 7)."""
@@ -106,15 +103,10 @@ class BodyMotion:
 
 
 def linearise(motion: BodyMotion, seconds: Array, car: CarMotion) -> tuple[Array, Array]:
-    """Transitions (n - 1, b, 13, 13) and offsets (n - 1, b, 13) of the deviations from a motion.
+    """Transitions (n - 1, b, 13, 13) and offsets (n - 1, b, 13) of the deviations from a motion over steps (n - 1, b).
 
     With X the given poses and x the twist of a step, a deviation d of the pose becomes
     log(X[k + 1]^-1 X[k] exp(x)) + Ad(exp(-x)) d + J(x) dx, where J is the right Jacobian of SE(3).
-
-    Args:
-        motion: where to linearise.
-        seconds: (n - 1, b) time steps.
-        car: the prior.
     """
     decay = np.exp(-seconds / car.slip_seconds)
     # Ways (n - 1, b, 3) that a unit velocity along each axis goes.

@@ -40,11 +40,6 @@ class TrackedPair:
     key_pixels: Pixels
     current_pixels: Pixels
 
-    @property
-    def flow(self) -> NDArray[np.float64]:
-        """Length (n,) of each point's motion in pixels."""
-        return np.linalg.norm(self.current_pixels.astype(np.float64) - self.key_pixels, axis=1)
-
 
 def detect_corners(
     gray: Gray, per_cell: int, hidden: NDArray[np.bool_] | None = None, present: Pixels = NO_PIXELS
@@ -101,8 +96,7 @@ def track_from_keyframes(
     Points live on from keyframe to keyframe while they can be followed, and new ones take the place of those lost.
 
     Args:
-        grays: the video.
-        keyframes: indices of frames, the first and the last of the video among them.
+        grays, keyframes: the video, and indices of its frames, the first and the last among them.
         hidden: (H, W) pixels that move with the camera (`static_mask`); points that get there are dropped.
         per_cell: points that are followed in every cell of the image.
         window: keyframes over which a point is followed at most, because errors of following add up.

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.lenses.camera_model import Camera
 from olt_generator.motion.features import detect_corners, track_corners
-from olt_generator.motion.two_view import estimate_motion
+from olt_generator.motion.two_view import estimate_motion, refine_motion
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 
@@ -64,8 +64,8 @@ class FieldOfViewEstimate:
     reason: str = ""
 
 
+# The same points (n, 2) at both ends of a window, in pixels of the working size.
 _Window = tuple[Array, Array]
-"""The same points (n, 2) at both ends of a window, in pixels of the working size."""
 
 
 def estimate_field_of_view(
@@ -89,8 +89,7 @@ def estimate_field_of_view(
         )
         return FieldOfViewEstimate(None, None, len(windows), reason)
     costs = np.array([_costs(window, cameras) for window in windows])
-    random = make_generator("field of view")
-    draws = random.integers(0, len(windows), (RESAMPLES, len(windows)))
+    draws = make_generator("field of view").integers(0, len(windows), (RESAMPLES, len(windows)))
     low, high = np.percentile([_lowest(costs[draw].sum(axis=0)) for draw in draws], [5.0, 95.0])
     widened = np.radians([low * (1.0 - SYSTEMATIC_ERROR), high * (1.0 + SYSTEMATIC_ERROR)])
     interval = (float(widened[0]), float(widened[1]))
@@ -163,46 +162,28 @@ def _fit_motion(window: _Window, camera: Camera, R: Array, t: Array) -> tuple[Ar
     With c = R a the epipolar product e = b . (t x c) has the derivatives (t . c) b - (b . c) t by a rotation after R,
     and c x b by t.
     """
-    a, a_right, a_down = _rays_and_slopes(camera, window[0])
-    b, b_right, b_down = _rays_and_slopes(camera, window[1])
-    for _ in range(_MAX_REFINEMENTS):
+    a, *a_slopes = _rays_and_slopes(camera, window[0])
+    b, *b_slopes = _rays_and_slopes(camera, window[1])
+
+    def linearise(R: Array, t: Array, across: Array) -> tuple[Array, Array]:
         c = a @ R.T
-        distance, length = _sampson(t, b, c, (a_right @ R.T, a_down @ R.T), (b_right, b_down))
-        across = np.linalg.svd(t[None])[2][1:]
+        normals, lines = np.cross(t, c), np.cross(b, t)
+        gradient = [np.einsum("ij,ij->i", slope, normals) for slope in b_slopes]
+        gradient += [np.einsum("ij,ij->i", slope @ R.T, lines) for slope in a_slopes]
+        length = np.maximum(np.linalg.norm(gradient, axis=0), 1e-12)
         by_rotation = (c @ t)[:, None] * b - np.einsum("ij,ij->i", b, c)[:, None] * t
         jacobian = np.concatenate([by_rotation, np.cross(c, b) @ across.T], axis=1) / length[:, None]
-        weighted = jacobian * (1.0 / (1.0 + (distance / TRACK_SIGMA_PIXELS) ** 2) ** 2)[:, None]
-        step = -np.linalg.pinv(weighted.T @ jacobian) @ (weighted.T @ distance)
-        R = Rotation.from_rotvec(step[:3]).as_matrix() @ R
-        t = t + step[3:] @ across
-        t /= np.linalg.norm(t)
-        if np.abs(step).max() < _CONVERGED:
-            break
-    distance, _ = _sampson(t, b, a @ R.T, (a_right @ R.T, a_down @ R.T), (b_right, b_down))
-    squares = (distance / TRACK_SIGMA_PIXELS) ** 2
+        return np.einsum("ij,ij->i", b, normals) / length, jacobian
+
+    R, t = refine_motion(R, t, linearise, TRACK_SIGMA_PIXELS, _MAX_REFINEMENTS, _CONVERGED)
+    squares = (linearise(R, t, np.eye(3)[:2])[0] / TRACK_SIGMA_PIXELS) ** 2
     return R, t, float(np.sum(squares / (1.0 + squares)))
 
 
 def _rays_and_slopes(camera: Camera, pixels: Array) -> tuple[Array, Array, Array]:
     """Rays (n, 3) and their change by a pixel to the right and down."""
-    right, down = np.array([0.5, 0.0]), np.array([0.0, 0.5])
-    return (
-        camera.rays(pixels),
-        camera.rays(pixels + right) - camera.rays(pixels - right),
-        camera.rays(pixels + down) - camera.rays(pixels - down),
-    )
-
-
-def _sampson(
-    t: Array, b: Array, c: Array, c_slopes: tuple[Array, Array], b_slopes: tuple[Array, Array]
-) -> tuple[Array, Array]:
-    """How far in pixels (n,) the points are from fitting, to first order, and the length (n,) of the gradient."""
-    normals = np.cross(t, c)
-    lines = np.cross(b, t)
-    gradient = [np.einsum("ij,ij->i", slope, normals) for slope in b_slopes]
-    gradient += [np.einsum("ij,ij->i", slope, lines) for slope in c_slopes]
-    length = np.maximum(np.linalg.norm(gradient, axis=0), 1e-12)
-    return np.einsum("ij,ij->i", b, normals) / length, length
+    right, down = (camera.rays(pixels + half) - camera.rays(pixels - half) for half in 0.5 * np.eye(2))
+    return camera.rays(pixels), right, down
 
 
 def _lowest(costs: Array) -> float:

@@ -66,30 +66,15 @@ class MeasuredPoses:
         )
 
 
-@dataclass(frozen=True)
-class SmoothedPoses:
-    """The most probable motion and how certain it is.
-
-    Attributes:
-        motion: poses and rates.
-        covariances: (n, b, 13, 13) of the deviations from it (`car_motion`).
-        outliers: (n, b) poses whose measured position or rotation was not believed.
-        standing: (n, b) poses at which the vehicle stands; all of a standstill have the same pose and no rates.
-    """
-
-    motion: BodyMotion
-    covariances: Array
-    outliers: Flags
-    standing: Flags
-
-
-def smooth_poses(measured: MeasuredPoses, start: Array, car: CarMotion) -> SmoothedPoses:
+def smooth_poses(measured: MeasuredPoses, start: Array, car: CarMotion) -> tuple[BodyMotion, Array, Flags, Flags]:
     """Smooth all sequences, then once more those in which the vehicle stands, with the standstills held.
 
-    Args:
-        measured: what was measured.
-        start: (n, b, 4, 4) poses from which to start; gross outliers in rotation must not be among them.
-        car: the prior.
+    Starts from poses (n, b, 4, 4) without gross outliers in rotation.
+
+    Returns:
+        The most probable motion; covariances (n, b, 13, 13) of the deviations from it (`car_motion`); the poses (n, b)
+        whose measured position or rotation was not believed; and those (n, b) at which the vehicle stands: all of a
+        standstill have the same pose and no rates.
     """
     moving = np.zeros(start.shape[:2], dtype=np.bool_)
     rest = np.zeros((*start.shape[:2], 3))
@@ -109,7 +94,7 @@ def smooth_poses(measured: MeasuredPoses, start: Array, car: CarMotion) -> Smoot
         rates = stopped.velocity * still, stopped.turn_rate * still, stopped.acceleration * still[..., 0]
         motion = motion.replaced(stops, BodyMotion(poses, *rates))
     outliers = np.min(_weights(measured, motion, convex=False), axis=-1) < OUTLIER_WEIGHT
-    return SmoothedPoses(motion, covariances, outliers, standing)
+    return motion, covariances, outliers, standing
 
 
 def find_standstills(measured: MeasuredPoses, motion: BodyMotion, covariances: Array) -> Flags:
@@ -163,14 +148,9 @@ def _finish(measured: MeasuredPoses, motion: BodyMotion, standing: Flags, car: C
 def linear_system(
     measured: MeasuredPoses, motion: BodyMotion, standing: Flags, car: CarMotion, convex: bool
 ) -> LinearSystem:
-    """The system of the deviations (13 states, `car_motion`) from a motion.
+    """The system of the deviations (13 states, `car_motion`) from a motion, with rates of 0 where `standing` (n, b).
 
-    Args:
-        measured: what was measured.
-        motion: where to linearise.
-        standing: (n, b) where the vehicle's rates are known to be 0.
-        car: the prior.
-        convex: whether outliers still pull, as they must while the motion may be far off.
+    With convex weights outliers still pull, as they must while the motion may be far off.
     """
     transitions, offsets = linearise(motion, measured.seconds, car)
     noise, rates = car.process_noise(measured.seconds), motion.rates()

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -37,7 +38,7 @@ class MapAnything:
     weights: Path
     device: str = "cuda"
 
-    def estimate(
+    def __call__(
         self,
         frames: NDArray[np.uint8],
         timestamps_us: NDArray[np.int64],
@@ -45,28 +46,19 @@ class MapAnything:
         T_rig_camera: Array,
         on_progress: Progress = silent,
     ) -> PoseEstimate:
-        """See `PoseSource.estimate`.
-
-        Raises:
-            InputError: package or weights are missing, or the model gives no metric poses.
-        """
-        import torch
-
+        """See `PoseSource`; also an `InputError` where package or weights are missing."""
         models, images = self._load_package()
         model = models.MapAnything.from_pretrained(str(self.weights), local_files_only=True).to(self.device).eval()
         on_progress(0.1)
         rays = torch.from_numpy(pixel_rays(camera).astype(np.float32))
         views = images.preprocess_inputs([{"img": torch.from_numpy(frame), "ray_directions": rays} for frame in frames])
         with torch.inference_mode():
-            predictions = model.infer(
-                [
-                    {name: value.to(self.device) if hasattr(value, "to") else value for name, value in view.items()}
-                    for view in views
-                ],
-                use_amp=self.device != "cpu",
-                apply_mask=False,
-                mask_edges=False,
-            )
+            on_device = [
+                {name: value.to(self.device) if hasattr(value, "to") else value for name, value in view.items()}
+                for view in views
+            ]
+            amp = self.device != "cpu"
+            predictions = model.infer(on_device, use_amp=amp, apply_mask=False, mask_edges=False)
         on_progress(1.0)
         trajectory = rig_trajectory(timestamps_us, _camera_poses(predictions), T_rig_camera)
         return PoseEstimate(trajectory, T_rig_camera, None, SmootherSettings())

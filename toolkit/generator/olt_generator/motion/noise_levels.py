@@ -74,13 +74,9 @@ ROTATION_GRID = LevelGrid(
 def estimate_levels(
     lengths: NDArray[np.int64], seconds: Array, measurements: Array, grid: LevelGrid
 ) -> tuple[Array, Array]:
-    """The most likely jitters (b,) and densities (b,) of sequences of coordinates.
+    """The most likely jitters (b,) and densities (b,) of sequences of coordinates (n, b, 3) over steps (n - 1, b).
 
-    Args:
-        lengths: (b,) measurements of each sequence, falling.
-        seconds: (n - 1, b) time steps.
-        measurements: (n, b, 3).
-        grid: what is tried.
+    `lengths` (b,) counts the measurements of each sequence, and falls.
     """
     jitter, density, prior = grid.pairs()
     forward = _deviance(lengths, seconds, measurements, grid) + prior

@@ -18,8 +18,10 @@ from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.motion.bundle_adjustment import FeatureTracks, StepPriors, adjust_poses
 from olt_generator.motion.features import Gray, TrackedPair, track_from_keyframes
+from olt_generator.motion.pose_sources import PoseEstimate
 from olt_generator.motion.road_plane import measure_scale
 from olt_generator.motion.road_scale import RoadStrip, estimate_speed, road_frame
+from olt_generator.motion.smoother import ODOMETRY_SETTINGS
 from olt_generator.motion.static_mask import BELOW_HORIZON, find_static_mask
 from olt_generator.motion.two_view import TwoViewMotion, estimate_motion
 from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
@@ -66,21 +68,16 @@ class OdometrySettings:
 
 
 @dataclass(frozen=True)
-class Odometry:
-    """Metric ego motion from one camera.
+class Odometry(PoseEstimate):
+    """Metric ego motion from one camera; its scale is not known where the vehicle never moved.
+
+    The mounting's pitch and yaw agree with the direction of travel; its roll and position are as given.
 
     Attributes:
-        trajectory: T_world_rig at every frame; the first pose is the identity.
-        T_rig_camera: (4, 4) mounting whose pitch and yaw agree with the direction of travel; roll and position are
-            as given.
-        scale_sigma: relative standard deviation of the metric scale; None where the vehicle never moved.
         inliers: (n - 1,) points that support the motion of each step.
         standstill: (n - 1,) whether the vehicle stood in each step.
     """
 
-    trajectory: Trajectory
-    T_rig_camera: Array
-    scale_sigma: float | None
     inliers: NDArray[np.int64]
     standstill: NDArray[np.bool_]
 
@@ -115,7 +112,9 @@ def estimate_odometry(
     for pair in track_from_keyframes(grays, keyframes, hidden, settings.corners_per_cell, settings.window):
         steps.append(_estimate_step(pair, camera, T_rig_camera[2, :3]))
         on_progress(0.8 * pair.current / (len(grays) - 1))
-    clip = _Clip(grays, timestamps_us, keyframes, steps, camera, T_rig_camera, hidden)
+    key_steps = [step for step in steps if step.current in set(keyframes)]
+    times = (timestamps_us - timestamps_us[0]) * 1e-6
+    clip = _Clip(grays, times, keyframes, key_steps, camera, T_rig_camera, hidden)
     T_start_key, mounting, scale_sigma = _recover_keyframes(clip, settings)
     on_progress(1.0)
     # Positions between the keyframes' run smoothly, rotations are measured.
@@ -124,13 +123,13 @@ def estimate_odometry(
     for step in steps:
         measured = rotation_of[step.key] @ step.motion.R_b_a.T
         T_start_camera[step.current, :3, :3] = rotation_of.get(step.current, measured)
-    path = PchipInterpolator(clip.times[keyframes], T_start_key[:, :3, 3])
-    T_start_camera[:, :3, 3] = path(clip.times)
-    stood = {step.key: not step.moves for step in clip.key_steps}
+    T_start_camera[:, :3, 3] = PchipInterpolator(times[keyframes], T_start_key[:, :3, 3])(times)
+    stood = {step.key: not step.moves for step in key_steps}
     return Odometry(
         Trajectory(timestamps_us, mounting @ T_start_camera @ invert(mounting)),
         mounting,
         scale_sigma,
+        ODOMETRY_SETTINGS,
         np.array([np.count_nonzero(step.motion.inliers) for step in steps]),
         np.array([stood[step.key] for step in steps]),
     )
@@ -183,11 +182,12 @@ def _estimate_step(pair: TrackedPair, camera: Camera, up: Array) -> _Step:
     key, current, points = rays_key[used], rays_current[used], pair.points[used]
     if len(points) < MIN_POINTS:
         raise _too_few(pair, len(points))
-    turn = _turn_at_rest(pair.flow[used], key, current, up, camera)
+    flow = np.linalg.norm(pair.current_pixels.astype(np.float64) - pair.key_pixels, axis=1)
+    turn = _turn_at_rest(flow[used], key, current, up, camera)
     if turn is not None:
         rest = TwoViewMotion(turn, np.zeros(3), used)
         return _Step(pair.key, pair.current, False, rest, points, key, current)
-    motion = estimate_motion(key, current, _ray_sigma(camera))
+    motion = estimate_motion(key, current, TRACK_SIGMA_PIXELS * _radians_per_pixel(camera))
     if motion is None or np.count_nonzero(motion.inliers) < MIN_POINTS:
         raise _too_few(pair, 0 if motion is None else np.count_nonzero(motion.inliers))
     agrees = motion.inliers
@@ -219,11 +219,6 @@ def _turn_at_rest(flow: Array, rays_key: Array, rays_current: Array, up: Array, 
     return R if np.median(missed) < TURNING_PIXELS * _radians_per_pixel(camera) else None
 
 
-def _ray_sigma(camera: Camera) -> float:
-    """Angular noise of a tracked ray, radians."""
-    return TRACK_SIGMA_PIXELS * _radians_per_pixel(camera)
-
-
 def _radians_per_pixel(camera: Camera) -> float:
     u, v = 0.5 * (camera.width - 1), 0.5 * (camera.height - 1)
     left, right = camera.rays(np.array([[u - 1.0, v], [u + 1.0, v]]))
@@ -232,26 +227,15 @@ def _radians_per_pixel(camera: Camera) -> float:
 
 @dataclass(frozen=True)
 class _Clip:
-    """What is known of a clip once every step has been looked at on its own."""
+    """What is known of a clip, times in seconds, once every step between keyframes has been found on its own."""
 
     grays: Sequence[Gray]
-    timestamps_us: NDArray[np.int64]
+    times: Array
     keyframes: list[int]
-    steps: Sequence[_Step]
+    key_steps: list[_Step]
     camera: Camera
     T_rig_camera: Array
     hidden: NDArray[np.bool_]
-
-    @property
-    def key_steps(self) -> list[_Step]:
-        """The steps from keyframe to keyframe."""
-        ends = set(self.keyframes)
-        return [step for step in self.steps if step.current in ends]
-
-    @property
-    def times(self) -> Array:
-        """Seconds of the frames since the first one."""
-        return (self.timestamps_us - self.timestamps_us[0]) * 1e-6
 
 
 def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, Array, float | None]:
@@ -274,13 +258,12 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, 
 def _measure_speed(clip: _Clip, moves: NDArray[np.bool_]) -> Array:
     """Rough speed (k,) over the steps between keyframes, m/s."""
     steps = clip.key_steps
-    forward = [step.motion.direction_a[2] >= 0.0 for step in steps]
-    directions = np.array(
-        [step.motion.direction_a * (1.0 if ahead else -1.0) for step, ahead in zip(steps, forward, strict=True)]
-    )[moves]
-    travel = np.median(directions, axis=0)
+    directions = np.array([step.motion.direction_a for step in steps])
+    forward = directions[:, 2] >= 0.0
+    travel = np.median(np.where(forward[:, None], directions, -directions)[moves], axis=0)
     travel /= np.linalg.norm(travel)
-    strip, up = _lay_strip(clip, travel, clip.T_rig_camera, SPEED_STRIP_HEIGHTS), clip.T_rig_camera[2, :3]
+    up = clip.T_rig_camera[2, :3]
+    strip = _lay_strip(clip, travel, clip.T_rig_camera, SPEED_STRIP_HEIGHTS)
     scores = np.full((len(steps), strip.shifts), -1.0)
     for index in np.flatnonzero(moves).tolist():
         step = steps[index]
@@ -311,7 +294,8 @@ def _adjust(clip: _Clip, driven: Array, rounds: int) -> Array:
         np.where(moves, PRIOR_SPEED_SHARE * driven, 0.0) + STANDING_METRES,
         np.where(moves, PRIOR_DIRECTION * driven, 0.0) + STANDING_METRES,
     )
-    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), _ray_sigma(clip.camera), priors, rounds)
+    ray_sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(clip.camera)
+    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), ray_sigma, priors, rounds)
     return np.where(moves[:, None, None], invert(T_start_key[:-1]) @ T_start_key[1:], expected)
 
 

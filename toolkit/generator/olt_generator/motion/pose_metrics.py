@@ -2,12 +2,10 @@
 
 Metric protocol: the estimate is moved so that its first pose equals the reference's; its scale is kept.
 Sim(3) protocol: the estimate's positions are laid on the reference's by the similarity of least squares (Umeyama,
-PAMI 1991), which takes out position, rotation and scale. The two answer different questions and are not comparable.
+PAMI 1991), which takes out position, rotation and scale.
 
-Relative errors are taken from frame to frame: that is what conditions a warp or a label, and the paper's figures
-(0.13 degrees, 23 percent) are of that size. The translation error of a step is in percent of the step's true length;
-steps shorter than 1 cm are left out, since a percentage of standstill means nothing. Rotation errors to the first pose
-and from frame to frame do not change under an alignment, so both protocols list them with equal values.
+Relative errors are taken from frame to frame, as the size of the paper's figures (0.13 degrees, 23 percent) says. The
+translation error of a step is in percent of the step's true length; steps below 1 cm are left out.
 """
 
 from dataclasses import asdict, dataclass
@@ -90,10 +88,7 @@ class AlignedErrors:
 
 @dataclass(frozen=True)
 class PoseErrors:
-    """Errors of an estimate in both protocols; `sim3` is None where either trajectory does not move.
-
-    `poses` counts the common times that were compared.
-    """
+    """Errors of an estimate at so many `poses` in both protocols; `sim3` is None where either does not move."""
 
     poses: int
     metric: MetricErrors

@@ -3,16 +3,16 @@
 A source gives poses as it found them; `smoother` takes out their jitter, with the noise that the source says it has.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
-from olt_generator.motion.odometry import estimate_odometry
-from olt_generator.motion.smoother import ODOMETRY_SETTINGS, SmootherSettings
+from olt_generator.motion.smoother import SmootherSettings
 from olt_generator.poses import Array, invert
 from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
@@ -35,52 +35,16 @@ class PoseEstimate:
     noise: SmootherSettings
 
 
-class PoseSource(Protocol):
-    """Finds how the rig moved while a video was taken."""
+PoseSource = Callable[[NDArray[np.uint8], NDArray[np.int64], Camera, Array, Progress], PoseEstimate]
+"""Finds how the rig moved while a video was taken; arguments as of `odometry.estimate_odometry`, which is one.
 
-    def estimate(
-        self,
-        frames: NDArray[np.uint8],
-        timestamps_us: NDArray[np.int64],
-        camera: Camera,
-        T_rig_camera: Array,
-        on_progress: Progress = silent,
-    ) -> PoseEstimate:
-        """Find the motion.
-
-        Args:
-            frames: (n, H, W, 3) uint8 RGB.
-            timestamps_us: (n,) int64, strictly increasing.
-            camera: model of the camera at the size of the frames.
-            T_rig_camera: (4, 4) mounting of the camera.
-            on_progress: told the share of the work that is done.
-
-        Raises:
-            InputError: the source cannot tell the motion of this video.
-        """
-        ...
-
-
-@dataclass(frozen=True)
-class VisualOdometry:
-    """Motion from the video itself, without learned weights (`odometry`)."""
-
-    def estimate(
-        self,
-        frames: NDArray[np.uint8],
-        timestamps_us: NDArray[np.int64],
-        camera: Camera,
-        T_rig_camera: Array,
-        on_progress: Progress = silent,
-    ) -> PoseEstimate:
-        """See `PoseSource.estimate`."""
-        odometry = estimate_odometry(frames, timestamps_us, camera, T_rig_camera, on_progress)
-        return PoseEstimate(odometry.trajectory, odometry.T_rig_camera, odometry.scale_sigma, ODOMETRY_SETTINGS)
+An `InputError` says that the source cannot tell the motion of this video.
+"""
 
 
 @dataclass(frozen=True)
 class KnownPoses:
-    """Motion that was measured otherwise: GPS/IMU, or the poses of a data set.
+    """A `PoseSource` of motion that was measured otherwise: GPS/IMU, or the poses of a data set.
 
     Attributes:
         trajectory: poses in any fixed frame, on the clock of the frames, from before the first frame to after the last.
@@ -92,7 +56,7 @@ class KnownPoses:
     of: Literal["rig", "camera"] = "rig"
     noise: SmootherSettings = field(default_factory=SmootherSettings)
 
-    def estimate(
+    def __call__(
         self,
         frames: NDArray[np.uint8],
         timestamps_us: NDArray[np.int64],
@@ -100,7 +64,7 @@ class KnownPoses:
         T_rig_camera: Array,
         on_progress: Progress = silent,
     ) -> PoseEstimate:
-        """See `PoseSource.estimate`; poses are interpolated at the times of the frames, never extrapolated."""
+        """The poses, interpolated at the times of the frames, never extrapolated."""
         times = self.trajectory.timestamps_us
         if timestamps_us[0] < times[0] or timestamps_us[-1] > times[-1]:
             raise InputError(
@@ -114,11 +78,5 @@ class KnownPoses:
 
 
 def rig_trajectory(timestamps_us: NDArray[np.int64], T_world_sensor: Array, T_rig_sensor: Array) -> Trajectory:
-    """The rig's motion in the frame of its first pose.
-
-    Args:
-        timestamps_us: (n,).
-        T_world_sensor: (n, 4, 4) poses of something on the rig, in any fixed frame.
-        T_rig_sensor: (4, 4) how it is mounted.
-    """
+    """The rig's motion in the frame of its first pose, from poses (n, 4, 4) of something mounted at `T_rig_sensor`."""
     return Trajectory(timestamps_us, T_world_sensor @ invert(T_rig_sensor)).in_first_frame()

@@ -95,7 +95,7 @@ def measure_scale(
     """
     moves = np.flatnonzero(driven > 0.0)
     length = np.linalg.norm(np.diff(T_world_camera[:, :3, 3], axis=0), axis=1)[moves]
-    lever = np.full(len(moves), 2.0 * strip.middle / strip.height)
+    lever = np.full(len(moves), 2.0 * float(strip.along.mean()) / strip.height)
     matched = match_road(grays, T_world_camera, strip, up)
     matches = RoadMatches(
         np.concatenate([moves, matched.step]),

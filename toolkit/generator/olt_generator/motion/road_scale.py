@@ -55,12 +55,9 @@ class RoadFrame:
 
 
 def road_frame(travel: Array, up: Array, direction: Array) -> RoadFrame:
-    """Axes of the road in camera coordinates.
+    """Axes of the road in camera coordinates, from the `direction` (3,) of a step.
 
-    Args:
-        travel: (3,) usual direction of travel; a vehicle moves along the road, so the road contains it.
-        up: (3,) rough up direction; only its roll about `travel` matters.
-        direction: (3,) direction of this step.
+    The road contains the usual direction of `travel` (3,); of the rough `up` (3,) only the roll about it matters.
     """
     normal = _unit(up - (up @ travel) * travel)
     along = _unit(direction - (direction @ normal) * normal)
@@ -73,14 +70,9 @@ class RoadStrip:
     def __init__(
         self, camera: Camera, height: float, axes: RoadFrame, hidden: NDArray[np.bool_], length_heights: float
     ) -> None:
-        """Lay the strip where the road becomes visible.
+        """Lay the strip, `length_heights` camera heights long, where the road becomes visible.
 
-        Args:
-            camera: the camera.
-            height: height of the camera above the road in metres.
-            axes: the usual axes of the road.
-            hidden: (H, W) pixels that show no road, such as the bonnet.
-            length_heights: length of the strip in camera heights.
+        Height is that of the camera above the road in metres; hidden pixels (H, W) show no road, such as the bonnet.
 
         Raises:
             InputError: no road is in view.
@@ -98,11 +90,6 @@ class RoadStrip:
     def shifts(self) -> int:
         """How many displacements are tried; longer ones leave too little overlap to match."""
         return round((self.along[-1] - self.along[0] - MIN_OVERLAP_HEIGHTS * self.height) / SPACING_ALONG)
-
-    @property
-    def middle(self) -> float:
-        """Distance in metres to the middle of the strip."""
-        return float(self.along.mean())
 
     def match(self, first: Gray, second: Gray, axes: RoadFrame, R_second_first: Array) -> Array:
         """Correlation (shifts,) of the strip for displacements 0, 0.05, ... metres; -1 where too little is seen."""

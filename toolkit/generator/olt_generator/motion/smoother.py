@@ -131,7 +131,8 @@ def smooth_trajectory(trajectory: Trajectory, settings: SmootherSettings | None 
     """Remove jitter from a trajectory, using all of it for every pose.
 
     Args:
-        trajectory: measured poses of a rig whose origin is on the rear axle and whose x axis points ahead.
+        trajectory: measured poses of a rig whose origin is on the rear axle and whose x axis points ahead; turns
+            between two poses must be below half a turn, since longer ones cannot be told from their complements.
         settings: noise levels; None to estimate them all.
     """
     return smooth_trajectories([trajectory], settings)[0]
@@ -235,9 +236,9 @@ def _smooth_batch(
     rates = (_INITIAL_SPEED, settings.slip_sigma, settings.slip_sigma, *3 * [_INITIAL_TURN_RATE], _INITIAL_ACCELERATION)
     initial_sigmas = np.array([*_INITIAL_POSE, *rates])
     car = CarMotion(jerk, turning, settings.slip_sigma, settings.slip_seconds, initial_sigmas)
-    smoothed = smooth_poses(poses, start, car)
-    smoothed.motion.poses[..., :3, 3] += origins
-    arrays = smoothed.motion.poses, smoothed.motion.rates(), smoothed.covariances, smoothed.outliers, smoothed.standing
+    motion, covariances, outliers, standing = smooth_poses(poses, start, car)
+    motion.poses[..., :3, 3] += origins
+    arrays = motion.poses, motion.rates(), covariances, outliers, standing
     kept = [slice(window.margins[0], len(window) - window.margins[1]) for window in batch]
     return {window: tuple(array[kept[k], k] for array in arrays) for k, window in enumerate(batch)}
 

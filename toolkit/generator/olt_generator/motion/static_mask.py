@@ -26,13 +26,8 @@ def find_static_mask(
     """Pixels (H, W) below the horizon whose detail stays while the scene moves.
 
     That is the bonnet, an overlay, dirt and reflections in the windscreen, but also lines along the road: none of
-    them tells how far the vehicle has driven. Clips with few moving frames give no such pixels.
-
-    Args:
-        grays: the video.
-        keyframes: indices of frames; some of them, spread over the clip, are looked at.
-        camera: the camera.
-        T_rig_camera: (4, 4) its mounting.
+    them tells how far the vehicle has driven. Clips with few moving frames give no such pixels. Only some of the
+    keyframes, spread over the clip, are looked at.
     """
     pairs = list(pairwise(keyframes))
     moving = []

@@ -1,6 +1,8 @@
 """Relative motion of a camera between two frames, up to the length of the translation."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import cv2
 import numpy as np
@@ -48,23 +50,39 @@ def estimate_motion(rays_a: Array, rays_b: Array, sigma: float) -> TwoViewMotion
     guess = _guess_essential(rays_a, rays_b, 2.0 * sigma)
     if guess is None:
         return None
-    R, t = guess
-    # Gauss-Newton on three rotation and two direction parameters with Geman-McClure weights.
-    for _ in range(MAX_REFINEMENTS):
-        across = np.linalg.svd(t[None])[2][1:]
-        residual, jacobian = _linearise(rays_a, rays_b, R, t, across)
-        weighted = jacobian * (1.0 / (1.0 + (residual / sigma) ** 2) ** 2)[:, None]
-        step = -np.linalg.pinv(weighted.T @ jacobian) @ (weighted.T @ residual)
-        R, t = Rotation.from_rotvec(step[:3]).as_matrix() @ R, t + step[3:] @ across
-        t /= np.linalg.norm(t)
-        if np.abs(step).max() < CONVERGED_RADIANS:
-            break
+    linearise = partial(_linearise, rays_a, rays_b)
+    R, t = refine_motion(*guess, linearise, sigma, MAX_REFINEMENTS, CONVERGED_RADIANS)
     inliers = np.abs(epipolar_sines(rays_a, rays_b, R, t)) < 4.0 * sigma
     # From depth_b b = depth_a R a + t follows depth_a = -(b x R a) . (b x t) / |b x R a|^2. The numerators are added:
     # near points decide, and what is too far to move has no say.
     parallax = np.cross(rays_b[inliers], rays_a[inliers] @ R.T)
     behind = np.sum(parallax * np.cross(rays_b[inliers], t)) > 0.0
     return TwoViewMotion(R, R.T @ t if behind else -R.T @ t, inliers)
+
+
+def refine_motion(
+    R: Array,
+    t: Array,
+    linearise: Callable[[Array, Array, Array], tuple[Array, Array]],
+    sigma: float,
+    rounds: int,
+    converged: float,
+) -> tuple[Array, Array]:
+    """Gauss-Newton on three rotation and two direction parameters with Geman-McClure weights.
+
+    `linearise` gives residuals (n,) and how they change (n, 5) with a turn after R (3, 3) and a step of the unit vector
+    t (3,) along the two directions (2, 3) across it.
+    """
+    for _ in range(rounds):
+        across = np.linalg.svd(t[None])[2][1:]
+        residual, jacobian = linearise(R, t, across)
+        weighted = jacobian * (1.0 / (1.0 + (residual / sigma) ** 2) ** 2)[:, None]
+        step = -np.linalg.pinv(weighted.T @ jacobian) @ (weighted.T @ residual)
+        R, t = Rotation.from_rotvec(step[:3]).as_matrix() @ R, t + step[3:] @ across
+        t /= np.linalg.norm(t)
+        if np.abs(step).max() < converged:
+            break
+    return R, t
 
 
 def epipolar_sines(rays_a: Array, rays_b: Array, R_b_a: Array, t: Array) -> Array:

@@ -46,31 +46,20 @@ class SourceFrame:
     T_target_camera: Array
 
 
-@dataclass(frozen=True)
-class Gathered:
-    """A view from several frames.
+def gather(
+    sources: Sequence[SourceFrame], camera: Camera, target: Camera, radius: int = 1
+) -> tuple[NDArray[np.uint8], NDArray[np.int64], NDArray[np.bool_]]:
+    """Gather what `sources`, at least one frame of `camera`, show of the view of `target`; arguments as in `splat`.
 
-    Attributes:
-        image: (h, w, 3) uint8, black where nothing lands.
-        source: (h, w) int64 which of the sources each pixel comes from, their number where nothing lands.
-        far: (h, w) bool, pixels of which only the direction is known.
-    """
-
-    image: NDArray[np.uint8]
-    source: NDArray[np.int64]
-    far: NDArray[np.bool_]
-
-
-def gather(sources: Sequence[SourceFrame], camera: Camera, target: Camera, radius: int = 1) -> Gathered:
-    """Gather what `sources`, at least one frame of `camera`, show of the view of `target`.
-
-    Every source pixel covers (2 radius + 1)^2 target pixels. Arguments as in `olt_generator.views.splat.splat`.
+    Returns:
+        The image (h, w, 3), black where nothing lands; which of the sources each pixel (h, w) comes from, their number
+        where nothing lands; and the pixels (h, w) of which only the direction is known.
     """
     width, height = target.width + 2 * radius, target.height + 2 * radius
     closest = np.full(width * height, _NOTHING)
     for number, source in enumerate(sources):
         finite = np.where(np.isposinf(source.distance), np.float32(_INFINITY), source.distance)
-        for landing in land(finite, camera, target, source.T_target_camera, radius, NEAREST, 2.0 * _INFINITY):
+        for landing in land(finite, camera, target, source.T_target_camera, radius, (NEAREST, 2.0 * _INFINITY)):
             key = _level(landing.distance, SURFACE_TOLERANCE) << _DISTANCE_BIT
             key |= _level(finite.take(landing.source), _FINENESS_STEP) << _FINENESS_BIT
             key |= (number << _SOURCE_BIT) | landing.source
@@ -81,7 +70,7 @@ def gather(sources: Sequence[SourceFrame], camera: Camera, target: Camera, radiu
     colours = np.concatenate([*(source.image.reshape(-1, 3) for source in sources), np.zeros((1, 3), np.uint8)])
     index = np.where(landed, number * sources[0].distance.size + (winner & 0x7FFFFFFF), len(colours) - 1)
     far_level = _level(np.array([0.5 * _INFINITY], np.float32), SURFACE_TOLERANCE)
-    return Gathered(colours.take(index, axis=0), number, landed & (winner >> _DISTANCE_BIT > far_level))
+    return colours.take(index, axis=0), number, landed & (winner >> _DISTANCE_BIT > far_level)
 
 
 def _level(distance: NDArray[np.float32], step: float) -> NDArray[np.int64]:

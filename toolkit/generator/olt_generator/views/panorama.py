@@ -16,7 +16,6 @@ from olt_generator.views.fill import interpolate
 _COLUMNS, _ROWS = 24, 120
 _CELL_WIDTH, _CELL_HEIGHT = 2.0 * np.pi / _COLUMNS, np.radians(120.0) / _ROWS
 
-
 # Of the front image, which is only averaged, every fourth pixel is enough, along rows and along columns.
 _FRONT_STEP = 4
 
@@ -74,12 +73,8 @@ class Panorama:
         """Smooth colours (h, w, 3) for the whole target image; None where nothing is known.
 
         What no frame shows above the horizon is taken to be sky, so there only what is far away lends its colours.
-
-        Args:
-            image: (h, w, 3) target image.
-            visible: (h, w) pixels of it that are known.
-            far: (h, w) pixels of it that show far things.
-            front_image, front_visible, front_far: the same of the front camera (H, W).
+        Given are the target image (h, w, 3) and its pixels (h, w) that are known and that show far things, and the
+        same of the front camera (H, W).
         """
         mean, known = self._target.mean(image, visible & (far | ~self._target.above_horizon))
         few = np.s_[::_FRONT_STEP, ::_FRONT_STEP]

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, make_pose
-from olt_generator.views.latents import TOKEN_PIXELS
 
+# The transformer reads 2 x 2 latent cells of 8 x 8 pixels as one token.
+TOKEN_PIXELS = 16
 # Moments are divided by this many metres.
 MOMENT_SCALE = 25.0
 # The released generator refuses features from here on.
@@ -23,11 +24,7 @@ def anchor_poses(T_world_front: Array, T_rig_front: Array, T_rig_camera: Array) 
 
     T_anchor_camera[k] = inv(T_world_front[0]) T_world_front[k] inv(T_rig_front) T_rig_camera. Positions are
     subtracted before they are turned, so that world coordinates of 5000 km cost nothing but their own rounding.
-
-    Args:
-        T_world_front: (n, 4, 4) poses of the front camera.
-        T_rig_front: (4, 4) its mounting.
-        T_rig_camera: (4, 4) the mounting of the wanted camera.
+    Poses are (n, 4, 4), mountings (4, 4).
     """
     R_anchor_world = T_world_front[0, :3, :3].T
     T_anchor_front = make_pose(
@@ -44,11 +41,7 @@ def plucker_rays(camera: Camera, T_anchor_camera: Array) -> NDArray[np.float32]:
 
     Computed in double precision. The ray of the token in row i and column j runs through pixel (16 j + 8, 16 i + 8):
     the released generator divides K by 16 and adds 0.5, which is half a pixel off the token's middle where, as here,
-    pixel (0, 0) is the centre of the first pixel. Its weights were trained so.
-
-    Args:
-        camera: any camera model, at the size of the images.
-        T_anchor_camera: (n, 4, 4) poses from `anchor_poses`.
+    pixel (0, 0) is the centre of the first pixel. Its weights were trained so. Poses (n, 4, 4) are `anchor_poses`.
 
     Raises:
         InputError: the image does not fill tokens, a token lies outside of the lens, or a feature reaches 1000.

@@ -80,12 +80,8 @@ def may_be_seen(
 ) -> NDArray[np.bool_]:
     """Pixels (H, W) of a source frame that may land in the target: blocks around those that do, to save the rest.
 
-    What stands out from its block may be missed at the edge of the target.
-
-    Args:
-        distance: (H, W) metres along the rays of `camera`, inf for what is only turned, NaN for what is not known.
-        camera, target: source and target camera.
-        T_target_camera: (4, 4) pose of the source camera in the target camera.
+    What stands out from its block may be missed at the edge of the target. Distances (H, W) are metres along the rays
+    of the source `camera`, inf for what is only turned, NaN for what is not known.
     """
     few = np.s_[_BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
     reach = np.minimum(distance[few], np.float32(_FARTHEST))

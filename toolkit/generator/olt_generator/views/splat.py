@@ -4,7 +4,7 @@ Distance is measured along the unit ray of a pixel, not along the optical axis, 
 stand square to it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -63,8 +63,7 @@ def splat(
     target: Camera,
     T_target_source: Array,
     radius: int = 1,
-    nearest: float = NEAREST,
-    farthest: float = FARTHEST,
+    limits: tuple[float, float] = (NEAREST, FARTHEST),
 ) -> Warp:
     """Warp `image` from `source` to `target`; every source pixel covers (2 radius + 1)^2 target pixels.
 
@@ -73,13 +72,12 @@ def splat(
 
     Args:
         image: (H, W, 3) uint8.
-        distance: (H, W) metres along each pixel's ray; NaN, inf and what is not in (nearest, farthest) is dropped.
-        source: camera of `image`.
-        target: camera of the wanted view.
+        distance: (H, W) metres along each pixel's ray; NaN, inf and what is not within the limits is dropped.
+        source, target: cameras of `image` and of the wanted view.
         T_target_source: (4, 4) pose of the source camera in the target camera.
         radius: half width of the footprint in target pixels.
-        nearest: metres; surfaces this close to either camera are dropped.
-        farthest: metres from the source.
+        limits: metres; surfaces as near to either camera as the first, or as far from the source as the second, are
+            dropped.
 
     Raises:
         InputError: image or distance have another size than the source camera.
@@ -90,7 +88,7 @@ def splat(
     # One integer sorts by distance, then by source pixel: the bits of positive floats sort like their values. The
     # empty key stands for a pixel after the last, at infinity behind all others.
     closest = np.repeat(_sortable(np.array([np.inf], np.float32), np.array([distance.size])), width * height)
-    for landing in land(distance, source, target, T_target_source, radius, nearest, farthest):
+    for landing in land(distance, source, target, T_target_source, radius, limits):
         pixel = (landing.row + radius) * width + landing.column + radius
         np.minimum.at(closest, pixel, _sortable(landing.distance, landing.source))
     winner = spread_nearest(closest.reshape(height, width), radius)
@@ -100,23 +98,13 @@ def splat(
     return Warp(colours.take(index, axis=0), index < distance.size, surface_distance)
 
 
-def splat_reference(
-    image: NDArray[np.uint8],
-    distance: NDArray[np.float32],
-    source: Camera,
-    target: Camera,
-    T_target_source: Array,
-    radius: int = 1,
-    nearest: float = NEAREST,
-    farthest: float = FARTHEST,
-) -> Warp:
+def splat_reference(image: NDArray[np.uint8], landings: Iterable[Landing], target: Camera, radius: int = 1) -> Warp:
     """What `splat` must equal bit for bit, by the painter's algorithm: footprints painted one by one, far to near."""
     warp = Warp(
         np.zeros((target.height, target.width, 3), np.uint8),
         np.zeros((target.height, target.width), bool),
         np.full((target.height, target.width), np.inf, np.float32),
     )
-    landings = land(distance, source, target, T_target_source, radius, nearest, farthest)
     points = [
         point
         for landing in landings
@@ -137,8 +125,7 @@ def land(
     target: Camera,
     T_target_source: Array,
     radius: int = 1,
-    nearest: float = NEAREST,
-    farthest: float = FARTHEST,
+    limits: tuple[float, float] = (NEAREST, FARTHEST),
 ) -> Iterator[Landing]:
     """Lift the source pixels by their distance, move them to the target camera and round to its pixels.
 
@@ -153,14 +140,14 @@ def land(
     all_distances, all_rays = distance.astype(np.float32, copy=False).ravel(), _ray_rows(source)
     for first in range(0, distance.size, BLOCK_PIXELS):
         block = all_distances[first : first + BLOCK_PIXELS]
-        valid = np.flatnonzero((block > nearest) & (block < farthest))
+        valid = np.flatnonzero((block > limits[0]) & (block < limits[1]))
         points: NDArray[Any] = rotation @ all_rays[:, first : first + BLOCK_PIXELS].take(valid, axis=1)
         points *= block.take(valid)
         points += translation
         pixels, inside = widened.project(points.T)
         landed = np.flatnonzero(inside)
         target_distance = np.sqrt((points.take(landed, axis=1) ** 2).sum(axis=0))
-        far_enough = target_distance > nearest
+        far_enough = target_distance > limits[0]
         landed = landed[far_enough]
         column, row = (np.floor(pixels[:, axis].take(landed) + 0.5).astype(np.int64) - radius for axis in (0, 1))
         yield Landing(first + valid.take(landed), row, column, target_distance[far_enough])

@@ -93,10 +93,8 @@ def synthesize_view(
     Args:
         front: the front camera's frames. Nothing of the frame itself is taken to be farther than `FAR_DISTANCE`; what
             is that far in other frames is only turned, not moved. Where `front.moving` is None, nothing moves.
-        target: camera of the wanted view.
-        T_rig_target: (4, 4) its mounting.
+        target, T_rig_target: camera of the wanted view, and its mounting (4, 4).
         indices: the m frames to make; all by default. Others are still drawn on.
-        settings: how.
         on_progress: told the share of images that are done.
     """
     synthesis = _Synthesis(front, target, T_rig_target, settings or SynthesisSettings())
@@ -150,9 +148,8 @@ class _Synthesis:
         origin = np.where(known.visible, PixelOrigin.SAME_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
         if others:
             sources = [self._source(index, other) for other in others]
-            gathered = gather(sources, front.camera, self._other_frames_target)
-            visible = gathered.source < len(sources)
-            warped = _averaged_down(gathered.image, visible, gathered.far, OTHER_FRAMES_SUPERSAMPLING)
+            image, source, far = gather(sources, front.camera, self._other_frames_target)
+            warped = _averaged_down(image, source < len(sources), far, OTHER_FRAMES_SUPERSAMPLING)
             image, visible = self._road.look_up(sources)
             other = _laid_over(warped, _Layer(image, visible, np.zeros_like(visible)))
             origin[other.visible & ~known.visible] = PixelOrigin.OTHER_FRAME
