@@ -9,7 +9,7 @@ from olt_generator.poses import planar_pose
 
 
 def standstills(speed, turn_rate=0.0, speed_sigma=0.05, turn_sigma=0.01, place_sigma=0.05, wander=0.0, lengths=None):
-    """Whether the vehicle stands, (n,) at steps of an eighth of a second, at speeds (n,) in m/s and with places that wander in m."""
+    """Steps, an eighth of a second each, at which a vehicle of speeds (n,) in m/s and wandering places (m) stands."""
     n = len(speed)
     place = np.cumsum(0.125 * speed) + wander * np.sin(np.arange(n))
     poses = planar_pose(place, np.zeros(n), 0.0)[:, None]
