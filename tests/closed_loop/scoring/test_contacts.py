@@ -143,6 +143,19 @@ def test_boxes_that_spin_between_two_samples_touch_as_in_very_fine_sampling(spin
     assert late > 20 and np.isinf(contacts).sum() > 20
 
 
+@pytest.mark.parametrize("turn", [0.5, 2.5])
+@pytest.mark.parametrize("swinging", ["ego", "other"])
+def test_a_truck_that_swings_its_nose_past_a_post_between_two_samples_touches_it(swinging, turn):
+    """Its nose reaches 6 m at half time only; at both ends it stays as far off as the bound just allows for."""
+    angles = np.pi / 2 + np.array([-0.5, 0.5]) * turn
+    truck = moving_box([0, SECOND], [[0, 0, 0, angle] for angle in angles], (12.0, 0.1, 2.0))
+    post = moving_box([0, SECOND], [[0, 6.03, 0, 0]] * 2, (0.1, 0.1, 2.0))
+    (contact,) = first_contacts(*((truck, [post]) if swinging == "ego" else (post, [truck])), 0, SECOND)
+    times = np.arange(0, SECOND, 10)
+    assert contact == pytest.approx(times[np.argmax(gaps_at(truck, post, times) < TOUCH)], abs=10.0)
+    assert 0.3 * SECOND < contact < 0.5 * SECOND
+
+
 def test_boxes_side_by_side_without_a_gap_do_not_touch():
     ego = moving_box([0, SECOND], [[0, 0, 0, 0], [20, 0, 0, 0]])
     flush = moving_box([0, SECOND], [[0, 1.9, 0, 0]] * 2)
