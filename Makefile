@@ -39,9 +39,9 @@ wheels: $(READY)  ## build what is shipped, install it outside the checkout and 
 	sh tools/check_wheels.sh $(VENV)
 
 floors: $(READY)  ## run the fast tests on the lowest versions that the dependencies allow
-	$(BIN)/uv venv --quiet --clear --python $(PYTHON) build/floors
-	VIRTUAL_ENV=build/floors $(BIN)/uv pip install --quiet --resolution lowest-direct --editable toolkit/generator --editable '.[dev]'
-	build/floors/bin/python -m pytest -n auto -m "not slow" -p no:cacheprovider
+	$(BIN)/uv venv --quiet --clear --python $(PYTHON) .venv/floors
+	VIRTUAL_ENV=.venv/floors $(BIN)/uv pip install --quiet --resolution lowest-direct --editable toolkit/generator --editable '.[dev]'
+	.venv/floors/bin/python -m pytest -n auto -m "not slow" -p no:cacheprovider
 
 sizes: $(READY)  ## measure the source: lines, functions, helpers called once, cycles
 	$(BIN)/python tools/measure_code.py

@@ -14,7 +14,9 @@ ROOT = Path(__file__).resolve().parents[2]
 SOURCE_FOLDERS = ("toolkit", "closed_loop", "datasets", "sft_recipes")
 READMES = [path for folder in (".", *SOURCE_FOLDERS) for path in sorted((ROOT / folder).glob("**/README.md"))]
 PAGES = sorted(
-    {path for path in READMES if ".venv" not in path.parts} | {*ROOT.glob("*.md")} | {*(ROOT / "docs").rglob("*.md")}
+    {path for path in READMES if not {".venv", "build"} & {*path.parts}}
+    | {*ROOT.glob("*.md")}
+    | {*(ROOT / "docs").rglob("*.md")}
 )
 
 _OPENING = re.compile(r"```(?P<language>\w*)(?: title=\"(?P<title>[^\"]+)\")?$")
