@@ -10,7 +10,7 @@ from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
 from olt_closed_loop.benchmarks.vehicle_grid import Cell
 from olt_closed_loop.vehicle.integration_plan import automatic_plan, candidates, stiffness_plan
 from olt_closed_loop.vehicle.integrators import VehicleStepper
-from olt_closed_loop.vehicle.parameters import VehicleParameters
+from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 EVERYTHING_IS_ACCURATE = 1e12
@@ -161,3 +161,47 @@ def test_the_plan_takes_the_method_that_evaluates_the_equations_less(tolerance, 
         for method, each in (("midpoint", 2), ("rk4", 4))
     }
     assert min(evaluations, key=evaluations.__getitem__) == expected
+
+
+def demand(vehicle, speed, what, share):
+    """State and control that ask an axle for `share` of 0.4 times its friction limit, in one way each."""
+    tyres, gravity = vehicle.tyres, 9.81
+    asked = 0.4 * share * tyres.friction  # over the load of the axle
+    front_load = tyres.mass * gravity * tyres.rear_axle_to_centre / vehicle.wheelbase
+    rear_load = tyres.mass * gravity - front_load
+    rolling = (speed**4 + tyres.slip_speed**4) ** 0.25
+    state, control = rolling_at(speed), [0.0, 0.0]
+    match what:
+        case "braking":
+            control[1] = -asked * gravity
+        case "driving":
+            control[1] = asked * gravity
+        case "bend":
+            curvature = asked * gravity / speed**2
+            state[4] = control[0] = np.arctan(curvature * vehicle.wheelbase)
+            state[7] = curvature * speed
+        case "steering":
+            control[0] = asked * front_load / tyres.front_stiffness
+        case "swinging":
+            state[7] = asked * front_load / tyres.front_stiffness * rolling / vehicle.wheelbase
+        case "drifting":
+            state[6] = asked * rear_load / tyres.rear_stiffness * rolling
+    return state, control
+
+
+@pytest.mark.parametrize(
+    ("what", "speed"),
+    [("braking", 20.0), ("driving", 20.0), ("bend", 20.0), ("steering", 5.0), ("swinging", 5.0), ("drifting", 5.0)],
+)
+def test_the_error_is_measured_where_tyres_are_asked_for_four_tenths_of_their_friction(what, speed):
+    vehicle = vehicle_with_tyres(DEFAULT_VEHICLE, friction=0.8)
+    if what == "drifting":
+        vehicle = replace(vehicle, tyres=replace(vehicle.tyres, rear_stiffness=3.0 * vehicle.tyres.rear_stiffness))
+    tolerance = 1e-7
+    plan = automatic_plan(vehicle.model, tolerance)
+    for share, measured in ((0.97, False), (1.03, True)):
+        state, control = demand(vehicle, speed, what, share)
+        which, count, check = np.asarray(plan(state, control, vehicle.numbers, 0.1)).ravel()
+        assert candidates(vehicle.model)[int(which)] == ("saturating", "rk4")
+        whole = substeps(vehicle, "rk4", state, control, tolerance=tolerance)
+        assert (count, check) == ((np.ceil(0.6 * whole), tolerance) if measured else (whole, 0.0))
