@@ -128,7 +128,7 @@ def _poles(scene: Scene, occupied: shapely.Geometry) -> list[SceneryBox]:
     poles: list[SceneryBox] = []
     for edge in scene.road_edges:
         line = shapely.LineString(edge[:, :2]).offset_curve(-_POLE_OFFSET)
-        for point in line.interpolate(np.arange(15.0, line.length, _POLE_SPACING)):
+        for point in map(line.interpolate, np.arange(15.0, line.length, _POLE_SPACING)):
             if shapely.distance(occupied, point) > _POLE_OFFSET / 2:
                 poles.append(SceneryBox("pole", (point.x, point.y, 3.5), (0.16, 0.16, 7.0), 0.0, _POLE))
     return poles
