@@ -81,7 +81,7 @@ def build_clip(
     made, drawn_on, with_distance = _choose_frames(recording, options, plan)
 
     front, distance_error = None, None
-    if _clip_kind(options) == "Syn":
+    if clip_kind(options) == "Syn":
         with steps.step("distance") as on_part:
             distance = options.depth(
                 recording.frames, recording.camera, at_frames, T_rig_camera, on_part, with_distance
@@ -131,7 +131,8 @@ def build_clip(
     )
 
 
-def _clip_kind(options: BuildOptions) -> ClipKind:
+def clip_kind(options: BuildOptions) -> ClipKind:
+    """What a clip that is built with these options is: by which views it has, and where they come from."""
     if not plan_views(options.cameras).synthesizes:
         return "front_only"
     return "GT" if options.use_reference_views else "Syn"
@@ -175,7 +176,7 @@ def _choose_frames(recording: Recording, options: BuildOptions, plan: ViewPlan) 
 
 
 def _assemble(recording: Recording, options: BuildOptions, views: dict[str, View], ego_motion: EgoMotion) -> Clip:
-    times_us, name, kind = recording.timestamps_us, options.name or recording.name, _clip_kind(options)
+    times_us, name, kind = recording.timestamps_us, options.name or recording.name, clip_kind(options)
     # Video files need one constant rate, and readers take times from the timestamp tables: it only has to be close.
     rate = float(max(1, round(1e6 / float(np.median(np.diff(times_us))))))
     wanted = {camera: views[camera] for camera in options.cameras}
