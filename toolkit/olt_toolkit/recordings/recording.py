@@ -5,7 +5,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_generator.camera_spread import CameraSpread
 from olt_generator.cameras import Camera
+from olt_generator.doubts import Doubt
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import POLICY_CAMERAS, MountedCamera, VehicleDimensions
@@ -29,6 +31,8 @@ class Recording:
         mounted: lens, at the size of the images, and mounting of the cameras of `views`; a camera that is not there is
             that of the rig whose views are wanted.
         observed: pixels (h, w) that some camera saw, of those of `views` that are mosaics of several cameras.
+        spread: how well height and focal length of the front camera are known.
+        doubts: what the reader has reason to doubt, such as where the camera looks.
     """
 
     name: str
@@ -44,6 +48,8 @@ class Recording:
     views: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
     mounted: dict[str, MountedCamera] = field(default_factory=dict)
     observed: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
+    spread: CameraSpread = field(default_factory=CameraSpread)
+    doubts: tuple[Doubt, ...] = ()
 
 
 @dataclass(frozen=True)

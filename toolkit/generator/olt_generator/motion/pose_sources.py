@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
+from olt_generator.doubts import Doubt
 from olt_generator.errors import InputError
 from olt_generator.motion.smoother import SmootherSettings
 from olt_generator.poses import Array, invert
@@ -27,12 +28,17 @@ class PoseEstimate:
         T_rig_camera: (4, 4) mounting of the camera: as given, or corrected where the source can see it.
         scale_sigma: relative standard deviation of the metric scale; None where it is not known.
         noise: how noisy the poses are, for the smoother.
+        covariance: (n, 6, 6) of the errors of position (x, y, z in metres) and rotation (rotation vector in radians),
+            both in the axes of the first pose, against which they are meant; None where it is not known.
+        doubts: why the motion may be another one.
     """
 
     trajectory: Trajectory
     T_rig_camera: Array
     scale_sigma: float | None
     noise: SmootherSettings
+    covariance: Array | None = field(default=None, kw_only=True)
+    doubts: tuple[Doubt, ...] = field(default=(), kw_only=True)
 
 
 PoseSource = Callable[[NDArray[np.uint8], NDArray[np.int64], Camera, Array, Progress], PoseEstimate]
