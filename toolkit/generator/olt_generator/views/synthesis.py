@@ -22,9 +22,9 @@ from olt_generator.views.brightness import brightened, relative_brightness
 from olt_generator.views.fill import fill_holes
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.panorama import Panorama
-from olt_generator.views.road_view import RoadView
-from olt_generator.views.source_frames import SourceChooser, may_be_seen
+from olt_generator.views.source_frames import SourceChooser
 from olt_generator.views.splat import splat
+from olt_generator.views.surface_mesh import INFINITY, build_mesh
 
 # Splats of the same moment land in an image this many times as large, which is then averaged down: sub-pixel positions
 # and edges are kept (PSNR on a made-up street: 10 dB above none, 4 dB above 2), and the 3 x 3 footprint is one pixel.
@@ -122,12 +122,9 @@ class _Synthesis:
     def __init__(self, front: FrontView, target: Camera, T_rig_target: Array, settings: SynthesisSettings) -> None:
         self._front, self._settings = front, settings
         self._T_target_rig = invert(T_rig_target)
-        self._same_frame_target, self._other_frames_target = (
-            target.resized(target.width * factor, target.height * factor)
-            for factor in (SUPERSAMPLING, OTHER_FRAMES_SUPERSAMPLING)
-        )
+        self._target, self._T_rig_target = target, T_rig_target
+        self._same_frame_target = target.resized(target.width * SUPERSAMPLING, target.height * SUPERSAMPLING)
         self._panorama = Panorama(target, T_rig_target, front.camera, front.T_rig_camera)
-        self._road = RoadView(front.camera, target, T_rig_target)
         self._chooser = SourceChooser(front, target, T_rig_target, settings.other_frames)
 
     def other_frames(self, index: int) -> tuple[int, ...]:
@@ -148,10 +145,8 @@ class _Synthesis:
         origin = np.where(known.visible, PixelOrigin.SAME_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
         if others:
             sources = [self._source(index, other) for other in others]
-            image, source, far = gather(sources, front.camera, self._other_frames_target)
-            warped = _averaged_down(image, source < len(sources), far, OTHER_FRAMES_SUPERSAMPLING)
-            image, visible = self._road.look_up(sources)
-            other = _laid_over(warped, _Layer(image, visible, np.zeros_like(visible)))
+            seen = gather(sources, front.camera, self._target, self._T_rig_target)
+            other = _Layer(seen.image, np.isfinite(seen.distance), seen.distance > 0.5 * INFINITY)
             origin[other.visible & ~known.visible] = PixelOrigin.OTHER_FRAME
             known = _laid_over(known, other)
         background = self._panorama.background(
@@ -166,13 +161,14 @@ class _Synthesis:
         T_target_camera = T_target_world @ front.camera_poses[other]
         distance = np.where(front.distance[other] < FAR_DISTANCE, front.distance[other], np.float32(np.inf))
         distance[np.isnan(front.distance[other])] = np.nan
-        usable = may_be_seen(distance, front.camera, self._other_frames_target, T_target_camera)
+        usable = np.ones(distance.shape, np.bool_)
         if front.moving is not None:
             usable &= ~front.moving[other]
         if front.confidence is not None:
             usable &= front.confidence[other] >= self._settings.least_confidence
         image = brightened(front.frames[other], relative_brightness(front, index, other))
-        return SourceFrame(image, np.where(usable, distance, np.float32(np.nan)), T_target_camera)
+        distance = np.where(usable, distance, np.float32(np.nan))
+        return SourceFrame(image, distance, build_mesh(distance, front.camera), T_target_camera)
 
 
 def _laid_over(front: _Layer, behind: _Layer) -> _Layer:
