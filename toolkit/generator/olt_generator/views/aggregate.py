@@ -1,11 +1,12 @@
-"""What other frames of the front camera saw of what a camera sees now.
+"""What frames of the front camera saw of what another camera sees now.
 
-Everything is taken to stand still; pixels of moving objects must be left out of what is gathered. Each frame says how
-far the surfaces lie that it knows of, as the camera sees them: those of its mesh, and the road, which is where it is.
-Each pixel is then looked up in the frame, and counts where the frame sees that very surface there.
-Of all frames the nearest surface wins. Frames whose distances agree to some per cent show one surface: they are mixed,
-mostly from the frame that was nearest to it, and less of a frame close to the edge of what it shows, so that no seam
-remains.
+Except in the frame of the same moment, everything is taken to stand still; pixels of moving objects must be left out.
+Each frame says how far the surfaces lie that it knows of, as the camera sees them: those of its mesh, and the road,
+which is where it is. Each pixel is then looked up in the frame, and counts where the frame sees that very surface.
+
+What the frame of the same moment shows comes first. Of the others the nearest surface wins. Frames whose distances
+agree to some per cent show one surface: they are mixed, mostly from the frame that was nearest to it, and less of a
+frame close to the edge of what it shows, so that no seam remains. So the bytes do not depend on the order of the work.
 """
 
 from collections.abc import Sequence
@@ -24,17 +25,25 @@ from olt_generator.views.surface_mesh import INFINITY, SurfaceMesh, draw_mesh
 # Distances that differ by less than this share are one surface: the error of a distance estimate that still serves.
 SURFACE_TOLERANCE = 0.15
 # Surfaces at least so much nearer than the road stand on it.
-_IN_FRONT_OF_ROAD = 0.9
+IN_FRONT_OF_ROAD = 0.9
 # Metres from which on the road is too flat to be told from what lies behind it.
-_FARTHEST_ROAD = 40.0
+FARTHEST_ROAD = 40.0
 # Of frames that show one surface, the nearer ones count by this power of how near they were.
-_FINENESS_POWER = 6.0
+FINENESS_POWER = 6.0
 # Pixels over which a frame fades out towards the edge of what it shows.
-_FADE = 8.0
-# What is narrower than so many pixels and stands alone is not shown.
-_SPECK = 3
-# Points in a line of the picture as which they are looked up, and the fewest lines of it.
+FADE = 8.0
+# Pixels of another frame that are not part of a square of this side stand alone, and so do patches of fewer pixels per
+# thousand of the image that touch nothing.
+SPECK, LEAST_PATCH = 3, 4
+# Pixels by which the surfaces of the same frame are extended over the cracks at their edges.
+CRACK = 2
+# Of the road in view one point in so many is tried, along rows and along columns, to tell what a frame may see of it.
+BLOCK = 8
+# Points in a line of the picture as which they are looked up.
 _FOLD = 1024
+
+Mask = NDArray[np.bool_]
+Distance = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
@@ -47,98 +56,197 @@ class SourceFrame:
             must not be taken.
         mesh: the surfaces of `distance`.
         T_target_camera: (4, 4) pose of its camera in the target camera.
+        brightness: factor that takes its grey levels to those of the wanted image.
     """
 
     image: NDArray[np.uint8]
-    distance: NDArray[np.float32]
+    distance: Distance
     mesh: SurfaceMesh
     T_target_camera: Array
+    brightness: float = 1.0
 
 
 @dataclass(frozen=True)
 class Gathered:
-    """What several frames show of a view.
+    """What frames show of a view.
 
     Attributes:
         image: (h, w, 3) uint8, black where none shows anything.
-        distance: (h, w) float32 metres from the target; inf where no frame shows anything, `INFINITY` and about it
-            for what is only known by its direction.
+        distance: (h, w) metres from the target; inf where no frame shows anything, about `INFINITY` for what is only
+            known by its direction.
+        from_same: (h, w) bool, what the frame of the same moment shows.
     """
 
     image: NDArray[np.uint8]
-    distance: NDArray[np.float32]
+    distance: Distance
+    from_same: Mask
 
 
-class _Found:
-    """Pixels of the target that a source shows: their numbers (k,), source pixels, and distances from both cameras."""
+def gather(
+    same: SourceFrame, others: Sequence[SourceFrame], camera: Camera, target: Camera, T_rig_target: Array
+) -> Gathered:
+    """Gather what frames of `camera` show of the view of `target`, mounted at `T_rig_target` (4, 4).
 
-    def __init__(self, source: SourceFrame, camera: Camera, target: Camera, road: NDArray[np.float32]) -> None:
-        surface = draw_mesh(source.mesh, target, source.T_target_camera)
-        surface = np.where(surface < _IN_FRONT_OF_ROAD * road, surface, np.minimum(surface, road)).ravel()
-        index = np.flatnonzero(surface < 2.0 * INFINITY)
-        rotation, translation = (part.astype(np.float32) for part in np.split(source.T_target_camera[:3], [3], axis=1))
-        points = (_rays(target).take(index, axis=0) * surface.take(index)[:, None] - translation.T) @ rotation
-        pixels, inside = camera.project(points)
-        kept = np.flatnonzero(inside)
-        last = (camera.width - 1, camera.height - 1)
-        pixels = pixels.take(kept, axis=0).clip(0.0, last).astype(np.float32)
-        seen = source.distance[np.rint(pixels[:, 1]).astype(np.intp), np.rint(pixels[:, 0]).astype(np.intp)]
-        from_source = np.sqrt((points.take(kept, axis=0) ** 2).sum(axis=1))
-        with np.errstate(invalid="ignore"):
-            agrees = np.abs(np.minimum(seen, np.float32(INFINITY)) - from_source) < SURFACE_TOLERANCE * from_source
-        index = index.take(kept)
-        shown = np.zeros((target.height, target.width), np.uint8)
-        shown.ravel()[index[agrees]] = 1
-        shown = cv2.morphologyEx(shown, cv2.MORPH_OPEN, np.ones((_SPECK, _SPECK), np.uint8))
-        stays = np.flatnonzero(agrees & (shown.ravel().take(index) > 0))
-        self.index = index.take(stays)
-        self.pixels = pixels.take(stays, axis=0)
-        self.distance = surface.take(self.index)
-        fineness = (self.distance / from_source.take(stays)).clip(0.05, 2.0) ** np.float32(_FINENESS_POWER)
-        from_edge = cv2.distanceTransform(np.pad(shown, 1), cv2.DIST_L2, 3)[1:-1, 1:-1].ravel().take(self.index)
-        self.weight = fineness * np.minimum(from_edge / np.float32(_FADE), 1.0)
-
-
-def gather(sources: Sequence[SourceFrame], camera: Camera, target: Camera, T_rig_target: Array) -> Gathered:
-    """Gather what `sources`, at least one frame of `camera`, show of the view of `target` at `T_rig_target` (4, 4)."""
-    road = _road(target, _hashable(T_rig_target))
-    found = [_Found(source, camera, target, road) for source in sources]
-    nearest = np.full(target.width * target.height, np.inf, np.float32)
-    for each in found:
-        nearest[each.index] = np.minimum(nearest.take(each.index), each.distance)
-    total = np.zeros((len(nearest), 3), np.float32)
-    weight = np.zeros(len(nearest), np.float32)
-    for source, each in zip(sources, found, strict=True):
-        foremost = np.flatnonzero(each.distance < (1.0 + SURFACE_TOLERANCE) * nearest.take(each.index))
-        index, share = each.index.take(foremost), each.weight.take(foremost) + np.float32(1e-9)
-        total[index] += share[:, None] * _look_up(source.image, each.pixels.take(foremost, axis=0))
-        weight[index] += share
-    shown = np.isfinite(nearest)
-    total[shown] /= weight[shown, None]
+    `same` is the frame of that moment, which may show moving things. Towards the edge of what it shows it fades into
+    those of the `others` that show the same surface.
+    """
     size = (target.height, target.width)
-    return Gathered(np.rint(total).astype(np.uint8).reshape(*size, 3), nearest.reshape(size))
+    first = _look(same, camera, target, _extended(draw_mesh(same.mesh, target, same.T_target_camera)))
+    from_same = _mask(first, target)
+    nearest = np.full(target.height * target.width, np.inf, np.float32)
+    mixed = np.zeros((len(nearest), 3), np.float32)
+    behind = np.zeros(len(nearest), np.bool_)
+    if others:
+        road = _road(target, np.asarray(T_rig_target, np.float64).tobytes())
+        shown = [_look_from(source, camera, target, road) for source in others]
+        standing = _without_patches([_mask(each, target) for each in shown], from_same)
+        shown = [each.only(standing.ravel().take(each.index)) for each in shown]
+        for each in shown:
+            nearest[each.index] = np.minimum(nearest.take(each.index), each.distance)
+        nearest[first.index] = first.distance
+        behind = _mix(mixed, nearest, others, shown, target)
+    nearest[first.index] = first.distance
+    share = np.where(behind.take(first.index), _fade(from_same).take(first.index), np.float32(1.0))[:, None]
+    own = _colours(same, first.pixels)
+    mixed[first.index] = share * own + (1.0 - share) * mixed.take(first.index, axis=0)
+    return Gathered(np.rint(mixed).astype(np.uint8).reshape(*size, 3), nearest.reshape(size), from_same)
 
 
-def _look_up(image: NDArray[np.uint8], pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Colours (k, 3) of an image at pixels (k, 2), interpolated."""
+@dataclass(frozen=True)
+class _Shown:
+    """What one frame shows of the target.
+
+    Attributes:
+        index: (k,) numbers of the pixels in the flattened target.
+        pixels: (k, 2) float32, where they are in the frame.
+        distance, from_source: (k,) float32 metres from the target and from the frame's camera.
+    """
+
+    index: NDArray[np.intp]
+    pixels: NDArray[np.float32]
+    distance: Distance
+    from_source: Distance
+
+    def only(self, kept: Mask) -> "_Shown":
+        """Those of the k pixels that are kept (k,)."""
+        few = np.flatnonzero(kept)
+        return _Shown(
+            self.index.take(few), self.pixels.take(few, axis=0), self.distance.take(few), self.from_source.take(few)
+        )
+
+
+def _look(source: SourceFrame, camera: Camera, target: Camera, surface: Distance) -> _Shown:
+    """Look for a surface at this distance (h, w) from the target, inf for none, in a frame."""
+    index = np.flatnonzero(np.isfinite(surface))
+    distance = surface.ravel().take(index)
+    rotation, translation = source.T_target_camera[:3, :3], source.T_target_camera[:3, 3]
+    points = _rays(target).take(index, axis=0)
+    points *= distance[:, None]
+    points -= translation.astype(np.float32)
+    points = points @ rotation.astype(np.float32)
+    pixels, inside = camera.project(points)
+    kept = np.flatnonzero(inside)
+    pixels = pixels.take(kept, axis=0).clip(0.0, (camera.width - 1, camera.height - 1)).astype(np.float32)
+    column, row = np.rint(pixels).astype(np.intp).T
+    seen = np.minimum(source.distance.ravel().take(row * camera.width + column), np.float32(INFINITY))
+    points = points.take(kept, axis=0)
+    from_source = np.sqrt(np.einsum("ij,ij->i", points, points))
+    with np.errstate(invalid="ignore"):
+        agrees = np.abs(seen - from_source) < SURFACE_TOLERANCE * from_source
+    return _Shown(index.take(kept), pixels, distance.take(kept), from_source).only(agrees)
+
+
+def _look_from(source: SourceFrame, camera: Camera, target: Camera, road: Distance) -> _Shown:
+    """What a frame of another moment shows, without specks: its surfaces, and before them the road (h, w)."""
+    surface = draw_mesh(source.mesh, target, source.T_target_camera)
+    in_view = np.where(_may_be_seen(road, camera, target, source.T_target_camera), road, np.float32(np.inf))
+    # Road that the frame knows about is put where it is; its mesh places it well, but coarsely.
+    is_road = surface > IN_FRONT_OF_ROAD * road
+    shown = _look(source, camera, target, np.where(is_road, in_view, surface))
+    parts = cv2.morphologyEx(_mask(shown, target).astype(np.uint8), cv2.MORPH_OPEN, np.ones((SPECK, SPECK), np.uint8))
+    return shown.only(parts.ravel().take(shown.index) > 0)
+
+
+def _may_be_seen(surface: Distance, camera: Camera, target: Camera, T_target_camera: Array) -> Mask:
+    """Pixels (h, w) in blocks around those at which a frame sees something at this distance (h, w), inf for nothing."""
+    few = np.s_[BLOCK // 2 :: BLOCK, BLOCK // 2 :: BLOCK]
+    reach = surface[few]
+    points = pixel_rays(target)[few] * np.where(np.isfinite(reach), reach, 0.0)[..., None]
+    seen = camera.project((points - T_target_camera[:3, 3]) @ T_target_camera[:3, :3])[1] & np.isfinite(reach)
+    blocks = cv2.dilate(seen.astype(np.uint8), np.ones((3, 3), np.uint8))
+    return cv2.resize(blocks, (target.width, target.height), interpolation=cv2.INTER_NEAREST) > 0
+
+
+def _extended(surface: Distance) -> Distance:
+    """The surface (h, w) with the cracks between its parts closed from behind."""
+    for _ in range(CRACK):
+        drawn = np.isfinite(surface)
+        behind = cv2.dilate(np.where(drawn, surface, np.float32(0.0)), np.ones((3, 3), np.uint8))
+        surface = np.where(drawn | (behind == 0.0), surface, behind)
+    return surface
+
+
+def _without_patches(masks: Sequence[Mask], from_same: Mask) -> Mask:
+    """Pixels (h, w) of any mask that hang together with what the same frame shows, or with much else."""
+    shown = np.logical_or.reduce([*masks, from_same])
+    _, label, stats, _ = cv2.connectedComponentsWithStats(shown.astype(np.uint8), connectivity=8)
+    large = stats[:, cv2.CC_STAT_AREA] >= LEAST_PATCH * 1e-3 * shown.size
+    large[label[from_same]] = True
+    return shown & large[label]
+
+
+def _mix(
+    mixed: NDArray[np.float32],
+    nearest: Distance,
+    sources: Sequence[SourceFrame],
+    shown: Sequence[_Shown],
+    target: Camera,
+) -> Mask:
+    """Put the mean colours of those that show the nearest surface (h w,) into `mixed` (h w, 3); where there are any."""
+    weight = np.zeros(len(nearest), np.float32)
+    for source, each in zip(sources, shown, strict=True):
+        fade = _fade(_mask(each, target))
+        each = each.only(np.abs(each.distance - nearest.take(each.index)) < SURFACE_TOLERANCE * nearest.take(each.index))
+        fineness = (each.distance / each.from_source).clip(0.05, 2.0) ** np.float32(FINENESS_POWER)
+        share = fineness * fade.take(each.index)
+        weight[each.index] += share
+        mixed[each.index] += share[:, None] * _colours(source, each.pixels)
+    some = np.flatnonzero(weight)
+    mixed[some] /= weight.take(some)[:, None]
+    return weight > 0.0
+
+
+def _mask(shown: _Shown, target: Camera) -> Mask:
+    mask = np.zeros((target.height, target.width), np.bool_)
+    mask.ravel()[shown.index] = True
+    return mask
+
+
+def _fade(mask: Mask) -> NDArray[np.float32]:
+    """1 well inside of a mask (h, w), falling to almost 0 at its edge, flattened (h w,)."""
+    from_edge = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
+    return np.minimum(from_edge / np.float32(FADE), np.float32(1.0)).ravel()
+
+
+def _colours(source: SourceFrame, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Colours (k, 3) of a frame at pixels (k, 2), interpolated."""
     # OpenCV takes no maps of more than 32,767 rows, so the list is folded into a picture.
     maps = np.zeros((-(-len(pixels) // _FOLD) or 1, _FOLD, 2), np.float32)
     maps.reshape(-1, 2)[: len(pixels)] = pixels
-    found = cv2.remap(image, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    return np.asarray(found, np.float32).reshape(-1, 3)[: len(pixels)]
+    found = cv2.remap(source.image, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    colours = np.asarray(found, np.float32).reshape(-1, 3)[: len(pixels)]
+    return colours if source.brightness == 1.0 else np.minimum(colours * np.float32(source.brightness), 255.0)
 
 
 @lru_cache(maxsize=16)
 def _rays(camera: Camera) -> NDArray[np.float32]:
-    return pixel_rays(camera).reshape(-1, 3).astype(np.float32)
-
-
-def _hashable(pose: Array) -> bytes:
-    return np.ascontiguousarray(pose, np.float64).tobytes()
+    rays = pixel_rays(camera).reshape(-1, 3).astype(np.float32)
+    rays.flags.writeable = False
+    return rays
 
 
 @lru_cache(maxsize=16)
-def _road(camera: Camera, pose: bytes) -> NDArray[np.float32]:
-    """Distance (h, w) to the road, inf where it is far or there is none."""
+def _road(camera: Camera, pose: bytes) -> Distance:
+    """Distance (h, w) to the road from a camera mounted at a pose (4, 4), inf where it is far or there is none."""
     distance = road_distance(camera, np.frombuffer(pose).reshape(4, 4))
-    return np.where(distance < _FARTHEST_ROAD, distance, np.float32(np.inf))
+    return np.where(distance < FARTHEST_ROAD, distance, np.float32(np.inf))

@@ -58,6 +58,12 @@ class FrontView:
     def __len__(self) -> int:
         return len(self.frames)
 
+    def trust(self, index: int) -> NDArray[np.float32] | None:
+        """Confidence (H, W) in the distances of a frame, 0 where something moves; None where it is not known."""
+        if self.confidence is None or self.moving is None:
+            return self.confidence if self.confidence is None else self.confidence[index]
+        return np.where(self.moving[index], np.float32(0.0), self.confidence[index])
+
     @cached_property
     def camera_poses(self) -> Array:
         """Poses T_world_camera (n, 4, 4)."""

@@ -13,8 +13,14 @@ from olt_generator.poses import Array
 from olt_generator.views.fill import interpolate
 
 # Cells around the whole horizon, and between the elevations of +- 60 degrees; what is steeper falls in the last row.
-_COLUMNS, _ROWS = 24, 120
+_COLUMNS, _ROWS = 48, 120
 _CELL_WIDTH, _CELL_HEIGHT = 2.0 * np.pi / _COLUMNS, np.radians(120.0) / _ROWS
+
+# What no frame shows is as its neighbours are, and by this share as all that is known at about its elevation, within a
+# Gaussian of so many rows. Without that, a cloud or a house at the edge of the known would be drawn out far beyond it.
+_SHARE_OF_MEAN, _ROW_SIGMA = 0.3, 2.0
+# Known cells around a row from which on they have a mean.
+_LEAST_COUNT = 0.5
 
 # Of the front image, which is only averaged, every fourth pixel is enough, along rows and along columns.
 _FRONT_STEP = 4
@@ -82,4 +88,15 @@ class Panorama:
         front_mean, front_known = self._front.mean(front_image[few], lends)
         if not (known | front_known).any():
             return None
-        return self._target.look_up(interpolate(np.where(known[..., None], mean, front_mean), known | front_known))
+        cells, filled = np.where(known[..., None], mean, front_mean), known | front_known
+        return self._target.look_up(_towards_mean(interpolate(cells, filled), cells, filled))
+
+
+def _towards_mean(smooth: NDArray[np.float32], cells: Array, known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Smooth colours (rows, columns, 3), a share of which is replaced by the mean of the known cells around each row."""
+    total = np.where(known[..., None], cells, 0.0).sum(axis=1)
+    values = cv2.GaussianBlur(np.column_stack([total, known.sum(axis=1)]), (1, 0), sigmaX=1.0, sigmaY=_ROW_SIGMA)
+    count = values[:, 3:]
+    mean = values[:, :3] / np.maximum(count, 1e-6)
+    share = np.where(known[..., None] | (count < _LEAST_COUNT)[:, None], 0.0, _SHARE_OF_MEAN)
+    return ((1.0 - share) * smooth + share * mean[:, None]).astype(np.float32)

@@ -3,7 +3,7 @@
 Points fall apart where a camera comes closer to a surface than the frame that saw it. A mesh does not: pixels that lie
 on one surface are joined by quads, and what lies between them is drawn with them. Where the distance leaps from one
 pixel to the next nothing joins them, so nothing is drawn; a pixel that agrees with none of its neighbours, as in
-foliage whose distances are noise, or a thin pole, leaves no trace.
+foliage whose distances are noise, or on a pole thinner than the mesh, leaves no trace.
 """
 
 from dataclasses import dataclass
@@ -15,17 +15,22 @@ from numpy.typing import NDArray
 from olt_generator.cameras import Camera, pixel_rays
 from olt_generator.poses import Array
 
-# Columns that a frame is reduced to: as fine as distances by parallax are (`depth.SweepSettings`), or finer.
-COLUMNS = 208
-# Share by which the distances at the corners of a quad may differ. A wall differs by so much when seen at four degrees.
+# Share by which the distances at the corners of a quad may differ. A wall differs by so much when seen at four degrees,
+# with quads of half a degree.
 LARGEST_STEP = 0.15
 # Of the nine quads around and with a quad, so many must be whole for it to be drawn.
 LEAST_WHOLE = 5
+# Target pixels to which a quad may be enlarged; what was seen so coarsely shows nothing.
+LARGEST_QUAD = 12
 # Metres that stand for infinity: farther than any clip is long, and finite.
 INFINITY = 1e6
-# Target pixels to which a quad may be enlarged; what was seen so coarsely shows nothing.
-LARGEST_QUAD = 24
-_STEPS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48)
+
+# Points of a quad that are drawn for each pixel of its longest side, and the numbers of them, so that quads of about
+# one size are drawn together.
+_DENSITY = 1.25
+_COUNTS = (1, 2, 3, 4, 6, 8, 12, 16)
+# Of the points of a mesh one in so many is tried, along rows and along columns, to tell which part is in view.
+_BLOCK = 8
 
 
 @dataclass(frozen=True)
@@ -41,69 +46,69 @@ class SurfaceMesh:
     whole: NDArray[np.bool_]
 
 
-def build_mesh(distance: NDArray[np.float32], camera: Camera) -> SurfaceMesh:
-    """Mesh of a frame of `camera` with distances (H, W) along the rays, inf for the far, NaN for what is left out."""
-    step = max(1, round(camera.width / COLUMNS))
+def build_mesh(distance: NDArray[np.float32], camera: Camera, step: int = 1) -> SurfaceMesh:
+    """Mesh of a frame of `camera` with distances (H, W) along the rays, inf for the far, NaN for what is left out.
+
+    One pixel in `step` is taken, along rows and along columns.
+    """
     few = np.s_[step // 2 :: step, step // 2 :: step]
     reach = np.minimum(distance[few], np.float32(INFINITY))
-    corners = [reach[:-1, :-1], reach[:-1, 1:], reach[1:, :-1], reach[1:, 1:]]
-    nearest, farthest = np.minimum.reduce(corners), np.maximum.reduce(corners)
+    corners = (reach[:-1, :-1], reach[:-1, 1:], reach[1:, :-1], reach[1:, 1:])
     with np.errstate(invalid="ignore"):
-        joined = farthest <= (1.0 + LARGEST_STEP) * nearest
+        joined = np.maximum.reduce(corners) <= (1.0 + LARGEST_STEP) * np.minimum.reduce(corners)
     around = cv2.boxFilter(joined.astype(np.float32), -1, (3, 3), normalize=False, borderType=cv2.BORDER_REPLICATE)
-    whole = joined & (around >= LEAST_WHOLE)
-    return SurfaceMesh((pixel_rays(camera)[few] * reach[..., None]).astype(np.float32), whole)
+    points = pixel_rays(camera)[few] * reach[..., None]
+    return SurfaceMesh(points.astype(np.float32), joined & (around > LEAST_WHOLE - 0.5))
 
 
 def draw_mesh(mesh: SurfaceMesh, target: Camera, T_target_camera: Array) -> NDArray[np.float32]:
-    """Distance (h, w) in metres from `target` to the nearest surface of the mesh in each pixel, inf where there is none.
+    """Distance (h, w) in metres from `target` to the nearest surface of a mesh in each pixel, inf where there is none.
 
     `T_target_camera` (4, 4) is the pose of the frame's camera in the target. Surfaces seen from behind are not drawn.
     """
-    rotation, translation = T_target_camera[:3, :3].astype(np.float32), T_target_camera[:3, 3].astype(np.float32)
-    points = mesh.points @ rotation.T + translation
-    widened = target.cropped(
-        -LARGEST_QUAD, -LARGEST_QUAD, target.width + 2 * LARGEST_QUAD, target.height + 2 * LARGEST_QUAD
-    )
-    pixels, inside = widened.project(points)
-    pixels = pixels.astype(np.float32)
+    margin = LARGEST_QUAD
+    widened = target.cropped(-margin, -margin, target.width + 2 * margin, target.height + 2 * margin)
     drawn = np.full((widened.height, widened.width), np.inf, np.float32)
-    whole = mesh.whole & inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:]
-    row, column = np.nonzero(whole)
-    # Corners (4, k, 3) as column, row and inverse distance, which is linear on a plane as the picture shows it.
-    nearness = 1.0 / np.sqrt((points * points).sum(axis=-1))
-    vertices = np.concatenate([pixels, nearness[..., None]], axis=-1)
+    rows, columns = _part_in_view(mesh, widened, T_target_camera)
+    points = mesh.points[rows, columns] @ T_target_camera[:3, :3].T.astype(np.float32)
+    points += T_target_camera[:3, 3].astype(np.float32)
+    pixels, inside = widened.project(points)
+    # Column, row and inverse distance, which is linear on a plane as the picture shows it.
+    with np.errstate(divide="ignore"):
+        nearness = 1.0 / np.sqrt(np.einsum("ijk,ijk->ij", points, points))
+    vertices = np.concatenate([pixels, nearness[..., None]], axis=-1, dtype=np.float32)
+    whole = mesh.whole[rows, columns][: max(0, len(points) - 1), : max(0, points.shape[1] - 1)]
+    row, column = np.nonzero(whole & inside[:-1, :-1] & inside[:-1, 1:] & inside[1:, :-1] & inside[1:, 1:])
     a, b, c, d = (vertices[row + down, column + right] for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)))
-    side = np.maximum.reduce([np.abs(one - other)[:, :2].max(axis=1) for one, other in ((a, b), (c, d), (a, c), (b, d))])
-    first, second = (b - c)[:, :2], (d - a)[:, :2]
-    faces = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0] > 0.0
-    samples = np.ceil(1.25 * side + 0.25)
-    lower = 0
-    for steps in _STEPS:
-        some = np.flatnonzero(faces & (samples > lower) & (samples <= steps) & (side <= LARGEST_QUAD))
-        lower = steps
-        if len(some):
-            _draw_quads(drawn, steps, *(corner[some] for corner in (a, b, c, d)))
-    inner = drawn[LARGEST_QUAD:-LARGEST_QUAD, LARGEST_QUAD:-LARGEST_QUAD]
-    return np.ascontiguousarray(inner)
+    side = np.maximum.reduce([np.abs(p - q)[:, :2].max(axis=1) for p, q in ((a, b), (c, d), (a, c), (b, d))])
+    falling, rising = d - a, b - c
+    faces_target = rising[:, 0] * falling[:, 1] > rising[:, 1] * falling[:, 0]
+    side[~faces_target | (side > LARGEST_QUAD)] = np.inf
+    fewest = 0
+    for count in _COUNTS:
+        some = np.flatnonzero((_DENSITY * side > fewest) & (_DENSITY * side <= count))
+        fewest = count
+        _draw_quads(drawn, np.stack([corner.take(some, axis=0) for corner in (a, b, c, d)]), count)
+    return np.ascontiguousarray(drawn[margin:-margin, margin:-margin])
 
 
-def _draw_quads(
-    drawn: NDArray[np.float32],
-    steps: int,
-    a: NDArray[np.float32],
-    b: NDArray[np.float32],
-    c: NDArray[np.float32],
-    d: NDArray[np.float32],
-) -> None:
-    """Put `steps`^2 points of each quad with corners (k, 3) into the z-buffer."""
-    share = ((np.arange(steps) + 0.5) / steps).astype(np.float32)
-    right, down = share[None, :, None], share[:, None, None]
-    weights = np.stack(
-        [w.ravel() for w in ((1 - right) * (1 - down), right * (1 - down), (1 - right) * down, right * down)]
+def _part_in_view(mesh: SurfaceMesh, target: Camera, T_target_camera: Array) -> tuple[slice, slice]:
+    """Rows and columns of the points around those that the target sees of the few that are tried."""
+    few = mesh.points[::_BLOCK, ::_BLOCK] @ T_target_camera[:3, :3].T + T_target_camera[:3, 3]
+    row, column = np.nonzero(target.project(few)[1])
+    if len(row) == 0:
+        return slice(0, 0), slice(0, 0)
+    rows, columns = (
+        slice(max(0, int(index.min() - 1) * _BLOCK), int(index.max() + 1) * _BLOCK + 1) for index in (row, column)
     )
-    column, row, nearness = (
-        np.einsum("ik,ij->jk", np.stack([corner[:, axis] for corner in (a, b, c, d)]), weights) for axis in range(3)
-    )
+    return rows, columns
+
+
+def _draw_quads(drawn: NDArray[np.float32], corners: NDArray[np.float32], count: int) -> None:
+    """Put `count`^2 points of each quad with corners (4, k, 3) into the z-buffer."""
+    share = ((np.arange(count) + 0.5) / count).astype(np.float32)
+    right, down = (part.ravel() for part in np.meshgrid(share, share))
+    weights = np.stack([(1 - right) * (1 - down), right * (1 - down), (1 - right) * down, right * down], axis=1)
+    column, row, nearness = (weights @ corners[:, :, axis] for axis in range(3))
     index = np.rint(row).astype(np.int32) * drawn.shape[1] + np.rint(column).astype(np.int32)
     np.minimum.at(drawn.ravel(), index.ravel(), (1.0 / nearness).ravel())

@@ -7,7 +7,7 @@ saw at other moments, of things that stand still, and then smooth colours.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -18,19 +18,24 @@ from olt_generator.distance.depth import FAR_DISTANCE
 from olt_generator.poses import Array, invert
 from olt_generator.progress import Progress, silent
 from olt_generator.views.aggregate import SourceFrame, gather
-from olt_generator.views.brightness import brightened, relative_brightness
+from olt_generator.views.brightness import relative_brightness
+from olt_generator.views.coherence import make_coherent
 from olt_generator.views.fill import fill_holes
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.panorama import Panorama
 from olt_generator.views.source_frames import SourceChooser
-from olt_generator.views.splat import splat
-from olt_generator.views.surface_mesh import INFINITY, build_mesh
+from olt_generator.views.surface_mesh import SurfaceMesh, build_mesh
 
-# Splats of the same moment land in an image this many times as large, which is then averaged down: sub-pixel positions
-# and edges are kept (PSNR on a made-up street: 10 dB above none, 4 dB above 2), and the 3 x 3 footprint is one pixel.
-SUPERSAMPLING = 3
-# Other frames saw things from farther away, so their splats must be larger to close up.
-OTHER_FRAMES_SUPERSAMPLING = 2
+# One pixel in so many of the same frame, along rows and along columns, is a point of its mesh: on a made-up street with
+# true distances, every pixel gives 2 dB more in three times the time, and with estimated ones nothing.
+SAME_FRAME_STEP = 2
+# Columns to which other frames are reduced: as fine as distances by parallax are (`depth.SweepSettings`), or nearly.
+_MESH_COLUMNS = 208
+# Meshes of other frames that are kept for the next images.
+_KEPT_MESHES = 32
+# Source pixels for each target pixel from which on an image is blurred before it is looked up, and by how much: the
+# blur that takes a pixel to one `shrink` times as wide.
+_LEAST_SHRINK, _BLUR = 1.2, 0.4
 
 
 class PixelOrigin(IntEnum):
@@ -53,7 +58,7 @@ class SynthesisSettings:
 
     other_frames: int = 4
     lookback: int | None = None
-    least_confidence: float = 0.4
+    least_confidence: float = 0.15
 
 
 @dataclass(frozen=True)
@@ -108,14 +113,6 @@ def synthesize_view(
     return SynthesizedView(images, origin, tuple(drawn_on))
 
 
-class _Layer(NamedTuple):
-    """Part of one image: colours (h, w, 3), where they are known (h, w), and where that is far away (h, w)."""
-
-    image: NDArray[np.uint8]
-    visible: NDArray[np.bool_]
-    far: NDArray[np.bool_]
-
-
 class _Synthesis:
     """Everything that stays the same from image to image of one view."""
 
@@ -123,9 +120,9 @@ class _Synthesis:
         self._front, self._settings = front, settings
         self._T_target_rig = invert(T_rig_target)
         self._target, self._T_rig_target = target, T_rig_target
-        self._same_frame_target = target.resized(target.width * SUPERSAMPLING, target.height * SUPERSAMPLING)
         self._panorama = Panorama(target, T_rig_target, front.camera, front.T_rig_camera)
         self._chooser = SourceChooser(front, target, T_rig_target, settings.other_frames)
+        self._standing = lru_cache(_KEPT_MESHES)(self._find_standing)
 
     def other_frames(self, index: int) -> tuple[int, ...]:
         """The other frames that the image of a frame is made from."""
@@ -135,56 +132,48 @@ class _Synthesis:
 
     def make(self, index: int, others: tuple[int, ...]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
         """The image (h, w, 3) of one frame, and a `PixelOrigin` for each of its pixels (h, w)."""
-        front = self._front
-        distance = front.distance[index]
-        within_reach = np.minimum(distance, np.float32(FAR_DISTANCE))
-        T_target_camera = self._T_target_rig @ front.T_rig_camera
-        warp = splat(front.frames[index], within_reach, front.camera, self._same_frame_target, T_target_camera)
-        is_far = warp.distance > 0.9 * FAR_DISTANCE
-        known = _averaged_down(warp.image, warp.visible, is_far, SUPERSAMPLING)
-        origin = np.where(known.visible, PixelOrigin.SAME_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
-        if others:
-            sources = [self._source(index, other) for other in others]
-            seen = gather(sources, front.camera, self._target, self._T_rig_target)
-            other = _Layer(seen.image, np.isfinite(seen.distance), seen.distance > 0.5 * INFINITY)
-            origin[other.visible & ~known.visible] = PixelOrigin.OTHER_FRAME
-            known = _laid_over(known, other)
+        front, distance = self._front, self._front.distance[index]
+        others_shown = [self._other_source(index, other) for other in others]
+        seen = gather(self._same_source(index), others_shown, front.camera, self._target, self._T_rig_target)
+        visible = np.isfinite(seen.distance)
+        origin = np.where(visible, PixelOrigin.OTHER_FRAME, PixelOrigin.INVENTED).astype(np.uint8)
+        origin[seen.from_same] = PixelOrigin.SAME_FRAME
+        far = visible & (seen.distance > 0.9 * FAR_DISTANCE)
         background = self._panorama.background(
-            *known, front.frames[index], ~np.isnan(distance), distance >= FAR_DISTANCE
+            seen.image, visible, far, front.frames[index], ~np.isnan(distance), distance >= FAR_DISTANCE
         )
-        return fill_holes(known.image, known.visible, background), origin
+        return fill_holes(seen.image, visible, background), origin
 
-    def _source(self, index: int, other: int) -> SourceFrame:
+    def _same_source(self, index: int) -> SourceFrame:
+        """All of the frame of that moment, blurred as far as the lost resolution asks."""
+        front, image = self._front, self._front.frames[index]
+        distance = np.minimum(front.distance[index], np.float32(FAR_DISTANCE))
+        trust = front.trust(index)
+        if trust is not None:
+            distance = make_coherent(image, distance, trust)
+        shrink = front.camera.pixels_per_radian[0] / self._target.pixels_per_radian[0]
+        if shrink > _LEAST_SHRINK:
+            image = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR * np.sqrt(shrink**2 - 1.0)), np.uint8)
+        mesh = build_mesh(distance, front.camera, SAME_FRAME_STEP)
+        return SourceFrame(image, distance, mesh, self._T_target_rig @ front.T_rig_camera)
+
+    def _other_source(self, index: int, other: int) -> SourceFrame:
         """What may be taken from another frame."""
         front = self._front
         T_target_world = self._T_target_rig @ invert(front.trajectory.T_world_rig[index])
+        distance, mesh = self._standing(other)
         T_target_camera = T_target_world @ front.camera_poses[other]
-        distance = np.where(front.distance[other] < FAR_DISTANCE, front.distance[other], np.float32(np.inf))
-        distance[np.isnan(front.distance[other])] = np.nan
-        usable = np.ones(distance.shape, np.bool_)
+        return SourceFrame(
+            front.frames[other], distance, mesh, T_target_camera, relative_brightness(front, index, other)
+        )
+
+    def _find_standing(self, other: int) -> tuple[NDArray[np.float32], SurfaceMesh]:
+        """Distance (H, W) in another frame, NaN where it moves or is not trusted, and the mesh of it."""
+        front = self._front
+        known = front.distance[other]
+        distance = np.where(known < FAR_DISTANCE, known, np.where(np.isnan(known), known, np.float32(np.inf)))
         if front.moving is not None:
-            usable &= ~front.moving[other]
+            distance[front.moving[other]] = np.nan
         if front.confidence is not None:
-            usable &= front.confidence[other] >= self._settings.least_confidence
-        image = brightened(front.frames[other], relative_brightness(front, index, other))
-        distance = np.where(usable, distance, np.float32(np.nan))
-        return SourceFrame(image, distance, build_mesh(distance, front.camera), T_target_camera)
-
-
-def _laid_over(front: _Layer, behind: _Layer) -> _Layer:
-    return _Layer(
-        np.where(front.visible[..., None], front.image, behind.image),
-        front.visible | behind.visible,
-        np.where(front.visible, front.far, behind.far),
-    )
-
-
-def _averaged_down(image: NDArray[np.uint8], visible: NDArray[np.bool_], far: NDArray[np.bool_], factor: int) -> _Layer:
-    """Mean of the visible parts of each pixel, and where there are any; far is what is so for the most part."""
-    size = (image.shape[1] // factor, image.shape[0] // factor)
-    share = cv2.resize(visible.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    # Parts where nothing landed are black and add nothing to the mean.
-    mean = cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    mean /= np.maximum(share, 1e-6)[..., None]
-    far_share = cv2.resize((visible & far).astype(np.float32), size, interpolation=cv2.INTER_AREA)
-    return _Layer(np.rint(mean).astype(np.uint8), share > 0.0, far_share > 0.5 * share)
+            distance[front.confidence[other] < self._settings.least_confidence] = np.nan
+        return distance, build_mesh(distance, front.camera, max(1, round(front.camera.width / _MESH_COLUMNS)))
