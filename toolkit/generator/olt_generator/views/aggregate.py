@@ -30,8 +30,10 @@ IN_FRONT_OF_ROAD = 0.9
 FARTHEST_ROAD = 40.0
 # Of frames that show one surface, the nearer ones count by this power of how near they were.
 FINENESS_POWER = 6.0
+# What has less than this share of the largest weight is left out.
+LEAST_SHARE = 0.1
 # Pixels over which a frame fades out towards the edge of what it shows.
-FADE = 8.0
+FADE = 8
 # Pixels of another frame that are not part of a square of this side stand alone, and so do patches of fewer pixels per
 # thousand of the image that touch nothing.
 SPECK, LEAST_PATCH = 3, 4
@@ -95,20 +97,20 @@ def gather(
     from_same = _mask(first, target)
     nearest = np.full(target.height * target.width, np.inf, np.float32)
     mixed = np.zeros((len(nearest), 3), np.float32)
-    behind = np.zeros(len(nearest), np.bool_)
+    fade = np.ones(len(nearest), np.float32)
     if others:
         road = _road(target, np.asarray(T_rig_target, np.float64).tobytes())
-        shown = [_look_from(source, camera, target, road) for source in others]
+        fade = _fade(from_same)
+        wanted = (fade < 1.0).reshape(size)
+        shown = [_look_from(source, camera, target, road, wanted) for source in others]
         standing = _without_patches([_mask(each, target) for each in shown], from_same)
         shown = [each.only(standing.ravel().take(each.index)) for each in shown]
         for each in shown:
             nearest[each.index] = np.minimum(nearest.take(each.index), each.distance)
         nearest[first.index] = first.distance
-        behind = _mix(mixed, nearest, others, shown, target)
+        fade[~_mix(mixed, nearest, others, shown, target)] = 1.0
     nearest[first.index] = first.distance
-    share = np.where(behind.take(first.index), _fade(from_same).take(first.index), np.float32(1.0))[:, None]
-    own = _colours(same, first.pixels)
-    mixed[first.index] = share * own + (1.0 - share) * mixed.take(first.index, axis=0)
+    mixed[first.index] += fade.take(first.index)[:, None] * (_colours(same, first.pixels) - mixed.take(first.index, axis=0))
     return Gathered(np.rint(mixed).astype(np.uint8).reshape(*size, 3), nearest.reshape(size), from_same)
 
 
@@ -118,7 +120,7 @@ class _Shown:
 
     Attributes:
         index: (k,) numbers of the pixels in the flattened target.
-        pixels: (k, 2) float32, where they are in the frame.
+        pixels: (2, k) float32, column and row of each in the frame.
         distance, from_source: (k,) float32 metres from the target and from the frame's camera.
     """
 
@@ -130,8 +132,10 @@ class _Shown:
     def only(self, kept: Mask) -> "_Shown":
         """Those of the k pixels that are kept (k,)."""
         few = np.flatnonzero(kept)
+        if len(few) == len(kept):
+            return self
         return _Shown(
-            self.index.take(few), self.pixels.take(few, axis=0), self.distance.take(few), self.from_source.take(few)
+            self.index.take(few), self.pixels.take(few, axis=1), self.distance.take(few), self.from_source.take(few)
         )
 
 
@@ -139,30 +143,33 @@ def _look(source: SourceFrame, camera: Camera, target: Camera, surface: Distance
     """Look for a surface at this distance (h, w) from the target, inf for none, in a frame."""
     index = np.flatnonzero(np.isfinite(surface))
     distance = surface.ravel().take(index)
-    rotation, translation = source.T_target_camera[:3, :3], source.T_target_camera[:3, 3]
-    points = _rays(target).take(index, axis=0)
-    points *= distance[:, None]
+    rotation, translation = source.T_target_camera[:3, :3], source.T_target_camera[:3, 3:]
+    # One row for each axis, so that projections read contiguous memory.
+    points = _rays(target).take(index, axis=1)
+    points *= distance
     points -= translation.astype(np.float32)
-    points = points @ rotation.astype(np.float32)
-    pixels, inside = camera.project(points)
+    points = rotation.T.astype(np.float32) @ points
+    pixels, inside = camera.project(points.T)
     kept = np.flatnonzero(inside)
-    pixels = pixels.take(kept, axis=0).clip(0.0, (camera.width - 1, camera.height - 1)).astype(np.float32)
-    column, row = np.rint(pixels).astype(np.intp).T
+    points, pixels = points.take(kept, axis=1), pixels.T.astype(np.float32).take(kept, axis=1)
+    np.clip(pixels[0], 0.0, camera.width - 1, out=pixels[0])
+    np.clip(pixels[1], 0.0, camera.height - 1, out=pixels[1])
+    column, row = np.rint(pixels).astype(np.int32)
     seen = np.minimum(source.distance.ravel().take(row * camera.width + column), np.float32(INFINITY))
-    points = points.take(kept, axis=0)
-    from_source = np.sqrt(np.einsum("ij,ij->i", points, points))
+    from_source = np.sqrt(np.einsum("ij,ij->j", points, points))
     with np.errstate(invalid="ignore"):
         agrees = np.abs(seen - from_source) < SURFACE_TOLERANCE * from_source
     return _Shown(index.take(kept), pixels, distance.take(kept), from_source).only(agrees)
 
 
-def _look_from(source: SourceFrame, camera: Camera, target: Camera, road: Distance) -> _Shown:
-    """What a frame of another moment shows, without specks: its surfaces, and before them the road (h, w)."""
+def _look_from(source: SourceFrame, camera: Camera, target: Camera, road: Distance, wanted: Mask) -> _Shown:
+    """What a frame of another moment shows of the wanted pixels (h, w), without specks: its surfaces, and the road."""
     surface = draw_mesh(source.mesh, target, source.T_target_camera)
     in_view = np.where(_may_be_seen(road, camera, target, source.T_target_camera), road, np.float32(np.inf))
     # Road that the frame knows about is put where it is; its mesh places it well, but coarsely.
     is_road = surface > IN_FRONT_OF_ROAD * road
-    shown = _look(source, camera, target, np.where(is_road, in_view, surface))
+    surface = np.where(wanted, np.where(is_road, in_view, surface), np.float32(np.inf))
+    shown = _look(source, camera, target, surface)
     parts = cv2.morphologyEx(_mask(shown, target).astype(np.uint8), cv2.MORPH_OPEN, np.ones((SPECK, SPECK), np.uint8))
     return shown.only(parts.ravel().take(shown.index) > 0)
 
@@ -203,14 +210,18 @@ def _mix(
     target: Camera,
 ) -> Mask:
     """Put the mean colours of those that show the nearest surface (h w,) into `mixed` (h w, 3); where there are any."""
-    weight = np.zeros(len(nearest), np.float32)
-    for source, each in zip(sources, shown, strict=True):
-        fade = _fade(_mask(each, target))
-        each = each.only(np.abs(each.distance - nearest.take(each.index)) < SURFACE_TOLERANCE * nearest.take(each.index))
+    shares, weight = [], np.zeros(len(nearest), np.float32)
+    for each in shown:
         fineness = (each.distance / each.from_source).clip(0.05, 2.0) ** np.float32(FINENESS_POWER)
-        share = fineness * fade.take(each.index)
-        weight[each.index] += share
-        mixed[each.index] += share[:, None] * _colours(source, each.pixels)
+        one_surface = np.abs(each.distance - nearest.take(each.index)) < SURFACE_TOLERANCE * each.distance
+        shares.append(one_surface * fineness * _fade(_mask(each, target)).take(each.index))
+        weight[each.index] = np.maximum(weight.take(each.index), shares[-1])
+    largest, weight = weight, np.zeros_like(weight)
+    for source, each, share in zip(sources, shown, shares, strict=True):
+        counts = np.flatnonzero(share > LEAST_SHARE * largest.take(each.index))
+        index, share = each.index.take(counts), share.take(counts)
+        weight[index] += share
+        mixed[index] += share[:, None] * _colours(source, each.pixels.take(counts, axis=1))
     some = np.flatnonzero(weight)
     mixed[some] /= weight.take(some)[:, None]
     return weight > 0.0
@@ -224,23 +235,26 @@ def _mask(shown: _Shown, target: Camera) -> Mask:
 
 def _fade(mask: Mask) -> NDArray[np.float32]:
     """1 well inside of a mask (h, w), falling to almost 0 at its edge, flattened (h w,)."""
-    from_edge = cv2.distanceTransform(mask.astype(np.uint8), cv2.DIST_L2, 3)
-    return np.minimum(from_edge / np.float32(FADE), np.float32(1.0)).ravel()
+    # Half of the square around a pixel on a straight edge is inside.
+    share = cv2.blur(np.where(mask, np.float32(1.0), np.float32(0.0)), (2 * FADE + 1, 2 * FADE + 1))
+    return np.clip(2.0 * share.ravel() - 1.0, np.float32(0.01), np.float32(1.0))
 
 
 def _colours(source: SourceFrame, pixels: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Colours (k, 3) of a frame at pixels (k, 2), interpolated."""
+    """Colours (k, 3) of a frame at pixels (2, k), interpolated."""
+    count = pixels.shape[1]
     # OpenCV takes no maps of more than 32,767 rows, so the list is folded into a picture.
-    maps = np.zeros((-(-len(pixels) // _FOLD) or 1, _FOLD, 2), np.float32)
-    maps.reshape(-1, 2)[: len(pixels)] = pixels
-    found = cv2.remap(source.image, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    colours = np.asarray(found, np.float32).reshape(-1, 3)[: len(pixels)]
+    maps = np.zeros((2, -(-count // _FOLD) or 1, _FOLD), np.float32)
+    maps.reshape(2, -1)[:, :count] = pixels
+    found = cv2.remap(source.image, maps[0], maps[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    colours = np.asarray(found).reshape(-1, 3)[:count].astype(np.float32)
     return colours if source.brightness == 1.0 else np.minimum(colours * np.float32(source.brightness), 255.0)
 
 
 @lru_cache(maxsize=16)
 def _rays(camera: Camera) -> NDArray[np.float32]:
-    rays = pixel_rays(camera).reshape(-1, 3).astype(np.float32)
+    """Unit rays (3, height * width), one row for each axis; read-only."""
+    rays = np.ascontiguousarray(pixel_rays(camera).reshape(-1, 3).T, np.float32)
     rays.flags.writeable = False
     return rays
 

@@ -22,14 +22,12 @@ def fill_holes(
     Cracks close from their edges. Deep inside, holes take the colours of `background` (H, W, 3); without one, those of
     their far surroundings, and an image without visible pixels comes back mid-grey.
     """
-    if background is not None:
-        smooth = _pull_push(_weighted(image, visible), background, EDGE_LEVELS)
-    elif visible.any():
-        smooth = interpolate(image, visible)
-    else:
+    if background is None and not visible.any():
         return np.full_like(image, MID_GREY)
-    filled = np.clip(np.rint(smooth), 0, 255).astype(np.uint8)
-    return np.where(visible[..., None], image, filled)
+    filled, hole = image.copy(), ~visible
+    levels = 64 if background is None else EDGE_LEVELS
+    filled[hole] = np.clip(np.rint(_behind(_weighted(image, visible), background, levels)[hole]), 0, 255)
+    return filled
 
 
 def interpolate(values: NDArray[np.generic], known: NDArray[np.bool_]) -> NDArray[np.float32]:
@@ -43,8 +41,10 @@ def interpolate(values: NDArray[np.generic], known: NDArray[np.bool_]) -> NDArra
 
 def _weighted(values: NDArray[np.generic], known: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Values (H, W, channels) times weight, and the weight as last channel."""
-    weight = known[..., None]
-    return np.concatenate([np.where(weight, values, 0), weight], axis=-1, dtype=np.float32)
+    weighted = np.empty((*known.shape, values.shape[-1] + 1), np.float32)
+    weighted[..., :-1], weighted[..., -1] = values, 1.0
+    weighted[~known] = 0.0
+    return weighted
 
 
 def _pull_push(
@@ -59,12 +59,20 @@ def _pull_push(
         return np.asarray(weighted[..., :-1] + background * (1.0 - weighted[..., -1:]), np.float32)
     if max(height, width) == 1:
         return weighted[..., :-1] / weighted[..., -1:]
+    behind = _behind(weighted, background, levels)
+    behind *= 1.0 - weighted[..., -1:]
+    return weighted[..., :-1] + behind
+
+
+def _behind(
+    weighted: NDArray[np.float32], background: NDArray[np.float32] | None, levels: int
+) -> NDArray[np.float32]:
+    """Values (h, w, channels) of the next coarser level, enlarged: what shows where nothing is known on this one."""
+    height, width = weighted.shape[:2]
     coarser = cv2.pyrDown(weighted)
     # A pixel counts as known once a quarter of it is, so that holes are closed from as near as possible.
     weight = coarser[..., -1:]
     coarser = np.asarray(coarser * (np.minimum(4.0 * weight, 1.0) / np.maximum(weight, 1e-12)), np.float32)
     coarser_background = None if background is None else np.asarray(cv2.pyrDown(background), np.float32)
     enlarged = cv2.pyrUp(_pull_push(coarser, coarser_background, levels - 1), dstsize=(width, height))
-    behind = np.asarray(enlarged, np.float32).reshape(height, width, -1)
-    behind *= 1.0 - weighted[..., -1:]
-    return weighted[..., :-1] + behind
+    return np.asarray(enlarged, np.float32).reshape(height, width, -1)

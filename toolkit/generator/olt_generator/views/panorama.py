@@ -19,11 +19,12 @@ _CELL_WIDTH, _CELL_HEIGHT = 2.0 * np.pi / _COLUMNS, np.radians(120.0) / _ROWS
 # What no frame shows is as its neighbours are, and by this share as all that is known at about its elevation, within a
 # Gaussian of so many rows. Without that, a cloud or a house at the edge of the known would be drawn out far beyond it.
 _SHARE_OF_MEAN, _ROW_SIGMA = 0.3, 2.0
-# Known cells around a row from which on they have a mean.
-_LEAST_COUNT = 0.5
+# Known cells around a row that make a good mean.
+_ENOUGH = 4.0
 
-# Of the front image, which is only averaged, every fourth pixel is enough, along rows and along columns.
-_FRONT_STEP = 4
+# Images are only averaged: of the front image every fourth pixel is enough, along rows and along columns, and of the
+# view, which is smaller, every second.
+_FRONT_STEP, _TARGET_STEP = 4, 2
 
 
 class DirectionCells:
@@ -65,6 +66,7 @@ class Panorama:
         target_rays = pixel_rays(target) @ T_rig_target[:3, :3].T
         front_rays = pixel_rays(front)[::_FRONT_STEP, ::_FRONT_STEP] @ T_rig_front[:3, :3].T
         self._target = DirectionCells(target_rays, T_rig_target[:3, 2])
+        self._few_target = DirectionCells(target_rays[::_TARGET_STEP, ::_TARGET_STEP], T_rig_target[:3, 2])
         self._front = DirectionCells(front_rays, T_rig_target[:3, 2])
 
     def background(
@@ -82,7 +84,8 @@ class Panorama:
         Given are the target image (h, w, 3) and its pixels (h, w) that are known and that show far things, and the
         same of the front camera (H, W).
         """
-        mean, known = self._target.mean(image, visible & (far | ~self._target.above_horizon))
+        few = np.s_[::_TARGET_STEP, ::_TARGET_STEP]
+        mean, known = self._few_target.mean(image[few], visible[few] & (far[few] | ~self._few_target.above_horizon))
         few = np.s_[::_FRONT_STEP, ::_FRONT_STEP]
         lends = front_visible[few] & (front_far[few] | ~self._front.above_horizon)
         front_mean, front_known = self._front.mean(front_image[few], lends)
@@ -98,5 +101,5 @@ def _towards_mean(smooth: NDArray[np.float32], cells: Array, known: NDArray[np.b
     values = cv2.GaussianBlur(np.column_stack([total, known.sum(axis=1)]), (1, 0), sigmaX=1.0, sigmaY=_ROW_SIGMA)
     count = values[:, 3:]
     mean = values[:, :3] / np.maximum(count, 1e-6)
-    share = np.where(known[..., None] | (count < _LEAST_COUNT)[:, None], 0.0, _SHARE_OF_MEAN)
+    share = np.where(known[..., None], 0.0, _SHARE_OF_MEAN * np.minimum(count / _ENOUGH, 1.0)[:, None])
     return ((1.0 - share) * smooth + share * mean[:, None]).astype(np.float32)

@@ -18,7 +18,7 @@ from olt_generator.distance.depth import FAR_DISTANCE
 from olt_generator.poses import Array, invert
 from olt_generator.progress import Progress, silent
 from olt_generator.views.aggregate import SourceFrame, gather
-from olt_generator.views.brightness import relative_brightness
+from olt_generator.views.brightness import Brightness
 from olt_generator.views.coherence import make_coherent
 from olt_generator.views.fill import fill_holes
 from olt_generator.views.front_view import FrontView
@@ -26,9 +26,8 @@ from olt_generator.views.panorama import Panorama
 from olt_generator.views.source_frames import SourceChooser
 from olt_generator.views.surface_mesh import SurfaceMesh, build_mesh
 
-# One pixel in so many of the same frame, along rows and along columns, is a point of its mesh: on a made-up street with
-# true distances, every pixel gives 2 dB more in three times the time, and with estimated ones nothing.
-SAME_FRAME_STEP = 2
+# Columns to which the same frame is reduced for its mesh: finer than distances by parallax are.
+_SAME_COLUMNS = 320
 # Columns to which other frames are reduced: as fine as distances by parallax are (`depth.SweepSettings`), or nearly.
 _MESH_COLUMNS = 208
 # Meshes of other frames that are kept for the next images.
@@ -122,6 +121,7 @@ class _Synthesis:
         self._target, self._T_rig_target = target, T_rig_target
         self._panorama = Panorama(target, T_rig_target, front.camera, front.T_rig_camera)
         self._chooser = SourceChooser(front, target, T_rig_target, settings.other_frames)
+        self._brightness = Brightness(front)
         self._standing = lru_cache(_KEPT_MESHES)(self._find_standing)
 
     def other_frames(self, index: int) -> tuple[int, ...]:
@@ -154,7 +154,7 @@ class _Synthesis:
         shrink = front.camera.pixels_per_radian[0] / self._target.pixels_per_radian[0]
         if shrink > _LEAST_SHRINK:
             image = np.asarray(cv2.GaussianBlur(image, (0, 0), _BLUR * np.sqrt(shrink**2 - 1.0)), np.uint8)
-        mesh = build_mesh(distance, front.camera, SAME_FRAME_STEP)
+        mesh = build_mesh(distance, front.camera, max(1, round(front.camera.width / _SAME_COLUMNS)))
         return SourceFrame(image, distance, mesh, self._T_target_rig @ front.T_rig_camera)
 
     def _other_source(self, index: int, other: int) -> SourceFrame:
@@ -164,7 +164,7 @@ class _Synthesis:
         distance, mesh = self._standing(other)
         T_target_camera = T_target_world @ front.camera_poses[other]
         return SourceFrame(
-            front.frames[other], distance, mesh, T_target_camera, relative_brightness(front, index, other)
+            front.frames[other], distance, mesh, T_target_camera, self._brightness.ratio(index, other)
         )
 
     def _find_standing(self, other: int) -> tuple[NDArray[np.float32], SurfaceMesh]:
