@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from olt_generator.trajectory import Trajectory
     from olt_generator.video import read_video, write_video
     from olt_generator.views.front_view import FrontView
-    from olt_generator.views.moving_objects import find_moving
+    from olt_generator.views.moving_objects import check_distances, find_moving
     from olt_generator.views.synthesis import synthesize_view
     from olt_generator.views.tele import crop_tele, tele_camera
 
@@ -41,7 +41,7 @@ __getattr__, __dir__ = lazy_names(
         "trajectory": ("Trajectory",),
         "video": ("read_video", "write_video"),
         "views.front_view": ("FrontView",),
-        "views.moving_objects": ("find_moving",),
+        "views.moving_objects": ("check_distances", "find_moving"),
         "views.synthesis": ("synthesize_view",),
         "views.tele": ("crop_tele", "tele_camera"),
     },

@@ -16,7 +16,7 @@ from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
-from olt_generator.views.moving_objects import find_moving
+from olt_generator.views.moving_objects import check_distances
 from olt_generator.views.view_plan import ViewPlan, plan_views
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipKind, ClipOrigin, EgoMotion, make_clip_id
 from olt_toolkit.clips.images import fit_images
@@ -93,10 +93,11 @@ def build_clip(
             recording.camera,
             T_rig_camera,
             distance.confidence,
+            distance.moving,
             sources=np.searchsorted(with_distance, drawn_on),
             numbers=with_distance,
         )
-        front = replace(front, moving=distance.moving | find_moving(front))
+        front = check_distances(front)
         distance_error = _distance_error(distance.distance, recording, with_distance)
 
     shown = recording

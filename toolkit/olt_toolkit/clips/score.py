@@ -1,11 +1,13 @@
-"""How good the views of a stored clip are: consistent with each other, and close to those of a reference clip."""
+"""How good the views of a stored clip are: consistent, coherent, and close to those of a reference clip."""
 
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from olt_generator.errors import InputError
+from olt_generator.metrics.coherence import Coherence, join_coherence, measure_coherence
 from olt_generator.metrics.cross_view_consistency import (
     MAX_SAMPSON_ERROR,
     METRIC_HEIGHT,
@@ -20,7 +22,7 @@ from olt_generator.metrics.matchers import Matcher
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.images import fit_images
 from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, REAR_LEFT, REAR_RIGHT, REAR_TELE
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, REAR_LEFT, REAR_RIGHT, REAR_TELE
 
 if TYPE_CHECKING:
     from olt_generator.metrics.lpips import Lpips
@@ -80,6 +82,33 @@ def score_consistency(
     }
 
 
+def score_coherence(
+    store: ClipStore, clip_id: str, moments: int, on_progress: Progress = silent
+) -> dict[str, dict[str, Any]]:
+    """Coherence of each view that is not the front camera's own, over so many pairs of successive images.
+
+    Raises:
+        InputError: the clip has no front view.
+    """
+    views = store.info(clip_id).views
+    if FRONT_WIDE not in views:
+        raise InputError(
+            f"{store.root}: clip {clip_id} has no {FRONT_WIDE} to hold its views against; it has {set(views)}"
+        )
+    names = [name for name in views if name not in (FRONT_WIDE, FRONT_TELE)]
+    found = {}
+    for done, name in enumerate(names):
+        posed = _posed_views(store, clip_id, [FRONT_WIDE, name], moments, successive=2)
+        pairs = range(0, len(posed[name].images), 2)
+        parts = []
+        for first in pairs:
+            view, front = (_some(posed[each], slice(first, first + 2)) for each in (name, FRONT_WIDE))
+            parts.append(measure_coherence(view, front))
+            on_progress((done + len(parts) / len(pairs)) / len(names))
+        found[name] = _describe_coherence(join_coherence(parts))
+    return found
+
+
 def score_against(
     store: ClipStore, clip_id: str, reference: ClipStore, reference_id: str, lpips: "Lpips | None" = None
 ) -> dict[str, Any]:
@@ -103,7 +132,10 @@ def score_against(
     }
 
 
-def _posed_views(store: ClipStore, clip_id: str, names: list[str], moments: int) -> dict[str, PosedView]:
+def _posed_views(
+    store: ClipStore, clip_id: str, names: list[str], moments: int, successive: int = 1
+) -> dict[str, PosedView]:
+    """Views at so many moments, spread evenly, or where it can be at so many `successive` images from each on."""
     motion = store.read_ego_motion(clip_id)
     timestamps = {name: store.read_timestamps(clip_id, name) for name in names}
     first = max(motion.span_us[0], *(int(times[0]) for times in timestamps.values()))
@@ -112,7 +144,9 @@ def _posed_views(store: ClipStore, clip_id: str, names: list[str], moments: int)
     times = times[(times >= first) & (times <= last)]
     if len(times) == 0:
         raise InputError(f"{store.root}: clip {clip_id}: its views have no time in common")
-    chosen = times[np.linspace(0, len(times) - 1, min(moments, len(times))).round().astype(int)]
+    successive = min(successive, len(times))
+    first = np.linspace(0, len(times) - successive, min(moments, len(times))).round().astype(int)
+    chosen = times[(first[:, None] + np.arange(successive)).ravel()]
     views = {}
     for name in names:
         images, taken_us = store.read_frames(clip_id, name, chosen)
@@ -120,6 +154,14 @@ def _posed_views(store: ClipStore, clip_id: str, names: list[str], moments: int)
         poses = motion.interpolate(np.maximum(taken_us, motion.span_us[0])) @ mounted.T_rig_camera
         views[name] = PosedView(images, mounted.camera, poses)
     return views
+
+
+def _some(view: PosedView, kept: slice) -> PosedView:
+    return PosedView(view.images[kept], view.camera, view.T_world_camera[kept])
+
+
+def _describe_coherence(found: Coherence) -> dict[str, Any]:
+    return {"percent": found.percent, "penalties": found.penalties, **asdict(found)}
 
 
 def _describe_consistency(found: Consistency) -> dict[str, Any]:

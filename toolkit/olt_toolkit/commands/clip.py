@@ -154,13 +154,13 @@ def inspect(
     print_json(summary) if as_json else print_clip(summary)
 
 
-@app.command(help="Score the views of a clip: GeoKPM, and errors against a reference clip.")
+@app.command(help="Score the views of a clip: GeoKPM, coherence, and errors against a reference clip.")
 def score(
     store: StoreArgument,
     clip: Annotated[str, typer.Argument(help="Name or id of the clip.")],
     reference: Annotated[str | None, typer.Option(help="Name or id of a clip with the true views.")] = None,
     reference_store: Annotated[Path | None, typer.Option(help="Store of the reference; STORE by default.")] = None,
-    moments: Annotated[int, typer.Option(min=1, help="Moments that GeoKPM looks at, spread evenly.")] = 41,
+    moments: Annotated[int, typer.Option(min=1, help="Moments that are looked at, spread evenly.")] = 41,
     loftr_weights: Annotated[Path | None, typer.Option(help="loftr_outdoor.ckpt; without it, SIFT matches.")] = None,
     lpips_weights: Annotated[
         Path | None, typer.Option(help="Folder with alexnet-owt-7be5be79.pth and alex.pth; without it, no LPIPS.")
@@ -170,7 +170,7 @@ def score(
 ) -> None:
     """The matcher is named in the result, because numbers of two matchers do not compare."""
     from olt_generator.errors import InputError
-    from olt_toolkit.clips.score import open_lpips, open_matcher, score_against, score_consistency
+    from olt_toolkit.clips.score import open_lpips, open_matcher, score_against, score_coherence, score_consistency
     from olt_toolkit.clips.store import ClipStore
     from olt_toolkit.commands.clip_output import print_scores
     from olt_toolkit.runtime.console import print_json, show_progress
@@ -183,8 +183,16 @@ def score(
     matcher, lpips = open_matcher(loftr_weights, device), open_lpips(lpips_weights, device)
     with show_progress("GeoKPM") as (on_progress, _):
         consistency = score_consistency(opened, clip_id, matcher, moments, on_progress)
+    with show_progress("coherence") as (on_progress, _):
+        coherence = score_coherence(opened, clip_id, moments, on_progress)
     errors = None if reference_id is None else score_against(opened, clip_id, truth, reference_id, lpips)
-    summary = {"store": str(store), "clip_id": clip_id, "geokpm": consistency, "reference": errors}
+    summary = {
+        "store": str(store),
+        "clip_id": clip_id,
+        "geokpm": consistency,
+        "coherence": coherence,
+        "reference": errors,
+    }
     print_json(summary) if as_json else print_scores(summary)
 
 

@@ -135,6 +135,7 @@ def print_scores(summary: dict[str, Any]) -> None:
         [*rows, ("all", *_consistency_cells(consistency))],
     )
     print_line("moments without a match have no share of valid ones and are not in the mean")
+    _print_coherence(summary["coherence"])
     if reference is None:
         return
     rows = [
@@ -150,6 +151,22 @@ def print_scores(summary: dict[str, Any]) -> None:
     ]
     print_table(f"Against clip {reference['clip_id']}", ["view", "size", "frames", "PSNR dB", "SSIM", "LPIPS"], rows)
     print_line(f"LPIPS: {reference['lpips'] or 'not measured; give --lpips-weights'}")
+
+
+def _print_coherence(views: dict[str, dict[str, Any]]) -> None:
+    names = ("specks", "blur", "flicker", "agreement", "gap")
+    rows = [
+        (
+            name,
+            view["percent"],
+            *("not measured" if (value := view["penalties"][each]) is None else value for each in names),
+        )
+        for name, view in views.items()
+    ]
+    print_table("Coherence with the front view", ["view", "coherence %", *names], rows)
+    print_line(
+        "penalties are in powers of two; agreement and gap are not measured where the front camera does not look"
+    )
 
 
 def find_number(numbers: Mapping[str, Any], *keys: str) -> Any:

@@ -110,7 +110,9 @@ def gather(
         nearest[first.index] = first.distance
         fade[~_mix(mixed, nearest, others, shown, target)] = 1.0
     nearest[first.index] = first.distance
-    mixed[first.index] += fade.take(first.index)[:, None] * (_colours(same, first.pixels) - mixed.take(first.index, axis=0))
+    mixed[first.index] += fade.take(first.index)[:, None] * (
+        _colours(same, first.pixels) - mixed.take(first.index, axis=0)
+    )
     return Gathered(np.rint(mixed).astype(np.uint8).reshape(*size, 3), nearest.reshape(size), from_same)
 
 

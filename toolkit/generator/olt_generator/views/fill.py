@@ -64,9 +64,7 @@ def _pull_push(
     return weighted[..., :-1] + behind
 
 
-def _behind(
-    weighted: NDArray[np.float32], background: NDArray[np.float32] | None, levels: int
-) -> NDArray[np.float32]:
+def _behind(weighted: NDArray[np.float32], background: NDArray[np.float32] | None, levels: int) -> NDArray[np.float32]:
     """Values (h, w, channels) of the next coarser level, enlarged: what shows where nothing is known on this one."""
     height, width = weighted.shape[:2]
     coarser = cv2.pyrDown(weighted)

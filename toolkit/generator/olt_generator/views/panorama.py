@@ -96,7 +96,7 @@ class Panorama:
 
 
 def _towards_mean(smooth: NDArray[np.float32], cells: Array, known: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """Smooth colours (rows, columns, 3), a share of which is replaced by the mean of the known cells around each row."""
+    """Smooth colours (rows, columns, 3), where unknown moved towards the mean of the known cells around each row."""
     total = np.where(known[..., None], cells, 0.0).sum(axis=1)
     values = cv2.GaussianBlur(np.column_stack([total, known.sum(axis=1)]), (1, 0), sigmaX=1.0, sigmaY=_ROW_SIGMA)
     count = values[:, 3:]

@@ -4,11 +4,10 @@ Points in front of the wanted camera, at every bearing and several distances, st
 added one by one, each the one that shows most of what is still unseen or seen from too far, until little is gained.
 """
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.cameras import Camera, pixel_rays
+from olt_generator.cameras import Camera
 from olt_generator.poses import Array, invert, transform
 from olt_generator.views.front_view import FrontView
 
@@ -20,11 +19,6 @@ _PROBE_DISTANCES = np.geomspace(3.0, 48.0, 5)
 _UNDERGROUND = -0.3
 # A frame must show this share of the points more, or more sharply, than those already chosen.
 _LEAST_GAIN = 0.01
-
-# Of a source frame one pixel in so many is tried, along rows and along columns, to tell where it may be of use.
-_BLOCK = 8
-# Metres from which on distances are all the same to it.
-_FARTHEST = 1e6
 
 
 class SourceChooser:
@@ -73,19 +67,3 @@ class SourceChooser:
         within = wanted[(wanted >= offered[0]) & (wanted <= offered[-1])]
         frames = set(sources[np.searchsorted(offered, within)].tolist()) - {index}
         return sorted(frames, key=lambda frame: (abs(frame - index), frame))
-
-
-def may_be_seen(
-    distance: NDArray[np.float32], camera: Camera, target: Camera, T_target_camera: Array
-) -> NDArray[np.bool_]:
-    """Pixels (H, W) of a source frame that may land in the target: blocks around those that do, to save the rest.
-
-    What stands out from its block may be missed at the edge of the target. Distances (H, W) are metres along the rays
-    of the source `camera`, inf for what is only turned, NaN for what is not known.
-    """
-    few = np.s_[_BLOCK // 2 :: _BLOCK, _BLOCK // 2 :: _BLOCK]
-    reach = np.minimum(distance[few], np.float32(_FARTHEST))
-    points = pixel_rays(camera)[few] * reach[..., None] @ T_target_camera[:3, :3].T + T_target_camera[:3, 3]
-    lands = target.project(points)[1] | np.isnan(reach)
-    blocks = cv2.dilate(lands.astype(np.uint8), np.ones((3, 3), np.uint8))
-    return cv2.resize(blocks, (camera.width, camera.height), interpolation=cv2.INTER_NEAREST) > 0

@@ -163,9 +163,7 @@ class _Synthesis:
         T_target_world = self._T_target_rig @ invert(front.trajectory.T_world_rig[index])
         distance, mesh = self._standing(other)
         T_target_camera = T_target_world @ front.camera_poses[other]
-        return SourceFrame(
-            front.frames[other], distance, mesh, T_target_camera, self._brightness.ratio(index, other)
-        )
+        return SourceFrame(front.frames[other], distance, mesh, T_target_camera, self._brightness.ratio(index, other))
 
     def _find_standing(self, other: int) -> tuple[NDArray[np.float32], SurfaceMesh]:
         """Distance (H, W) in another frame, NaN where it moves or is not trusted, and the mesh of it."""
