@@ -66,7 +66,7 @@ def _faults(truth: Images, front: FrontView, random: np.random.Generator) -> Ite
     for number in (20, 80, 320, 1280):
         specked = truth.copy()
         for image in specked:
-            for row, column in zip(random.integers(height - 3, size=number), random.integers(width - 3, size=number)):
+            for row, column in random.integers((height - 3, width - 3), size=(number, 2)):
                 image[row : row + 3, column : column + 3] = image[random.integers(height), random.integers(width)]
         yield specked
     for step in (4, 10, 25, 50):

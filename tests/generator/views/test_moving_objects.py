@@ -1,4 +1,6 @@
-"""Moving objects are what other frames look through; what stands still is left alone."""
+"""Moving objects are what other frames look through; what stands still is left alone, what none confirms is dropped."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from olt_generator.cameras import FthetaCamera
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.views.front_view import FrontView
-from olt_generator.views.moving_objects import find_moving
+from olt_generator.views.moving_objects import check_distances, find_moving
 from olt_toolkit.benchmarks.street import BOXES, Box, render_street
 
 CAMERA = FthetaCamera.equidistant(208, 120, 103.0, 75.0, 100.0)
@@ -57,3 +59,41 @@ def test_what_is_unknown_looks_through_nothing():
     front, _ = film(6.0, 8.0)
     front.distance[:] = np.nan
     assert not find_moving(front).any()
+
+
+def test_distances_that_no_other_frame_confirms_lose_their_confidence():
+    front, _ = film(6.0, 0.0, start=40.0)
+    sure = replace(front, confidence=np.ones(front.distance.shape, np.float32))
+    kept = check_distances(sure).confidence
+    assert kept[2:6].mean() > 0.95
+    wrong = np.zeros(front.distance.shape, bool)
+    wrong[4, 70:90, 80:120] = True
+    distorted = replace(sure, distance=np.where(wrong, 0.6 * front.distance, front.distance))
+    checked = check_distances(distorted)
+    assert checked.confidence[wrong].mean() < 0.2
+    right = ~wrong[4]
+    assert checked.confidence[4][right].mean() > 0.9
+
+
+def test_what_was_known_to_move_still_does():
+    front, _ = film(6.0, 0.0)
+    known = np.zeros(front.distance.shape, bool)
+    known[3, 10:20, 10:20] = True
+    checked = check_distances(replace(front, moving=known))
+    assert checked.moving[known].all()
+    assert np.array_equal(checked.moving, known | find_moving(front))
+    assert checked.confidence is None
+
+
+def test_what_nobody_looked_at_again_keeps_its_confidence_unless_it_is_low():
+    front, _ = film(6.0, 0.0)
+    alone = replace(
+        front,
+        frames=front.frames[:1],
+        distance=front.distance[:1],
+        trajectory=Trajectory(np.zeros(1, np.int64), np.eye(4)[None]),
+        confidence=np.where(np.arange(208) < 104, np.float32(0.1), np.float32(0.5))[None, None].repeat(120, axis=1),
+    )
+    confidence = check_distances(alone).confidence[0]
+    assert (confidence[:, 104:] == 0.5).all()
+    assert (confidence[:, :104] == 0.0).all()

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 
 from olt_generator.cameras import FthetaCamera
-from olt_generator.distance.depth import road_distance
 from olt_generator.errors import InputError
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.lookback import lookback_frame
-from olt_generator.views.source_frames import SourceChooser, may_be_seen
-from olt_generator.views.splat import land
+from olt_generator.views.source_frames import SourceChooser
 
 FRONT = FthetaCamera.equidistant(48, 27, 23.5, 18.0, 23.6)
 T_RIG_FRONT = camera_pose_in_rig([1.7, 0.0, 1.45], 0.0, 0.0, 0.0)
@@ -74,25 +72,6 @@ def test_spacing_is_by_distance_not_by_time():
     fast_places = [float(frame) for frame in SourceChooser(STRAIGHT, FRONT, T_RIG_LEFT, 4).choose(40)]
     slow_places = [0.5 * frame for frame in SourceChooser(slow, FRONT, T_RIG_LEFT, 4).choose(80)]
     np.testing.assert_allclose(slow_places, fast_places, atol=1.0)
-
-
-def test_what_may_be_seen_holds_all_that_lands():
-    """A frame 10 m behind, with a plain road and sky: nothing of use is dropped, and most of the rest is."""
-    camera = FRONT.resized(192, 108)
-    T_target_camera = np.linalg.inv(planar_pose(10.0, 0.0, 0.0) @ T_RIG_LEFT) @ T_RIG_FRONT
-    distance = np.minimum(road_distance(camera, T_RIG_FRONT), 60.0)
-    kept = may_be_seen(distance, camera, FRONT, T_target_camera)
-    landed = np.zeros(distance.size, bool)
-    for landing in land(distance, camera, FRONT, T_target_camera):
-        landed[landing.source] = True
-    assert landed.any()
-    assert kept.ravel()[landed].all()
-    assert kept.mean() < landed.mean() + 0.25
-    unknown = np.full_like(distance, np.nan)
-    assert may_be_seen(unknown, camera, FRONT, T_target_camera).all()
-    turned = may_be_seen(np.full_like(distance, np.inf), camera, FRONT, T_target_camera)
-    assert turned.any()
-    assert not turned.all()
 
 
 def test_only_the_frames_offered_are_drawn_on_wherever_the_rest_is():

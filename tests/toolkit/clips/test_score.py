@@ -14,7 +14,7 @@ from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.benchmarks.street import render_street
 from olt_toolkit.clips.clip import CameraStream, EgoMotion, make_clip_id
-from olt_toolkit.clips.score import score_against, score_consistency
+from olt_toolkit.clips.score import score_against, score_coherence, score_consistency
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.commands.clip import app
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
@@ -75,6 +75,18 @@ def test_true_views_are_consistent_and_copied_ones_are_not(store):
 def test_a_clip_without_neighbours_has_no_consistency(store):
     with pytest.raises(InputError, match="no two neighbouring views"):
         score_consistency(store, FRONT_ONLY, SiftMatcher(), moments=1)
+
+
+def test_coherence_falls_with_darkness_and_is_told_for_each_view(store):
+    shares: list[float] = []
+    true, darker = (score_coherence(store, clip, 2, shares.append) for clip in (TRUE, DISTURBED))
+    assert set(true) == {CROSS_LEFT, CROSS_RIGHT}
+    for view in true.values():
+        assert 0.0 < view["percent"] <= 100.0
+        assert view["flicker"] is not None
+    assert shares[-1] == 1.0
+    # Both views and the front view are darker alike: nothing is incoherent about that.
+    assert darker[CROSS_LEFT]["percent"] == pytest.approx(true[CROSS_LEFT]["percent"], rel=0.25)
 
 
 def test_errors_against_a_reference(store):

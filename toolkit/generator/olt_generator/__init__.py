@@ -57,6 +57,7 @@ __all__ = [
     "PinholeCamera",
     "Trajectory",
     "camera_pose_in_rig",
+    "check_distances",
     "compare_trajectories",
     "crop_tele",
     "estimate_distance",

@@ -18,6 +18,7 @@ a side view is not like a front view: compare values of one clip, or of one kind
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import cv2
 import numpy as np
@@ -149,7 +150,7 @@ def _flicker(greys: list[NDArray[np.uint8]]) -> float | None:
     height, width = greys[0].shape
     place = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(np.float32)
     left = []
-    for before, after in zip(greys[:-1], greys[1:], strict=True):
+    for before, after in pairwise(greys):
         source = place + flow_of.calc(after, before, np.zeros((height, width, 2), np.float32))
         inside = (source >= 0).all(axis=-1) & (source <= (width - 1, height - 1)).all(axis=-1)
         moved = cv2.remap(before, source[..., 0], source[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)

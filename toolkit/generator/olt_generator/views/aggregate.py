@@ -24,6 +24,8 @@ from olt_generator.views.surface_mesh import INFINITY, SurfaceMesh, draw_mesh
 
 # Distances that differ by less than this share are one surface: the error of a distance estimate that still serves.
 SURFACE_TOLERANCE = 0.15
+# The same for what the same frame shows of itself: only what a crack would show of another surface is to be kept out.
+OWN_TOLERANCE = 0.3
 # Surfaces at least so much nearer than the road stand on it.
 IN_FRONT_OF_ROAD = 0.9
 # Metres from which on the road is too flat to be told from what lies behind it.
@@ -93,7 +95,7 @@ def gather(
     those of the `others` that show the same surface.
     """
     size = (target.height, target.width)
-    first = _look(same, camera, target, _extended(draw_mesh(same.mesh, target, same.T_target_camera)))
+    first = _look(same, camera, target, _extended(draw_mesh(same.mesh, target, same.T_target_camera)), OWN_TOLERANCE)
     from_same = _mask(first, target)
     nearest = np.full(target.height * target.width, np.inf, np.float32)
     mixed = np.zeros((len(nearest), 3), np.float32)
@@ -141,7 +143,7 @@ class _Shown:
         )
 
 
-def _look(source: SourceFrame, camera: Camera, target: Camera, surface: Distance) -> _Shown:
+def _look(source: SourceFrame, camera: Camera, target: Camera, surface: Distance, tolerance: float) -> _Shown:
     """Look for a surface at this distance (h, w) from the target, inf for none, in a frame."""
     index = np.flatnonzero(np.isfinite(surface))
     distance = surface.ravel().take(index)
@@ -160,7 +162,7 @@ def _look(source: SourceFrame, camera: Camera, target: Camera, surface: Distance
     seen = np.minimum(source.distance.ravel().take(row * camera.width + column), np.float32(INFINITY))
     from_source = np.sqrt(np.einsum("ij,ij->j", points, points))
     with np.errstate(invalid="ignore"):
-        agrees = np.abs(seen - from_source) < SURFACE_TOLERANCE * from_source
+        agrees = np.abs(seen - from_source) < tolerance * from_source
     return _Shown(index.take(kept), pixels, distance.take(kept), from_source).only(agrees)
 
 
@@ -171,7 +173,7 @@ def _look_from(source: SourceFrame, camera: Camera, target: Camera, road: Distan
     # Road that the frame knows about is put where it is; its mesh places it well, but coarsely.
     is_road = surface > IN_FRONT_OF_ROAD * road
     surface = np.where(wanted, np.where(is_road, in_view, surface), np.float32(np.inf))
-    shown = _look(source, camera, target, surface)
+    shown = _look(source, camera, target, surface, SURFACE_TOLERANCE)
     parts = cv2.morphologyEx(_mask(shown, target).astype(np.uint8), cv2.MORPH_OPEN, np.ones((SPECK, SPECK), np.uint8))
     return shown.only(parts.ravel().take(shown.index) > 0)
 

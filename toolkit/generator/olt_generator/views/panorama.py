@@ -13,7 +13,7 @@ from olt_generator.poses import Array
 from olt_generator.views.fill import interpolate
 
 # Cells around the whole horizon, and between the elevations of +- 60 degrees; what is steeper falls in the last row.
-_COLUMNS, _ROWS = 48, 120
+_COLUMNS, _ROWS = 24, 120
 _CELL_WIDTH, _CELL_HEIGHT = 2.0 * np.pi / _COLUMNS, np.radians(120.0) / _ROWS
 
 # What no frame shows is as its neighbours are, and by this share as all that is known at about its elevation, within a
@@ -22,9 +22,9 @@ _SHARE_OF_MEAN, _ROW_SIGMA = 0.3, 2.0
 # Known cells around a row that make a good mean.
 _ENOUGH = 4.0
 
-# Images are only averaged: of the front image every fourth pixel is enough, along rows and along columns, and of the
-# view, which is smaller, every second.
-_FRONT_STEP, _TARGET_STEP = 4, 2
+# Of images, which are only averaged, one pixel in so many is enough, along rows and along columns; of the view as many
+# as leave this number to each cell's height.
+_FRONT_STEP, _PIXELS_A_CELL = 4, 2.0
 
 
 class DirectionCells:
@@ -66,7 +66,9 @@ class Panorama:
         target_rays = pixel_rays(target) @ T_rig_target[:3, :3].T
         front_rays = pixel_rays(front)[::_FRONT_STEP, ::_FRONT_STEP] @ T_rig_front[:3, :3].T
         self._target = DirectionCells(target_rays, T_rig_target[:3, 2])
-        self._few_target = DirectionCells(target_rays[::_TARGET_STEP, ::_TARGET_STEP], T_rig_target[:3, 2])
+        step = max(1, int(target.pixels_per_radian[1] * _CELL_HEIGHT / _PIXELS_A_CELL))
+        self._few = np.s_[::step, ::step]
+        self._few_target = DirectionCells(target_rays[self._few], T_rig_target[:3, 2])
         self._front = DirectionCells(front_rays, T_rig_target[:3, 2])
 
     def background(
@@ -84,7 +86,7 @@ class Panorama:
         Given are the target image (h, w, 3) and its pixels (h, w) that are known and that show far things, and the
         same of the front camera (H, W).
         """
-        few = np.s_[::_TARGET_STEP, ::_TARGET_STEP]
+        few = self._few
         mean, known = self._few_target.mean(image[few], visible[few] & (far[few] | ~self._few_target.above_horizon))
         few = np.s_[::_FRONT_STEP, ::_FRONT_STEP]
         lends = front_visible[few] & (front_far[few] | ~self._front.above_horizon)

@@ -5,7 +5,6 @@ added one by one, each the one that shows most of what is still unseen or seen f
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
 from olt_generator.poses import Array, invert, transform
