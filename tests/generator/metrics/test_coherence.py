@@ -59,7 +59,7 @@ def flicker(images: np.ndarray, step: int) -> np.ndarray:
 
 @pytest.mark.parametrize(
     ("fault", "strengths", "name"),
-    [(specks, (60, 600), "specks"), (blur, (1, 4), "blur"), (seam, (15, 50), "gap"), (flicker, (8, 40), "flicker")],
+    [(specks, (300, 1500), "specks"), (blur, (1, 4), "blur"), (seam, (15, 50), "gap"), (flicker, (8, 40), "flicker")],
 )
 def test_more_of_a_fault_is_less_coherent_and_told_by_its_name(front, side, fault, strengths, name):
     found = [

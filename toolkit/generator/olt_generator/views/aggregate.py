@@ -12,6 +12,7 @@ frame close to the edge of what it shows, so that no seam remains. So the bytes 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -149,7 +150,7 @@ def _look(source: SourceFrame, camera: Camera, target: Camera, surface: Distance
     distance = surface.ravel().take(index)
     rotation, translation = source.T_target_camera[:3, :3], source.T_target_camera[:3, 3:]
     # One row for each axis, so that projections read contiguous memory.
-    points = _rays(target).take(index, axis=1)
+    points: NDArray[Any] = _rays(target).take(index, axis=1)
     points *= distance
     points -= translation.astype(np.float32)
     points = rotation.T.astype(np.float32) @ points

@@ -13,12 +13,14 @@ from olt_generator.poses import Array
 from olt_generator.views.fill import interpolate
 
 # Cells around the whole horizon, and between the elevations of +- 60 degrees; what is steeper falls in the last row.
-_COLUMNS, _ROWS = 24, 120
+_COLUMNS, _ROWS = 48, 120
 _CELL_WIDTH, _CELL_HEIGHT = 2.0 * np.pi / _COLUMNS, np.radians(120.0) / _ROWS
 
 # What no frame shows is as its neighbours are, and by this share as all that is known at about its elevation, within a
 # Gaussian of so many rows. Without that, a cloud or a house at the edge of the known would be drawn out far beyond it.
+# Far from all that is known, from the first to the second angle, only the mean is left.
 _SHARE_OF_MEAN, _ROW_SIGMA = 0.3, 2.0
+_NEAR, _FAR = np.radians(60.0), np.radians(120.0)
 # Known cells around a row that make a good mean.
 _ENOUGH = 4.0
 
@@ -103,5 +105,8 @@ def _towards_mean(smooth: NDArray[np.float32], cells: Array, known: NDArray[np.b
     values = cv2.GaussianBlur(np.column_stack([total, known.sum(axis=1)]), (1, 0), sigmaX=1.0, sigmaY=_ROW_SIGMA)
     count = values[:, 3:]
     mean = values[:, :3] / np.maximum(count, 1e-6)
-    share = np.where(known[..., None], 0.0, _SHARE_OF_MEAN * np.minimum(count / _ENOUGH, 1.0)[:, None])
+    columns = np.arange(_COLUMNS)
+    away = _CELL_WIDTH * np.abs(columns[:, None] - np.flatnonzero(known.any(axis=0))).min(axis=1)
+    share = _SHARE_OF_MEAN + (1.0 - _SHARE_OF_MEAN) * np.clip((away - _NEAR) / (_FAR - _NEAR), 0.0, 1.0)
+    share = np.where(known, 0.0, share * np.minimum(count / _ENOUGH, 1.0))[..., None]
     return ((1.0 - share) * smooth + share * mean[:, None]).astype(np.float32)

@@ -7,6 +7,7 @@ foliage whose distances are noise, or on a pole thinner than the mesh, leaves no
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -70,7 +71,7 @@ def draw_mesh(mesh: SurfaceMesh, target: Camera, T_target_camera: Array) -> NDAr
     widened = target.cropped(-margin, -margin, target.width + 2 * margin, target.height + 2 * margin)
     drawn = np.full((widened.height, widened.width), np.inf, np.float32)
     rows, columns = _part_in_view(mesh, widened, T_target_camera)
-    points = mesh.points[rows, columns] @ T_target_camera[:3, :3].T.astype(np.float32)
+    points: NDArray[Any] = mesh.points[rows, columns] @ T_target_camera[:3, :3].T.astype(np.float32)
     points += T_target_camera[:3, 3].astype(np.float32)
     pixels, inside = widened.project(points)
     # Column, row and inverse distance, which is linear on a plane as the picture shows it.
