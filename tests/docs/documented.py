@@ -104,7 +104,7 @@ def find_fault(shown: str) -> str | None:
             if word.partition("=")[0] not in {*known, "--help"}:
                 return f"{place} has no option {word}"
         elif all(isinstance(command, TyperGroup) for command in commands) and not word.isupper():
-            names = word.split("|")
+            names = [name for name in word.split("|") if not name.isupper()]
             groups = [command for command in commands if isinstance(command, TyperGroup)]
             context = typer.Context(groups[0])
             if not all(name in group.list_commands(context) for group in groups for name in names):

@@ -7,6 +7,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_closed_loop.benchmarks.motion_errors import ClipErrors, MeasuredClip
 from olt_generator.errors import InputError
@@ -100,14 +101,7 @@ def draw_scale_errors(path: Path, clips: Sequence[ClipErrors]) -> None:
 
 def write_sheet(path: Path, clips: Sequence[MeasuredClip], columns: int = 4) -> None:
     """A contact sheet (PNG): a row a clip with its first, middle and last frame, `columns` clips side by side."""
-    rows = []
-    for clip in clips:
-        strip = np.hstack(list(clip.thumbnails))
-        lines = [clip.errors.name, _verdict(clip.errors)]
-        for line, text in enumerate(lines):
-            for color, thickness in (((0, 0, 0), 3), ((255, 255, 255), 1)):
-                cv2.putText(strip, text, (4, 12 + 13 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.38, color, thickness)
-        rows.append(strip)
+    rows = [np.vstack([_caption(clip), np.hstack(list(clip.thumbnails))]) for clip in clips]
     rows += [np.zeros_like(rows[0])] * (-len(rows) % columns)
     sheet = np.vstack([np.hstack(rows[first : first + columns]) for first in range(0, len(rows), columns)])
     coded, data = cv2.imencode(".png", sheet[..., ::-1])
@@ -115,6 +109,14 @@ def write_sheet(path: Path, clips: Sequence[MeasuredClip], columns: int = 4) -> 
         raise InputError(f"{path}: a sheet of {sheet.shape[1]} x {sheet.shape[0]} pixels cannot be coded; ask for less")
     with write_whole(path) as temporary:
         temporary.write_bytes(data.tobytes())
+
+
+def _caption(clip: MeasuredClip) -> NDArray[np.uint8]:
+    """A strip above the frames of a clip with its name and how well its motion was found."""
+    strip = np.zeros((16, clip.thumbnails.shape[0] * clip.thumbnails.shape[2], 3), dtype=np.uint8)
+    text = f"{clip.errors.name}: {_verdict(clip.errors)}"
+    cv2.putText(strip, text, (4, 12), cv2.FONT_HERSHEY_SIMPLEX, 0.4, (255, 255, 255), 1, cv2.LINE_AA)
+    return strip
 
 
 def _verdict(clip: ClipErrors) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from olt_closed_loop.hard_clips.specification import ClipSpecification, FilmingCamera
 from olt_closed_loop.hard_clips.staging import LEAD_IN_SECONDS, stage_scene
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.sensors.camera_effects import film
+from olt_closed_loop.sensors.camera_effects import Film
 from olt_closed_loop.sensors.ray_casting import SceneRenderer
 from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
 from olt_generator.files import write_whole
@@ -58,7 +58,10 @@ def _film(specification: ClipSpecification, scene: Scene, times_us: NDArray[np.i
     camera = specification.camera
     mounted = MountedCamera(_lens(camera, camera.focal_off), _mount(camera, true=True))
     renderer = SceneRenderer(scene, specification.conditions)
-    return film(renderer, mounted, scene.ego, times_us, specification.effects, specification.seed)
+    film = Film(renderer, mounted, specification.effects, specification.seed)
+    for time_us in times_us.tolist():
+        film.take(scene.ego, time_us)
+    return film.develop()
 
 
 def _lens(camera: FilmingCamera, focal_off: float) -> Camera:
