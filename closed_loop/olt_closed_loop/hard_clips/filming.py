@@ -103,6 +103,6 @@ def _write_frames(path: Path, frames: NDArray[np.uint8]) -> None:
 
 
 def _read_frames(path: Path) -> NDArray[np.uint8]:
-    with av.open(str(path)) as container:
-        container.streams.video[0].thread_count = 1
-        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+    with av.open(str(path), "r") as container:
+        frames = container.decode(video=0)
+        return np.stack([np.asarray(frame.to_ndarray(format="rgb24"), np.uint8) for frame in frames])

@@ -33,5 +33,6 @@ def compress(frames: Image, frame_rate: float, kilobits_per_second: float) -> Im
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
     file.seek(0)
-    with av.open(file) as container:
-        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])[:, :height, :width]
+    with av.open(file, "r") as coded:
+        decoded = [np.asarray(frame.to_ndarray(format="rgb24"), np.uint8) for frame in coded.decode(video=0)]
+    return np.stack(decoded)[:, :height, :width]

@@ -47,6 +47,16 @@ class _Layers(NamedTuple):
     mirrored: Image | None
     share: FloatImage | None
 
+    @classmethod
+    def join(cls, strips: "Sequence[_Layers]") -> "_Layers":
+        """The layers of all strips of a picture."""
+        rgb, distance = (np.concatenate([getattr(strip, name) for strip in strips]) for name in ("rgb", "distance"))
+        mirrored = [strip.mirrored for strip in strips if strip.mirrored is not None]
+        share = [strip.share for strip in strips if strip.share is not None]
+        if not mirrored:
+            return cls(rgb, distance, None, None)
+        return cls(rgb, distance, np.concatenate(mirrored), np.concatenate(share))
+
 
 class SceneRenderer:
     """Renders one scene in the light and weather of `conditions`.
@@ -103,8 +113,7 @@ class SceneRenderer:
             self._see(strip, pose, time_us, rig)
             for strip, pose, time_us, rig in zip(view.strips, T_world_camera, times_us, rigs, strict=True)
         ]
-        layers = (None if some[0] is None else np.concatenate(some) for some in zip(*strips, strict=True))
-        return self._develop(view, _Layers(*layers))
+        return self._develop(view, _Layers.join(strips))
 
     def _develop(self, view: CameraRays, layers: _Layers) -> Rendering:
         rgb = view.image(layers.rgb)

@@ -44,7 +44,7 @@ class Windscreen:
 
 
 class WindscreenGlass:
-    """A windscreen before a camera with pictures of a height and width; `light` is that of the surroundings, 1 by day."""
+    """A windscreen before a camera with pictures of a height and width, in surroundings of a light that is 1 by day."""
 
     def __init__(self, windscreen: Windscreen, size: tuple[int, int], light: float, seed: int) -> None:
         self._windscreen, self._seed, self._light = windscreen, seed, light
@@ -78,11 +78,10 @@ class WindscreenGlass:
         # Seen from a moving car rain flies apart from the middle.
         slant = 0.35 * (x / self._width - 0.5) + generator.normal(0.0, 0.03, count)
         strength = generator.uniform(6.0, 28.0, count) * self._light
-        for start, end, light in zip(
-            np.column_stack([x, y]), np.column_stack([x + slant * length, y + length]), strength.tolist(), strict=True
-        ):
-            cv2.line(canvas, *(tuple(np.round(point).astype(int).tolist()) for point in (start, end)), light, 1)
-        return cv2.GaussianBlur(canvas, (0, 0), 0.6)
+        ends = np.round(np.stack([x, y, x + slant * length, y + length], axis=-1)).astype(int)
+        for (x0, y0, x1, y1), light in zip(ends.tolist(), strength.tolist(), strict=True):
+            cv2.line(canvas, (x0, y0), (x1, y1), light, 1)
+        return np.asarray(cv2.GaussianBlur(canvas, (0, 0), 0.6), dtype=np.float32)
 
     def _refract(self, seen: FloatImage, time: float) -> FloatImage:
         """The picture with drops: each shows the scene around it upside down, dark at its upper rim."""
@@ -131,7 +130,7 @@ class WindscreenGlass:
         tip = pivot + reach * np.array([np.cos(angle), -np.sin(angle)])
         ends = [tuple(np.round(point).astype(int).tolist()) for point in (pivot, tip)]
         cv2.line(light, ends[0], ends[1], 0.1, max(2, self._width // 40), cv2.LINE_AA)
-        return cv2.blur(light, (max(1, self._width // 60), 1))
+        return np.asarray(cv2.blur(light, (max(1, self._width // 60), 1)), dtype=np.float32)
 
 
 def _bonnet(height: int, width: int, share: float, light: float) -> tuple[FloatImage, FloatImage]:
