@@ -147,14 +147,16 @@ def total_scale_sigma(estimate: PoseEstimate, spread: CameraSpread) -> float | N
 
 
 def stated_position_error(estimate: PoseEstimate, scale_sigma: float | None) -> float | None:
-    """Root mean square position error in metres that the covariance and the scale's deviation promise."""
-    if estimate.covariance is None:
-        return None
+    """Root mean square position error in metres that the covariance and the scale's deviation promise.
+
+    None where the covariance is not known, or the scale of a motion is not.
+    """
     positions = estimate.trajectory.in_first_frame().positions
+    if estimate.covariance is None or (scale_sigma is None and positions.any()):
+        return None
     variance: Array = np.trace(estimate.covariance[:, :3, :3], axis1=1, axis2=2)
-    if scale_sigma is not None:
-        variance = variance + scale_sigma**2 * np.sum(positions**2, axis=1)
-    return float(np.sqrt(variance.mean()))
+    stretched = (scale_sigma or 0.0) ** 2 * np.sum(positions**2, axis=1)
+    return float(np.sqrt(np.mean(variance + stretched)))
 
 
 def _estimate(recording: Recording) -> PoseEstimate:

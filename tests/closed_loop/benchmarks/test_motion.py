@@ -65,10 +65,15 @@ def test_backward_and_missing_motion_are_beyond_any_limit() -> None:
 
 def test_a_standstill_has_no_scale_but_positions() -> None:
     covariance = np.tile(np.diag([0.01, 0.0, 0.0, 0.0, 0.0, 0.0]), (len(TIMES), 1, 1))
-    clip = measure(0.0 * AHEAD, 0.05 * AHEAD, sigma=None, covariance=covariance)
-    assert clip.log_scale_error is None and clip.scale_z is None and not clip.backwards
-    assert clip.ate_sigma_m == pytest.approx(0.1)
-    assert clip.ate_z == pytest.approx(np.sqrt(np.mean((0.05 * AHEAD) ** 2)) / 0.1)
+    still = measure(0.0 * AHEAD, 0.0 * AHEAD, sigma=None, covariance=covariance)
+    assert still.scale_z is None and not still.backwards
+    assert (still.ate_sigma_m, still.ate_z) == (pytest.approx(0.1), 0.0)
+    moved = measure(0.0 * AHEAD, 0.05 * AHEAD, sigma=0.0, covariance=covariance)
+    assert moved.log_scale_error is None and moved.scale_z is None
+    expected = np.sqrt(0.01 + 0.05**2 * np.mean((0.05 * AHEAD) ** 2))
+    assert moved.ate_z == pytest.approx(np.sqrt(np.mean((0.05 * AHEAD) ** 2)) / expected)
+    unknown = measure(0.0 * AHEAD, 0.05 * AHEAD, sigma=None, covariance=covariance)
+    assert unknown.ate_z is None, "a motion of unknown scale promises nothing"
 
 
 def test_the_promised_position_error_holds_shape_and_scale() -> None:
