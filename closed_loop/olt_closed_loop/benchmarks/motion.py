@@ -81,7 +81,13 @@ def motion(
 def _print_result(result: dict[str, Any]) -> None:
     from olt_toolkit.runtime.console import print_line, print_table
 
-    rows = [[row[key] for key in _COLUMNS.values()] for row in result["kinds"]]
+    rows = [
+        [
+            "backwards" if key == "worst_clip_z" and row["worst_clip_backwards"] else row[key]
+            for key in _COLUMNS.values()
+        ]
+        for row in result["kinds"]
+    ]
     print_table("Motion of hard clips", list(_COLUMNS), rows)
     print_line(
         "z: error over stated sigma, root mean square of the clips that are not marked; z > 4: how many of those are "

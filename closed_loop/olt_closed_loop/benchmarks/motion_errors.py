@@ -25,9 +25,6 @@ from olt_toolkit.recordings.recording import Recording
 
 # Below so many metres from the start, a path has no scale.
 SHORTEST_REACH = 0.3
-GIVEN = "given"
-"""Kind of recordings that were given by path."""
-
 Source: TypeAlias = ClipSpecification | Path
 Estimator = Callable[[Recording], PoseEstimate]
 
@@ -37,7 +34,7 @@ class ClipErrors:
     """Errors of one clip; None is what was not measured: no reference, nothing stated, or the motion refused.
 
     Attributes:
-        name, kind: of the clip.
+        name, kind: of the clip; a recording that is given is a kind of its own.
         frames: number of frames.
         seconds_per_frame: processor time of the estimate.
         refused: why there is no motion; None where there is.
@@ -96,7 +93,8 @@ class MeasuredClip:
 def measure_clip(source: Source, cache: Path | None = None, thumbnail_width: int = 0) -> MeasuredClip:
     """Film a clip, or open a recording, and estimate its motion; no thumbnails for a width of 0."""
     if isinstance(source, Path):
-        recording, kind = open_recording(source, cache=cache), GIVEN
+        recording = open_recording(source, cache=cache)
+        kind = recording.name  # a row of its own
     else:
         recording, kind = make_clip(source, cache), source.kind
     errors = measure_motion(recording, kind)

@@ -46,6 +46,7 @@ def _summarize_kind(kind: str, clips: Sequence[ClipErrors]) -> dict[str, Any]:
         "beyond_limit_unmarked": sum((clip.worst_z or 0.0) > LIMIT for clip in trusted),
         "worst_clip": worst.name if worst else None,
         "worst_clip_z": worst.worst_z if worst and not worst.backwards else None,
+        "worst_clip_backwards": bool(worst and worst.backwards),
         "ms_per_frame": 1e3 * float(np.median([clip.seconds_per_frame for clip in clips])),
     }
 

@@ -123,7 +123,12 @@ def test_the_table_counts_by_kind_and_over_all() -> None:
     assert night["scale_z_rms_with_marked"] == pytest.approx(np.sqrt(91.0 / 3.0))
     assert night["beyond_limit_unmarked"] == 0 and night["worst_clip"] == "night_2"
     assert (jam["refused"], jam["beyond_limit_unmarked"], jam["backwards_unmarked"]) == (2, 2, 1)
-    assert jam["worst_clip"] == "jam_1" and jam["worst_clip_z"] is None and jam["ate_m_worst"] == 8.0
+    assert (
+        jam["worst_clip"] == "jam_1"
+        and jam["worst_clip_z"] is None
+        and jam["worst_clip_backwards"]
+        and jam["ate_m_worst"] == 8.0
+    )
     assert (everything["kind"], everything["clips"], everything["beyond_limit_unmarked"]) == ("all", 7, 2)
     json.dumps(summarize(make_clips()), allow_nan=False)
     assert count_reasons(make_clips()) == {
