@@ -17,8 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, usual_travel
+from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images
 from olt_generator import InputError, PinholeCamera, Trajectory
+from olt_generator.motion.mounting import align_mounting
 from olt_generator.poses import Array, invert, make_pose
 from olt_toolkit.recordings.recording import Recording
 
@@ -32,8 +33,11 @@ _DRIVE_NAME = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")
 ASSUMPTIONS = (
     f"The rig origin is the IMU's position projected to the ground, {IMU_HEIGHT} m below it, and is taken for the "
     "middle of the rear axle.",
-    "The rig's x axis is the usual direction of travel measured by the GPS/IMU.",
+    "The rig's x axis is the usual direction of travel measured by the GPS/IMU, where the vehicle moves.",
     "The vehicle has the published size of KITTI's VW Passat.",
+)
+_STANDS = (
+    "The vehicle stands throughout, so how the IMU is turned against it is not known: its axes are taken for the rig's."
 )
 
 
@@ -71,7 +75,7 @@ class KittiRawDrive:
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """See `KittiDrive.record`."""
         T_world_imu = _read_oxts(self._oxts)
-        T_rig_imu = _align_rig(T_world_imu)
+        T_rig_imu, moves = _align_rig(T_world_imu)
         measured = _extended(Trajectory(self._oxts_us, T_world_imu @ invert(T_rig_imu)))
         files = [self._images[index] for index in indices]
         frames, stored = read_images(files, width)
@@ -91,7 +95,7 @@ class KittiRawDrive:
             camera=camera.resized(frames.shape[2], frames.shape[1]),
             T_rig_camera=T_rig_imu @ self._T_imu_camera,
             vehicle=PASSAT,
-            assumptions=ASSUMPTIONS,
+            assumptions=ASSUMPTIONS if moves else (*ASSUMPTIONS, _STANDS),
             reference=Trajectory(self.image_us, measured.interpolate(self.image_us)),
         )
 
@@ -167,15 +171,11 @@ def _read_oxts(files: list[Path]) -> Array:
     return make_pose(rotations, positions - positions[0])
 
 
-def _align_rig(T_world_imu: Array) -> Array:
-    """Pose (4, 4) of the IMU in the rig: above the origin, turned such that the vehicle travels along rig x."""
-    travel = usual_travel(T_world_imu)
-    yaw = pitch = 0.0
-    if travel is not None:
-        x, y, z = travel
-        yaw, pitch = np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y))
-    R_imu_rig = Rotation.from_euler("ZY", [yaw, pitch]).as_matrix()
-    return make_pose(R_imu_rig.T, [0.0, 0.0, IMU_HEIGHT])
+def _align_rig(T_world_imu: Array) -> tuple[Array, bool]:
+    """Pose (4, 4) of the IMU in the rig, above its origin, and whether the motion told how it is turned."""
+    level = make_pose(np.eye(3), [0.0, 0.0, IMU_HEIGHT])
+    aligned = align_mounting(T_world_imu, level)
+    return (level, False) if aligned is None else (aligned, True)
 
 
 def _extended(trajectory: Trajectory) -> Trajectory:

@@ -193,3 +193,14 @@ def test_describing_a_kitti_drive_notices_what_is_missing(tmp_path):
         dataset.drive(".")
     with pytest.raises(InputError, match="no KITTI drive 'other'"):
         dataset.drive("other")
+
+
+def test_a_drive_that_stands_does_not_tell_how_the_imu_is_turned(tmp_path):
+    drive = write_drive(tmp_path)
+    assert not any("not known" in assumption for assumption in open_recording(drive).assumptions)
+    parked = (drive / "oxts" / f"{0:010d}.txt").read_text()
+    for file in (drive / "oxts").iterdir():
+        file.write_text(parked)
+    recording = open_recording(drive)
+    assert any("how the IMU is turned against it is not known" in assumption for assumption in recording.assumptions)
+    assert np.abs(recording.reference.positions).max() < 1e-9
