@@ -3,11 +3,16 @@
 The policy's labels are accelerations and curvatures at 10 Hz, fitted to poses (`action_space`). Differencing twice over
 0.1 s magnifies jitter: positions that err independently by 1 m make the accelerations err by 41 m/s2 rms.
 
-What is expected has three parts, which err independently:
+What is expected has three parts:
 
-- the smoother's, by its own covariance: true changes that it takes for jitter, and jitter that it takes for changes;
-- the estimator's, by the covariance of the poses that it found: what hangs together in time passes the smoother. It is
-  the difference that it makes to the labels to have measured something else that is as likely;
+- the smoother's: true changes that it takes for jitter, and errors that it takes for changes. Both show in what another
+  smoothing would change: of white jerk, which `car_motion` takes true changes for, it changes 1/5.6 of what the first
+  one lost, and of white errors of speed, as odometry has them, 1/2.8 of what the first one left (integrals of the
+  smoother's response 1 / (1 + w^6)). `AGAIN`, their geometric mean, is right for either within 1.4. Where headings are
+  hardly smoothed, another smoothing shows nothing, and the smoother's covariance tells their jitter.
+- the estimator's, by the covariance of the poses that it found: the difference that it makes to the labels to have
+  measured something else that is as likely. This sees the same errors as the smoother from another side, and some that
+  smoothing again cannot show; the larger of the two counts.
 - that of the scale, which all poses share: accelerations err by its share, and so do curvatures.
 
 What is actual is the difference between the labels of two trajectories, and so holds the jitter of the reference too.
@@ -28,6 +33,8 @@ from olt_toolkit.policy.action_space import physical_actions, trajectory_to_acti
 from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
 
+# How many times as much the labels err as smoothing once more changes them.
+AGAIN = 4.0
 # So many times t0 at most are looked at, spread evenly over the clip: their labels overlap for 6.4 s anyway.
 MOST_SAMPLES = 16
 
@@ -45,7 +52,7 @@ class LabelNoiseBudget:
     """Label noise of one clip, over so many times t0. What could not be measured is None.
 
     Attributes:
-        expected: after smoothing: all of the three parts that are known.
+        expected: after smoothing: the larger of what smoother and estimator tell, and that of the scale with it.
         smoother, estimator, scale: the parts; that of the estimator or the scale is None where they do not know it.
         taken_out: difference that the smoothing makes.
         actual, raw: after and before smoothing, against the reference.
@@ -64,6 +71,7 @@ class LabelNoiseBudget:
 def measure_label_noise(
     measured: Trajectory,
     motion: SmoothedMotion,
+    again: Trajectory,
     reference: Trajectory | None = None,
     scale_sigma: float | None = None,
     as_likely: Sequence[Trajectory] = (),
@@ -71,7 +79,7 @@ def measure_label_noise(
     """What is wrong with the labels of a clip.
 
     Args:
-        measured, motion: the trajectory before smoothing and after it.
+        measured, motion, again: the trajectory before smoothing, after it, and after the same smoothing once more.
         reference: the true one.
         scale_sigma: relative standard deviation of the metric scale; None where it is not known.
         as_likely: what smoothing makes of other measurements that are as likely as this one; none where it is not known
@@ -80,23 +88,22 @@ def measure_label_noise(
     Returns:
         None where the trajectories have no 7.9 s in common, which one sample needs.
     """
-    trajectories = [measured, motion.trajectory, *as_likely, *([reference] if reference else [])]
+    trajectories = [measured, motion.trajectory, again, *as_likely, *([reference] if reference else [])]
     t0_us = _sample_times(trajectories)
     if len(t0_us) == 0:
         return None
-    raw, smooth, *others = (_find_labels(trajectory, t0_us) for trajectory in trajectories)
+    raw, smooth, twice, *others = (_find_labels(trajectory, t0_us) for trajectory in trajectories)
     true = others.pop() if reference else None
-    parts = [
-        _expect_noise(motion, t0_us),
-        _root_mean_square([_compare(other, smooth) for other in others]) if others else None,
-        None if scale_sigma is None else _scaled(smooth, scale_sigma),
-    ]
+    changed = _compare(twice, smooth)
+    smoother = LabelNoise(AGAIN * changed.acceleration, max(AGAIN * changed.curvature, _heading_noise(motion, t0_us)))
+    estimator = None if not others else _root_mean_square([_compare(other, smooth) for other in others])
+    scale = None if scale_sigma is None else _share(smooth, scale_sigma)
     return LabelNoiseBudget(
         samples=len(t0_us),
-        expected=_root_of_sum([part for part in parts if part is not None]),
-        smoother=_expect_noise(motion, t0_us),
-        estimator=parts[1],
-        scale=parts[2],
+        expected=_combine(smoother, estimator or smoother, scale or LabelNoise(0.0, 0.0)),
+        smoother=smoother,
+        estimator=estimator,
+        scale=scale,
         taken_out=_compare(raw, smooth),
         actual=_compare(smooth, true) if true else None,
         raw=_compare(raw, true) if true else None,
@@ -126,62 +133,37 @@ def _compare(labels: tuple[Array, Array], others: tuple[Array, Array]) -> LabelN
     return LabelNoise(*(float(np.sqrt(np.mean((a - b) ** 2))) for a, b in zip(labels, others, strict=True)))
 
 
-def _scaled(labels: tuple[Array, Array], sigma: float) -> LabelNoise:
-    return LabelNoise(*(sigma * float(np.sqrt(np.mean(values**2))) for values in labels))
-
-
-def _root_of_sum(parts: Sequence[LabelNoise]) -> LabelNoise:
+def _combine(smoother: LabelNoise, estimator: LabelNoise, scale: LabelNoise) -> LabelNoise:
     return LabelNoise(
-        float(np.sqrt(sum(part.acceleration**2 for part in parts))),
-        float(np.sqrt(sum(part.curvature**2 for part in parts))),
+        _root(max(smoother.acceleration, estimator.acceleration), scale.acceleration),
+        _root(max(smoother.curvature, estimator.curvature), scale.curvature),
     )
 
 
-def _root_mean_square(parts: Sequence[LabelNoise]) -> LabelNoise:
-    total = _root_of_sum(parts)
-    return LabelNoise(total.acceleration / len(parts) ** 0.5, total.curvature / len(parts) ** 0.5)
+def _share(labels: tuple[Array, Array], sigma: float) -> LabelNoise:
+    return LabelNoise(*(sigma * float(np.sqrt(np.mean(values**2))) for values in labels))
 
 
-def _expect_noise(motion: SmoothedMotion, t0_us: NDArray[np.int64]) -> LabelNoise:
-    """Linearised: the curvature k = w / v of turn rate w and speed v errs by (dw - k dv) / v; at standstill k is 0.
+def _root_mean_square(noises: Sequence[LabelNoise]) -> LabelNoise:
+    every = np.array([(noise.acceleration, noise.curvature) for noise in noises])
+    return LabelNoise(*np.sqrt(np.mean(every**2, axis=0)).tolist())
 
-    Labels take the turn rate from headings a step apart. That is better known than the rate at one moment where
-    headings are measured well, since the rate may change in between.
+
+def _root(*parts: float) -> float:
+    return float(np.sqrt(np.sum(np.square(parts))))
+
+
+def _heading_noise(motion: SmoothedMotion, t0_us: NDArray[np.int64]) -> float:
+    """What jitter of the headings does to curvatures k = w / v, in 1/m; at standstill k is 0.
+
+    Labels take the turn rate w from headings a step apart. Where headings are measured well that is better known than
+    the rate at one moment, since the rate may change in between; where they are smoothed much the rate is.
     """
     times = motion.trajectory.timestamps_us
     labelled = (times >= t0_us[0]) & (times <= t0_us[-1] + FUTURE_OFFSETS_US[-1])
-    rates, poses = motion.rate_covariance[labelled], motion.covariance[labelled]
-    curvature, forward = motion.curvature[labelled], motion.trajectory.T_world_rig[labelled, :3, 0]
+    forward = motion.trajectory.T_world_rig[labelled, :3, 0]
     speed = np.abs(np.sum(motion.velocity[labelled] * forward, axis=1))
     by_speed = np.where(speed > STANDSTILL_SPEED, 1.0 / np.maximum(speed, STANDSTILL_SPEED), 0.0)
-    turn_rate = np.minimum(rates[:, 5, 5], 2.0 * poses[:, 5, 5] / STEP_SECONDS**2)
-    variance = (turn_rate + curvature**2 * rates[:, 0, 0]) * by_speed**2
-    return LabelNoise(float(np.sqrt(np.mean(rates[:, 6, 6]))), float(np.sqrt(np.mean(variance))))
-
-
-def _scaled(labels: tuple[Array, Array], sigma: float) -> LabelNoise:
-    return LabelNoise(*(sigma * float(np.sqrt(np.mean(values**2))) for values in labels))
-
-
-def _root_of_sum(parts: Sequence[LabelNoise]) -> LabelNoise:
-    return LabelNoise(
-        float(np.sqrt(sum(part.acceleration**2 for part in parts))),
-        float(np.sqrt(sum(part.curvature**2 for part in parts))),
-    )
-
-
-def _root_mean_square(parts: Sequence[LabelNoise]) -> LabelNoise:
-    total = _root_of_sum(parts)
-    return LabelNoise(total.acceleration / len(parts) ** 0.5, total.curvature / len(parts) ** 0.5)
-
-
-def _expect_noise(motion: SmoothedMotion, t0_us: NDArray[np.int64]) -> LabelNoise:
-    """Linearised: the curvature k = w / v of turn rate w and speed v errs by (dw - k dv) / v; at standstill k is 0."""
-    times = motion.trajectory.timestamps_us
-    labelled = (times >= t0_us[0]) & (times <= t0_us[-1] + FUTURE_OFFSETS_US[-1])
-    covariance, curvature = motion.rate_covariance[labelled], motion.curvature[labelled]
-    forward = motion.trajectory.T_world_rig[labelled, :3, 0]
-    speed = np.sum(motion.velocity[labelled] * forward, axis=1)
-    by_speed = np.where(np.abs(speed) > STANDSTILL_SPEED, 1.0 / np.maximum(np.abs(speed), STANDSTILL_SPEED), 0.0)
-    variance = covariance[:, 5, 5] - 2.0 * curvature * covariance[:, 0, 5] + curvature**2 * covariance[:, 0, 0]
-    return LabelNoise(float(np.sqrt(np.mean(covariance[:, 6, 6]))), float(np.sqrt(np.mean(variance * by_speed**2))))
+    headings_apart = 2.0 * motion.covariance[labelled, 5, 5] / STEP_SECONDS**2
+    turn_rate = np.minimum(motion.rate_covariance[labelled, 5, 5], headings_apart)
+    return float(np.sqrt(np.mean(turn_rate * by_speed**2)))

@@ -93,11 +93,16 @@ class RecoveredMotion:
     @cached_property
     def label_noise(self) -> LabelNoiseBudget | None:
         """What errors of the motion do to the policy's labels; None for motions below 7.9 s."""
-        as_likely = []
-        if self.estimate.covariance is not None:
-            drawn = smooth_trajectories(draw_estimates(self.estimate, DRAWS), self.estimate.noise)
-            as_likely = [motion.trajectory for motion in drawn]
-        return measure_label_noise(self.measured, self.smoothed, self.reference, self.scale.total, as_likely)
+        drawn = [] if self.estimate.covariance is None else draw_estimates(self.estimate, DRAWS)
+        again, *as_likely = smooth_trajectories([self.smoothed.trajectory, *drawn], self.estimate.noise)
+        return measure_label_noise(
+            self.measured,
+            self.smoothed,
+            again.trajectory,
+            self.reference,
+            self.scale.total,
+            [motion.trajectory for motion in as_likely],
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values; keys carry the units."""
