@@ -118,7 +118,7 @@ def build_clip(
 
     doubts = recording.doubts if motion is None else motion.doubts
     return BuiltClip(
-        clip=_assemble(shown, options, views, ego_motion, doubts, None if motion is None else motion.scale.total),
+        clip=_assemble(shown, options, views, ego_motion, doubts, motion),
         plan=plan,
         left_out=(*plan.left_out, *_omissions(len(recording.frames), len(made), len(with_distance), views)),
         motion=motion,
@@ -186,8 +186,9 @@ def _assemble(
     views: dict[str, View],
     ego_motion: EgoMotion,
     doubts: tuple[Doubt, ...],
-    scale_sigma: float | None,
+    motion: RecoveredMotion | None,
 ) -> Clip:
+    noise = None if motion is None else motion.label_noise
     times_us, name, kind = recording.timestamps_us, options.name or recording.name, clip_kind(options)
     # Video files need one constant rate, and readers take times from the timestamp tables: it only has to be close.
     rate = float(max(1, round(1e6 / float(np.median(np.diff(times_us))))))
@@ -203,7 +204,8 @@ def _assemble(
         factors=options.factors,
         split=options.split,
         doubts=tuple(dict.fromkeys(doubt.what for doubt in doubts)),
-        scale_sigma=scale_sigma,
+        scale_sigma=None if motion is None else motion.scale.total,
+        acceleration_noise=None if noise is None else noise.expected.acceleration,
         streams={
             camera: CameraStream(view.images, times_us, rate, view.camera, view.T_rig_camera)
             for camera, view in wanted.items()

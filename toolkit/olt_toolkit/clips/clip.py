@@ -186,6 +186,8 @@ class ClipDescription:
             looked.
         scale_sigma: relative standard deviation of the metric scale of a recovered motion; None where the motion was
             given, or its scale is not known.
+        acceleration_noise: m/s2 by which the acceleration labels are expected to err, root mean square; None where the
+            motion was given, or is too short for a label.
     """
 
     clip_id: str
@@ -199,6 +201,7 @@ class ClipDescription:
     split: Split | None
     doubts: tuple[str, ...] | None = None
     scale_sigma: float | None = None
+    acceleration_noise: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -50,6 +50,7 @@ SCHEMA = pa.schema(
         ("split", pa.string()),
         ("doubts", pa.list_(pa.string())),
         ("scale_sigma", pa.float64()),
+        ("acceleration_noise", pa.float64()),
         ("duration_us", pa.int64()),
         ("sample_t0_us", pa.list_(pa.int64())),
         ("no_sample_reason", pa.string()),
@@ -61,7 +62,7 @@ SCHEMA = pa.schema(
     metadata={VERSION_KEY: str(TABLE_VERSION).encode()},
 )
 OPTIONAL_COLUMNS = frozenset(
-    {"split", "doubts", "scale_sigma", "no_sample_reason", "country", "licence", "fingerprint"}
+    {"split", "doubts", "scale_sigma", "acceleration_noise", "no_sample_reason", "country", "licence", "fingerprint"}
 )
 
 

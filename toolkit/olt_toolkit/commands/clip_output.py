@@ -122,8 +122,10 @@ def print_clip(summary: dict[str, Any]) -> None:
     clip, trajectory = summary["clip"], summary["trajectory"]
     print_line(f"clip {clip['name']} ({clip['kind']}, {clip['category']}, {clip['split']}) {clip['clip_id']}")
     print_line(f"trajectory: {trajectory['length']:.1f} m in {trajectory['duration']:.1f} s")
-    sigma = clip["scale_sigma"]
-    print_line(f"scale, 1 sigma: {'not known, or the motion was given' if sigma is None else f'{100 * sigma:.1f} %'}")
+    sigma, noise = clip["scale_sigma"], clip["acceleration_noise"]
+    given = "not known, or the motion was given"
+    print_line(f"scale, 1 sigma: {given if sigma is None else f'{100 * sigma:.1f} %'}")
+    print_line(f"expected error of acceleration labels: {given if noise is None else f'{noise:.2f} m/s2'}")
     print_line(f"in doubt: {_word_doubts(clip)}")
     print_line(_sample_line(clip))
     rows = [
