@@ -1,6 +1,7 @@
 """`olt clip trajectory` on a ray-cast street."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from typer.testing import CliRunner
 
 import olt_toolkit.recordings.drives
 from olt_generator.cameras import PinholeCamera
+from olt_generator.doubts import Doubt
 from olt_generator.errors import InputError
 from olt_toolkit.benchmarks.odometry import CAMERA, MOUNTING, make_drive
 from olt_toolkit.commands.clip import app
@@ -140,3 +142,15 @@ def test_what_is_known_is_printed_and_what_is_not_is_said(drive):
     assert result["scale_z"] == pytest.approx(result["scale_error"] / result["scale_sigma"])
     assert abs(result["scale_z"]) < 4.0
     assert result["smoothness_of_reference_smoothed"]["acceleration_variance_m2_s4"] is not None
+
+
+def test_what_is_in_doubt_is_printed(drive, monkeypatch):
+    assert "nothing is in doubt" in run(drive)
+    doubtful = replace(
+        olt_toolkit.recordings.drives.open_recording(drive, None, None),
+        doubts=(Doubt("view direction", "the file is called rear"),),
+    )
+    monkeypatch.setattr(olt_toolkit.recordings.drives, "open_recording", lambda path, options, cache: doubtful)
+    printed = run(drive)
+    assert "in doubt, clip from frame 0: view direction: the file is called rear" in printed
+    assert "nothing is in doubt" not in printed

@@ -69,7 +69,7 @@ class SmootherSettings:
 # Visual odometry hardly jitters: it errs in speed, over tenths of a second, which looks like acceleration. Noise levels
 # cannot be told from such a trajectory. These make the smoother average speed over about half a second: with more of it
 # true braking is smoothed away, with less the odometry's errors stay, and either way accelerations get worse.
-ODOMETRY_SETTINGS = SmootherSettings(position_sigma=0.07, rotation_sigma=4e-5, jerk_density=0.3)
+ODOMETRY_SETTINGS = SmootherSettings(position_sigma=0.1, rotation_sigma=4e-5, jerk_density=0.3)
 
 
 @dataclass(frozen=True)
