@@ -7,7 +7,6 @@ from pathlib import Path
 import av
 import cv2
 import numpy as np
-from av.container import InputContainer
 from av.error import FFmpegError
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 from olt_generator.decoding.coded_frames import (
     MISSING_FRAMES_ALLOWED,
     CodedFrame,
+    OpenVideo,
     check_complete,
     check_packet,
     open_video,
@@ -60,9 +60,16 @@ def read_video(path: Path, width: int = 832, duration: float = 20.0, turned: Ori
         InputError: the file is missing, empty, no video, damaged or cut off, its times run backwards, or its pictures
             cannot be shown as they are meant.
     """
-    with open_video(path) as (container, stream):
-        pictures = PictureReader(path, stream, width, turned)
-        return _as_video(stream, *_decode(path, container, stream, pictures, duration), pictures)
+    with open_video(path) as video:
+        pictures = PictureReader(path, video.stream, width, turned)
+        if video.edits:
+            coded = read_coded_frames(video)
+            shown = _shown(coded)
+            inside = [number for number, frame in enumerate(shown) if frame.time - shown[0].time < duration]
+            frames, times = _decode_some(video, coded, inside, pictures), [shown[number].time for number in inside]
+        else:
+            frames, times = _decode(video, pictures, duration)
+        return _as_video(video.stream, frames, _microseconds(times), pictures)
 
 
 def read_frame_times(path: Path, duration: float | None = None) -> NDArray[np.int64]:
@@ -73,9 +80,8 @@ def read_frame_times(path: Path, duration: float | None = None) -> NDArray[np.in
     Raises:
         InputError: the file is missing, empty, no video or cut off, or two frames are shown at the same time.
     """
-    with open_video(path) as (container, stream):
-        coded = read_coded_frames(path, container, stream, duration)
-    times = [frame.time for frame in coded if not frame.is_hidden]
+    with open_video(path) as video:
+        times = [frame.time for frame in _shown(read_coded_frames(video, duration))]
     return _microseconds([time for time in times if duration is None or time - times[0] < duration])
 
 
@@ -95,17 +101,15 @@ def read_video_window(
     Raises:
         InputError: as `read_frame_times` and `read_video`; no frame is shown at these times, or one is damaged.
     """
-    with open_video(path) as (container, stream):
-        coded = read_coded_frames(path, container, stream)
-        shown = [frame for frame in coded if not frame.is_hidden]
-        timestamps_us = _microseconds([frame.time for frame in shown])
+    with open_video(path) as video:
+        coded = read_coded_frames(video)
+        timestamps_us = _microseconds([frame.time for frame in _shown(coded)])
         inside = np.flatnonzero((timestamps_us >= first_us) & (timestamps_us <= last_us))
         if len(inside) == 0:
             raise InputError(f"{path}: no frame is shown between {first_us} and {last_us} us; give times of the video")
-        pictures = PictureReader(path, stream, width, turned)
-        wanted = [(number, shown[number].pts) for number in inside.tolist()]
-        frames = _decode_some(path, container, stream, coded, wanted, pictures)
-        return _as_video(stream, frames, timestamps_us[inside], pictures)
+        pictures = PictureReader(path, video.stream, width, turned)
+        frames = _decode_some(video, coded, inside.tolist(), pictures)
+        return _as_video(video.stream, frames, timestamps_us[inside], pictures)
 
 
 def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fraction, grid: int = 1) -> None:
@@ -171,22 +175,24 @@ def _as_video(
     return Video(frames, timestamps_us, rate, tuple(pictures.notes))
 
 
+def _shown(coded: list[CodedFrame]) -> list[CodedFrame]:
+    return [frame for frame in coded if not frame.is_hidden]
+
+
 def _decode_some(
-    path: Path,
-    container: InputContainer,
-    stream: VideoStream,
-    coded: list[CodedFrame],
-    wanted: list[tuple[int, int]],
-    pictures: PictureReader,
+    video: OpenVideo, coded: list[CodedFrame], inside: list[int], pictures: PictureReader
 ) -> NDArray[np.uint8]:
-    """Decode some frames, given by number and time, which are known by their times and not by where a seek lands."""
+    """Decode the shown frames of these numbers; they are known by their times and not by where a seek lands."""
+    path, stream, shown = video.path, video.stream, _shown(coded)
     stream.thread_type = "AUTO"
-    numbers = {pts: number for number, pts in wanted}
+    numbers = {shown[number].pts: number for number in inside}
     first, last = min(numbers), max(numbers)
-    key_frames = [frame for frame in coded if frame.is_key and frame.pts <= first]
-    container.seek(key_frames[-1].dts if key_frames else coded[0].dts, stream=stream)
+    # Frames that are decoded after a key frame but shown before it need the key frame before that.
+    keys = [frame for frame in coded if frame.is_key and frame.pts <= first]
+    start = max(keys, key=lambda frame: frame.pts) if keys else min(coded, key=lambda frame: frame.pts)
+    video.container.seek(start.dts, stream=stream)
     found: dict[int, NDArray[np.uint8]] = {}
-    for frame in container.decode(stream):
+    for frame in video.container.decode(stream):
         if frame.pts in numbers:
             if frame.is_corrupt:
                 raise InputError(f"{path}: frame {numbers[frame.pts]} is damaged; copy the video again")
@@ -196,19 +202,18 @@ def _decode_some(
     missing = [number for pts, number in numbers.items() if pts not in found]
     if missing:
         raise InputError(f"{path}: frame {min(missing)} cannot be decoded; copy or convert the video again")
-    return np.stack([found[pts] for _, pts in wanted])
+    return np.stack([found[shown[number].pts] for number in inside])
 
 
-def _decode(
-    path: Path, container: InputContainer, stream: VideoStream, pictures: PictureReader, duration: float
-) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+def _decode(video: OpenVideo, pictures: PictureReader, duration: float) -> tuple[NDArray[np.uint8], list[Fraction]]:
+    path, stream = video.path, video.stream
     stream.thread_type = "AUTO"
     frames: list[NDArray[np.uint8]] = []
     times: list[Fraction] = []
     stored = hidden = 0
     end = Fraction(0)
     try:
-        for packet in container.demux(stream):
+        for packet in video.container.demux(stream):
             if packet.size:
                 check_packet(path, packet, stored)
                 stored, hidden = stored + 1, hidden + packet.is_discard
@@ -222,7 +227,7 @@ def _decode(
                 if times and time <= times[-1]:
                     raise InputError(f"{where} is not later than the one before it; convert it to mp4")
                 if times and time - times[0] >= duration:
-                    return np.stack(frames), _microseconds(times)
+                    return np.stack(frames), times
                 times.append(time)
                 end = time + frame.duration * frame.time_base
                 frames.append(pictures.read(frame, len(frames)))
@@ -235,7 +240,7 @@ def _decode(
     check_complete(path, stream, stored, float(end - times[0]))
     if stream.frames and len(frames) + hidden < stored - MISSING_FRAMES_ALLOWED:
         raise InputError(f"{path}: only {len(frames)} of {stored - hidden} frames can be decoded; copy the video again")
-    return np.stack(frames), _microseconds(times)
+    return np.stack(frames), times
 
 
 def _microseconds(times: list[Fraction]) -> NDArray[np.int64]:

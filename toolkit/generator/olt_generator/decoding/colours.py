@@ -2,10 +2,10 @@
 
 High dynamic range is brought down by display light. HLG becomes the light of its reference screen of 1000 cd/m2
 (ITU-R BT.2100, table 5: inverse OETF, then gamma 1.2, here of R, G and B each and not of their luminance: strong
-colours come out a few grey levels more saturated, as in players that do so). PQ becomes its absolute light (table 4). Reference
-white, 203 cd/m2 (ITU-R BT.2408, table 1: 75 % HLG, 58 % PQ), becomes white of the standard screen. Below 90 % of it
-light is kept as it is, which is the inverse of the direct mapping of BT.2408, section 5.1; above, a shoulder of tanh
-with the same slope takes all that is brighter into the last tenth, as the knee of BT.2390, section 5.4 does.
+colours come out a few grey levels more saturated, as in players that do so). PQ becomes its absolute light (table 4).
+Reference white, 203 cd/m2 (ITU-R BT.2408, table 1: 75 % HLG, 58 % PQ), becomes white of the standard screen. Below
+90 % of it light is kept as it is, which is the inverse of the direct mapping of BT.2408, section 5.1; above, a shoulder
+of tanh with the same slope takes all that is brighter into the last tenth, as the knee of BT.2390, section 5.4 does.
 """
 
 from functools import cache
