@@ -8,6 +8,7 @@ import av
 import cv2
 import numpy as np
 from av.error import FFmpegError
+from av.video.reformatter import Colorspace
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
@@ -139,6 +140,8 @@ def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fract
     with write_whole(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=rate)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        # FFmpeg makes BT.601 of RGB, and players take large pictures that do not say so for BT.709.
+        stream.codec_context.colorspace = int(Colorspace.ITU601)
         stream.time_base = 1 / rate
         stream.thread_count = 1
         stream.gop_size = KEY_FRAME_EVERY

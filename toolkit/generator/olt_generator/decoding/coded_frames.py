@@ -135,9 +135,11 @@ def _open_unedited(path: Path) -> InputContainer:
 
 
 def check_packet(path: Path, packet: Packet, number: int) -> None:
-    """Refuse (`InputError`) a coded frame of which the file holds only a part."""
+    """Refuse (`InputError`) a coded frame of which only a part is there."""
     if packet.is_corrupt:
-        raise InputError(f"{path}: the coded frame {number} is not whole; the file was cut off, copy it again")
+        raise InputError(
+            f"{path}: the coded frame {number} is not whole; the file is damaged or cut off, copy it again"
+        )
 
 
 def check_complete(path: Path, stream: VideoStream, count: int, seconds: float) -> None:

@@ -108,7 +108,7 @@ def _time_scale(header: bytes) -> int:
 
 
 def _parse_list(content: bytes) -> list[tuple[int, int, float]]:
-    layout = ">Qqhh" if content[0] == 1 else ">Iihh"
+    layout = ">QqhH" if content[0] == 1 else ">IihH"
     size = struct.calcsize(layout)
     count = min(struct.unpack_from(">I", content, 4)[0], (len(content) - 8) // size)
     rows = (struct.unpack_from(layout, content, 8 + size * number) for number in range(count))

@@ -4,7 +4,6 @@ A repeated frame differs from the one before it only by what coding changed, whi
 vehicle that stands looks as still, but it comes to rest and sets off by and by, and the noise of the camera goes on.
 """
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -25,7 +24,8 @@ _HELD_SECONDS = 0.25
 _LEAST_CHANGE, _LEAST_DRIVING = 0.5, 1.0
 # A picture that freezes stops from full motion: the last so many changes are not below this share of those of a second.
 _ABRUPT_CHANGES, _ABRUPT_SHARE, _ABRUPT_SECONDS = 3, 0.5, 1.0
-_LONGEST_PATTERN, _PATTERN_SHARE = 6, 0.9
+# A pattern has at most so many frames, is seen so often, and followed by so many frames of each turn.
+_LONGEST_PERIOD, _LEAST_PERIODS, _PATTERN_SHARE = 6, 5, 0.8
 
 
 @dataclass(frozen=True)
@@ -59,8 +59,12 @@ def find_repeated_frames(frames: NDArray[np.uint8], timestamps_us: NDArray[np.in
         return RepeatedFrames(repeats, None, ())
     seconds = 1e-6 * (timestamps_us - timestamps_us[0])
     changes = _changes(frames)
-    repeats[1:] = _held_frames(changes, seconds)
-    showings = _showings_by_turns(repeats)
+    repeats[1:], tells = _held_frames(changes, seconds)
+    by_turns = _repeats_by_turns(repeats, tells)
+    if by_turns is not None:
+        # Frames that were coded anew change more, and slow ones less, than tells them; their turn does.
+        repeats[1:] = by_turns[np.arange(1, len(frames)) % len(by_turns)]
+    showings = None if by_turns is None else _showings(by_turns)
     freezes = tuple(_freezes(changes, seconds, repeats))
     for freeze in freezes:
         repeats[freeze.first + 1 : freeze.last + 1] = True
@@ -90,66 +94,80 @@ def _block_means(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32)
 
 
-def _held_frames(changes: NDArray[np.float64], seconds: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Whether each change (n - 1,) is that of a repeated frame between frames that move on."""
-    held = np.zeros(len(changes), bool)
+def _held_frames(
+    changes: NDArray[np.float64], seconds: NDArray[np.float64]
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Whether each change (n - 1,) is that of a repeated frame between frames that move on; and whether those do."""
+    held, tells = np.zeros((2, len(changes)), bool)
     for index, change in enumerate(changes):
         start = np.searchsorted(seconds, seconds[index] - _HELD_SECONDS)
         end = np.searchsorted(seconds, seconds[index + 1] + _HELD_SECONDS, side="right") - 1
-        around = [each.max() for each in (changes[start:index], changes[index + 1 : end]) if len(each)]
-        held[index] = bool(around) and min(around) > max(_LEAST_CHANGE, change / _STILL_SHARE)
-    return held
+        # Near an end of the video only the other side tells.
+        before, after = changes[start:index], changes[index + 1 : end]
+        around = [side.max() for side, is_whole in ((before, start > 0), (after, end < len(changes))) if is_whole]
+        tells[index] = bool(around) and min(around) > _LEAST_CHANGE
+        held[index] = tells[index] and min(around) > change / _STILL_SHARE
+    return held, tells
 
 
 def _freezes(
     changes: NDArray[np.float64], seconds: NDArray[np.float64], repeats: NDArray[np.bool_]
 ) -> Iterator[Freeze]:
     """Stretches that begin and end abruptly, or lie at an end of the video and do so at the other end."""
-    moving = np.flatnonzero(~repeats[1:])
+    # Changes to repeated frames say nothing about motion.
+    told = np.flatnonzero(~repeats[1:])
+    changes, starts, ends = changes[told], seconds[told], seconds[told + 1]
     index = 0
-    while index < len(changes):
-        before = _driving_level(changes, seconds, moving[moving < index][::-1])
-        still = _STILL_SHARE * (before if index > 0 else _first_driving_level(changes, seconds, moving))
-        end = index
-        while end < len(changes) and changes[end] < still:
-            end += 1
-        # The change with which the picture goes on is as large as what was missed.
-        after = _driving_level(changes, seconds, moving[moving > end])
-        goes_on = end == len(changes) or changes[index:end].max(initial=0.0) < _STILL_SHARE * after
-        if seconds[end] - seconds[index] > _HELD_SECONDS and goes_on and (index > 0 or end < len(changes)):
-            yield Freeze(index, end)
+    while index < len(told):
+        level = _driving_level(changes[:index][::-1], starts[:index][::-1])
+        if index == 0:
+            begun = int(np.argmax(changes > _LEAST_DRIVING))
+            level = _driving_level(changes[begun + 1 :], starts[begun + 1 :])
+        end = index + _still_changes(changes[index:], level)
+        if end > index and ends[end - 1] - starts[index] > _HELD_SECONDS:
+            # The change with which the picture goes on is as large as what was missed.
+            after = _driving_level(changes[end + 1 :], starts[end + 1 :])
+            goes_on = end == len(told) or np.median(changes[index:end]) < _STILL_SHARE * after
+            if goes_on and end - index < len(told):
+                yield Freeze(int(told[index]), int(told[end - 1]) + 1)
         index = max(end, index + 1)
 
 
-def _driving_level(changes: NDArray[np.float64], seconds: NDArray[np.float64], moving: NDArray[np.int64]) -> float:
-    """The least of the nearest changes if motion is as fast there as in the second around it, and 0 if it is not.
+def _still_changes(changes: NDArray[np.float64], level: float) -> int:
+    """How many changes from the first on are far below the level of driving, but for single ones at key frames."""
+    still = np.append(changes < _STILL_SHARE * level, False)
+    is_single = still[:-2] & still[2:] & (changes[1:] < level)
+    still[1:-1] |= is_single
+    return int(np.argmin(still))
 
-    `moving` are the changes that are no repeated frames', the nearest first.
+
+def _driving_level(changes: NDArray[np.float64], seconds: NDArray[np.float64]) -> float:
+    """The least of the first changes if motion is as fast there as in the second that they begin, and 0 if it is not.
+
+    Times may run backwards.
     """
-    if len(moving) < _ABRUPT_CHANGES:
+    if len(changes) < _ABRUPT_CHANGES:
         return 0.0
-    within = moving[np.abs(seconds[moving] - seconds[moving[0]]) <= _ABRUPT_SECONDS]
-    nearest = float(changes[moving[:_ABRUPT_CHANGES]].min())
-    is_abrupt = nearest > max(_LEAST_DRIVING, _ABRUPT_SHARE * float(np.median(changes[within])))
-    return nearest if is_abrupt else 0.0
+    nearest = float(changes[:_ABRUPT_CHANGES].min())
+    around = float(np.median(changes[np.abs(seconds - seconds[0]) <= _ABRUPT_SECONDS]))
+    return nearest if nearest > max(_LEAST_DRIVING, _ABRUPT_SHARE * around) else 0.0
 
 
-def _first_driving_level(
-    changes: NDArray[np.float64], seconds: NDArray[np.float64], moving: NDArray[np.int64]
-) -> float:
-    """The level at which a video that begins with a held picture goes on; 0 where it begins otherwise."""
-    starts = moving[changes[moving] > _LEAST_DRIVING]
-    return 0.0 if len(starts) == 0 else _driving_level(changes, seconds, moving[moving > starts[0]])
-
-
-def _showings_by_turns(repeats: NDArray[np.bool_]) -> tuple[int, ...] | None:
-    """The shortest pattern of showings that nearly all pictures follow; the first and last may be cut short."""
-    shown_first = np.flatnonzero(~repeats)
-    showings = np.diff(shown_first)[1:]
-    if not repeats.any() or len(showings) < 3:
-        return None
-    for period in range(1, min(_LONGEST_PATTERN, len(showings) // 2) + 1):
-        if np.mean(showings[period:] == showings[:-period]) >= _PATTERN_SHARE:
-            turns = [Counter(showings[turn::period].tolist()).most_common(1)[0][0] for turn in range(period)]
-            return tuple(turns) if max(turns) > 1 else None
+def _repeats_by_turns(repeats: NDArray[np.bool_], tells: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Whether frames repeat by their number modulo the shortest period that nearly all that tell follow; else None."""
+    numbers = 1 + np.flatnonzero(tells)
+    for period in range(2, _LONGEST_PERIOD + 1):
+        if len(numbers) < _LEAST_PERIODS * period:
+            return None
+        counts = np.bincount(numbers % period, minlength=period)
+        shares = np.bincount(numbers % period, repeats[numbers], minlength=period) / np.maximum(counts, 1)
+        by_turns = shares > 0.5
+        if counts.all() and by_turns.any() and np.all(np.abs(shares - by_turns) <= 1.0 - _PATTERN_SHARE):
+            return by_turns
     return None
+
+
+def _showings(by_turns: NDArray[np.bool_]) -> tuple[int, ...]:
+    """How often each picture is shown, from the first that is not shown before."""
+    firsts = np.flatnonzero(~by_turns)
+    return tuple(np.diff(np.append(firsts, firsts[0] + len(by_turns))).tolist())
