@@ -8,6 +8,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import av
+import numpy as np
 from av.container import InputContainer
 from av.error import FFmpegError
 from av.packet import Packet
@@ -20,6 +21,8 @@ from olt_generator.errors import InputError
 # How many frames a container may announce and not hold: some writers count one that is never shown.
 MISSING_FRAMES_ALLOWED = 1
 MISSING_SECONDS_ALLOWED = 0.5
+# Phones note the rate of capture here; a rate that varies with the light differs from it by less than this log ratio.
+_CAPTURE_RATE, _MOST_SPEED_ERROR = "com.android.capture.fps", 0.4
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,21 @@ def _find_stream(path: Path, container: InputContainer) -> VideoStream:
     if films[0].codec_context is None:
         raise InputError(f"{path}: nothing here decodes its video; convert it to H.264")
     return films[0]
+
+
+def _check_speed(path: Path, container: InputContainer, stream: VideoStream) -> None:
+    """Refuse slow motion and time lapse that the recorder notes, as Android does, beside times at another speed."""
+    noted = container.metadata.get(_CAPTURE_RATE) or stream.metadata.get(_CAPTURE_RATE)
+    try:
+        captured = float(noted or 0.0)
+    except ValueError:
+        return
+    played = float(stream.average_rate or 0.0)
+    if captured > 0.0 and played > 0.0 and abs(np.log(captured / played)) > _MOST_SPEED_ERROR:
+        raise InputError(
+            f"{path}: was captured at {captured:g} frames a second and plays at {played:g}, as slow motion or time "
+            "lapse; convert it so that it plays at the speed at which things happened"
+        )
 
 
 def _open_unedited(path: Path) -> InputContainer:
