@@ -45,8 +45,15 @@ def trajectory(
 
     from olt_toolkit.clips.trajectory_errors import Jitter, draw_motions, measure_clips, summarize_clips
     from olt_toolkit.recordings.drives import open_recording
+    from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json, show_progress
 
+    if jitter_m is None:
+        refuse_unused(
+            {"--jitter-deg": jitter_deg != 0.0, "--seed": seed != 0}, "nothing is disturbed without --jitter-m"
+        )
+    if clip_frames is None:
+        refuse_unused({"--stride": stride is not None}, "the recording is one clip without --clip-frames")
     opened = open_recording(recording, camera.opening(duration), cache)
     jitter = None if jitter_m is None else Jitter(jitter_m, radians(jitter_deg), seed)
     with show_progress("trajectory") as (on_progress, _):

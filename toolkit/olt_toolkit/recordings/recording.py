@@ -1,5 +1,6 @@
 """What a clip is built from: one front-camera recording."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -53,6 +54,13 @@ class Recording:
     doubts: tuple[Doubt, ...] = ()
 
 
+def refuse_unused(given: Mapping[str, bool], why: str) -> None:
+    """Refuse (`InputError`) those options that were given although nothing takes them, by name, and why."""
+    names = [name for name, is_given in given.items() if is_given]
+    if names:
+        raise InputError(f"{', '.join(names)}: {why}; leave out what does nothing")
+
+
 @dataclass(frozen=True)
 class OpenOptions:
     """How to open a recording.
@@ -84,6 +92,4 @@ class OpenOptions:
             "--rotate": self.rotate != 0,
             "--mirror": self.mirror,
         }
-        if any(given.values()):
-            names = " and ".join(name for name, is_given in given.items() if is_given)
-            raise InputError(f"{where}: its camera is calibrated, which {names} cannot change; leave that out")
+        refuse_unused(given, f"{where} has a calibrated camera, which they cannot change")
