@@ -72,12 +72,12 @@ NAME_RULES = (
     _rule("Viofo", r"(\d{4}_?\d{4}_?\d{6}|\d{14})_\d{3,6}[A-Z]?MARK", "f t", _FRI),
     _rule(
         "words",
-        r"(?:.*[-_. ])?MARK(?:cam|camera|view)?(?:[-_. ]?\d+)?",
+        r"(?:.*[-_. ])?MARK(?:[-_. ]?(?:cam|camera|view))?(?:[-_. ]?\d+)?",
         "front forward",
         {"rear": _BACK, "backward": _BACK, "rearward": _BACK, "cabin": _INSIDE, "interior": _INSIDE, "inside": _INSIDE},
     ),
     # The way back is driven forwards, so the word alone says nothing at the end of a longer name.
-    _rule("words", r"MARK(?:cam|camera|view)?(?:[-_. ]?\d+)?", "", {"back": _BACK}),
+    _rule("words", r"MARK(?:[-_. ]?(?:cam|camera|view))?(?:[-_. ]?\d+)?", "", {"back": _BACK}),
     _rule("words", r"(?:.*[-_. ])?MARK(?:cam|camera|view)", "", {"back": _BACK}),
 )
 # Marks that say something only beside a file that differs in the mark alone and is marked as the front one.

@@ -2,6 +2,7 @@
 
 import struct
 
+import av
 import numpy as np
 import pytest
 
@@ -92,3 +93,24 @@ def test_the_times_of_a_beginning_are_those_of_the_whole(tmp_path):
     path = write_greys(tmp_path / "video.mp4", COUNT)
     whole = read_frame_times(path)
     assert read_frame_times(path, 1.0).tolist() == whole[whole < 1_000_000].tolist()
+
+
+@pytest.mark.parametrize(("captured", "accepted"), [("240", False), ("1", False), ("25", True), ("29.9", True)])
+def test_slow_motion_and_time_lapse_that_the_recorder_notes_are_refused(tmp_path, captured, accepted):
+    path = tmp_path / "video.mp4"
+    write_greys(tmp_path / "plain.mp4", 10)
+    tags = {"movflags": "use_metadata_tags"}
+    with av.open(str(tmp_path / "plain.mp4")) as source, av.open(str(path), "w", options=tags) as target:
+        target.metadata["com.android.capture.fps"] = captured
+        stream = source.streams.video[0]
+        copy = target.add_stream_from_template(stream)
+        for packet in source.demux(stream):
+            if packet.dts is not None:
+                packet.stream = copy
+                target.mux(packet)
+    if accepted:
+        assert len(read_video(path).frames) == 10
+        return
+    for read in (read_video, read_frame_times):
+        with pytest.raises(InputError, match=rf"captured at {captured} frames a second and plays at 25"):
+            read(path)

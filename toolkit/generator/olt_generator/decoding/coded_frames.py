@@ -64,6 +64,7 @@ def open_video(path: Path) -> Iterator[OpenVideo]:
     try:
         with av.open(str(path), metadata_errors="replace") as container:
             stream = _find_stream(path, container)
+            _check_speed(path, container, stream)
             edits = read_several_edits(path, stream.id) if "mp4" in container.format.name else []
             if not edits:
                 yield OpenVideo(path, container, stream, [])

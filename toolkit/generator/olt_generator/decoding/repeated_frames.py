@@ -22,8 +22,10 @@ _STILL_SHARE = 0.2
 _HELD_SECONDS = 0.25
 # Changes in grey levels below which nothing is said about frames between, or about a freeze.
 _LEAST_CHANGE, _LEAST_DRIVING = 0.5, 1.0
-# A picture that freezes stops from full motion: the last so many changes are not below this share of those of a second.
+# A picture that freezes stops from full motion: the last so many changes are above this share of those of a second.
 _ABRUPT_CHANGES, _ABRUPT_SHARE, _ABRUPT_SECONDS = 3, 0.5, 1.0
+# And it is still at once: so many changes are below this share.
+_REST_CHANGES, _REST_SHARE = 5, 0.05
 # A pattern has at most so many frames, is seen so often, and followed by so many frames of each turn.
 _LONGEST_PERIOD, _LEAST_PERIODS, _PATTERN_SHARE = 6, 5, 0.8
 
@@ -104,7 +106,11 @@ def _held_frames(
         end = np.searchsorted(seconds, seconds[index + 1] + _HELD_SECONDS, side="right") - 1
         # Near an end of the video only the other side tells.
         before, after = changes[start:index], changes[index + 1 : end]
-        around = [side.max() for side, is_whole in ((before, start > 0), (after, end < len(changes))) if is_whole]
+        around = [
+            side.max()
+            for side, is_whole in ((before, start > 0), (after, end < len(changes)))
+            if is_whole and len(side)
+        ]
         tells[index] = bool(around) and min(around) > _LEAST_CHANGE
         held[index] = tells[index] and min(around) > change / _STILL_SHARE
     return held, tells
@@ -128,8 +134,13 @@ def _freezes(
             # The change with which the picture goes on is as large as what was missed.
             after = _driving_level(changes[end + 1 :], starts[end + 1 :])
             goes_on = end == len(told) or np.median(changes[index:end]) < _STILL_SHARE * after
-            if goes_on and end - index < len(told):
-                yield Freeze(int(told[index]), int(told[end - 1]) + 1)
+            # Who comes to rest, or sets off, still moves a little for a while.
+            next_to_motion = changes[index:end][:_REST_CHANGES] if index > 0 else changes[:end][-_REST_CHANGES:]
+            is_abrupt = np.median(next_to_motion) < _REST_SHARE * level
+            if goes_on and is_abrupt and end - index < len(told):
+                # Coding may take one more frame to bring the first that repeats as near as the others.
+                settles = index > 0 and changes[index - 1] < _ABRUPT_SHARE * level
+                yield Freeze(int(told[index - settles]), int(told[end - 1]) + 1)
         index = max(end, index + 1)
 
 
@@ -142,13 +153,13 @@ def _still_changes(changes: NDArray[np.float64], level: float) -> int:
 
 
 def _driving_level(changes: NDArray[np.float64], seconds: NDArray[np.float64]) -> float:
-    """The least of the first changes if motion is as fast there as in the second that they begin, and 0 if it is not.
+    """The median of the first changes if motion is as fast there as in the second that they begin, and 0 if it is not.
 
     Times may run backwards.
     """
     if len(changes) < _ABRUPT_CHANGES:
         return 0.0
-    nearest = float(changes[:_ABRUPT_CHANGES].min())
+    nearest = float(np.median(changes[:_ABRUPT_CHANGES]))
     around = float(np.median(changes[np.abs(seconds - seconds[0]) <= _ABRUPT_SECONDS]))
     return nearest if nearest > max(_LEAST_DRIVING, _ABRUPT_SHARE * around) else 0.0
 
