@@ -12,7 +12,6 @@ from functools import cache
 
 import cv2
 import numpy as np
-from av.sidedata.sidedata import Type
 from av.video.frame import VideoFrame
 from av.video.reformatter import ColorPrimaries, Colorspace, ColorTrc, VideoReformatter
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ _HLG_PEAK, _HLG_GAMMA = 1000.0, 1.2
 _KNEE = 0.9
 _SCREEN_GAMMA = 2.4
 # Linear RGB of other primaries to those of BT.709 (ITU-R BT.2087, and the same computation for SMPTE EG 432-1, D65).
-_TO_BT709 = {
+_TO_BT709: dict[int, Float] = {
     ColorPrimaries.BT2020: np.array(
         [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]], np.float32
     ),
@@ -65,7 +64,7 @@ class ColourReader:
         codes = self._reformat(frame, "rgb48le", matrix)
         if size[0] < codes.shape[1] and size[1] < codes.shape[0]:
             codes = cv2.resize(codes, size, interpolation=cv2.INTER_AREA)
-        light = _light_table(transfer)[codes]
+        light = _light_table(transfer)[np.asarray(codes, np.uint16)]
         if to_bt709 is not None:
             light = light.reshape(-1, 3) @ to_bt709.T
             light = light.reshape(codes.shape)
@@ -96,7 +95,7 @@ def _transfer(frame: VideoFrame, where: str) -> int:
             f"{where}: brightness is coded {_NOT_FOR_SCREENS[ColorTrc(transfer)]}, for grading and not for screens; "
             "convert the video to BT.709"
         )
-    is_dolby = any(frame.side_data.get(kind) is not None for kind in (Type.DOVI_RPU_BUFFER, Type.DOVI_METADATA))
+    is_dolby = any(frame.side_data.get(kind) is not None for kind in ("DOVI_RPU_BUFFER", "DOVI_METADATA"))
     if is_dolby and transfer in (ColorTrc.UNSPECIFIED, 0):
         raise InputError(
             f"{where}: is Dolby Vision without a layer that other screens can show; convert the video to BT.709"

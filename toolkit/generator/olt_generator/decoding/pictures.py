@@ -95,7 +95,9 @@ def _shows_comb(frame: VideoFrame) -> bool:
     if frame.format.is_rgb or not frame.format.is_planar or frame.format.is_big_endian:
         return False
     plane = frame.planes[0]
-    lines = np.frombuffer(plane, np.uint8).reshape(plane.height, plane.line_size)
+    # Planes have the buffer protocol, which PyAV's stubs do not tell.
+    content = np.frombuffer(plane, np.uint8)  # pyright: ignore[reportArgumentType, reportCallIssue]
+    lines = content.reshape(plane.height, plane.line_size)
     luma = lines[:, : plane.width] if bits == 8 else lines.view(np.uint16)[:, : plane.width] >> (bits - 8)
     return is_combed(luma.astype(np.uint8, copy=False))
 

@@ -27,7 +27,7 @@ def find_sky_side(frames: NDArray[np.uint8]) -> Side | None:
     None at night, and where the scene fills the picture.
     """
     chosen = np.unique(np.linspace(0, len(frames) - 1, _FRAMES).astype(int))
-    votes = Counter(side for index in chosen if (side := _sky_side(frames[index])) is not None)
+    votes: Counter[Side] = Counter(side for index in chosen if (side := _sky_side(frames[index])) is not None)
     if not votes:
         return None
     side, count = votes.most_common(1)[0]
