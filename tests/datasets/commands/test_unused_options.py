@@ -5,6 +5,7 @@ import pytest
 from typer.testing import CliRunner
 
 from olt_datasets.commands.data import app as data_app
+from olt_datasets.commands.mix import app as mix_app
 from olt_generator.errors import InputError
 from olt_generator.video import write_video
 from olt_toolkit import OpenOptions
@@ -58,17 +59,9 @@ def test_a_trajectory_refuses_what_it_does_not_use(video, arguments, message):
     assert message in str(run(clip_app, "trajectory", video, *arguments).exception)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--keep-going"], "--keep-going: a single recording"),
-        (["--workers", 2], "--workers: a single recording"),
-        (["--device", "cuda"], "--device cuda: no learned model is run"),
-    ],
-)
-def test_a_build_refuses_what_it_does_not_use(video, tmp_path, arguments, message):
-    result = run(clip_app, "build", video, "--out", tmp_path / "clips", *arguments)
-    assert message in str(result.exception)
+def test_a_build_without_learned_models_takes_no_device(video, tmp_path):
+    result = run(clip_app, "build", video, "--out", tmp_path / "clips", "--device", "cuda")
+    assert "--device cuda: no learned model is run" in str(result.exception)
 
 
 @pytest.mark.parametrize(
@@ -82,6 +75,11 @@ def test_a_build_refuses_what_it_does_not_use(video, tmp_path, arguments, messag
 def test_a_split_refuses_what_its_rule_does_not_use(tmp_path, rule, arguments, message):
     table = tmp_path / "clips.parquet"
     assert message in str(run(data_app, "split", table, "--rule", rule, "--out", table, *arguments).exception)
+
+
+@pytest.mark.parametrize("arguments", [["--example", "--by", "country"], ["--example", "clips.parquet"]])
+def test_the_papers_example_takes_no_tables(arguments):
+    assert "--example shows the paper's counts" in str(run(mix_app, "align", *arguments).exception)
 
 
 def test_an_index_by_seconds_takes_no_frames(video):

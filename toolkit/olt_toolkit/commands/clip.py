@@ -57,7 +57,6 @@ def build(
     from olt_toolkit.clips.views import BuildOptions
     from olt_toolkit.recordings.drives import WHOLE, find_drives, list_left_out
     from olt_toolkit.recordings.labels import UNLABELLED
-    from olt_toolkit.recordings.recording import refuse_unused
 
     if name is not None and Path(name).name != name:
         raise InputError(f"--name {name!r}: pictures are named after the clip; give a name without slashes")
@@ -77,8 +76,6 @@ def build(
         for place, key in find_drives(recording, cache)
     ]
     if jobs[0].place.path == recording and jobs[0].key == WHOLE:
-        unused = {"--workers": workers is not None, "--engine": engine is not Engine.LOCAL, "--keep-going": keep_going}
-        refuse_unused(unused, "a single recording is built by one process")
         _build_one(jobs[0], as_json)
     elif name is not None:
         raise InputError(f"--name {name!r}: clips of a folder take the names of their recordings; leave --name out")

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 # so that neither an even sky nor traffic or a wiper in a part of the picture decides.
 _WORKING_WIDTH = 208
 _BLOCK = 13
-# A repeated frame changes less than this share of what the frames around it do: driving changes by less than a factor
-# of 2.5 from frame to frame, and repeated frames by 1/20 of the others or less after usual coding (docs/formats/video.md).
+# A repeated frame changes less than this share of what the frames around it do. Driving changes by less than a factor
+# of 2.5 from frame to frame, repeated frames by 1/20 of the others after usual coding (docs/formats/video.md).
 _STILL_SHARE = 0.2
 # Frames around: those up to so many seconds away. Pictures that are held longer are a freeze.
 _HELD_SECONDS = 0.25
