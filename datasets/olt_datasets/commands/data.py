@@ -202,7 +202,9 @@ def build(
         key="",
         store=out,
         opening=building.opening(),
-        options=BuildOptions(width=building.width, height=building.height, seed=seed),
+        options=BuildOptions(
+            width=building.width, height=building.height, cameras=building.cameras, front=building.front, seed=seed
+        ),
         estimators=building.estimators(),
         keep_going=keep_going,
     )

@@ -315,10 +315,9 @@ def store_clips(out: Path, made: list[dict[str, Any]]) -> dict[str, Any]:
 
 def draw_clip(pictures: Path, recording: Recording, built: BuiltClip) -> None:
     """Draw what the report shows of the input: its views, the true ones and its trajectory, where they are known."""
-    images = {camera: stream.frames for camera, stream in built.clip.streams.items()}
     # Fewer times than the recording's: frames that no sample uses are not made.
     times_us = built.clip.streams[FRONT_WIDE].timestamps_us
-    write_picture(pictures / CONTACT_SHEET, contact_sheet(images, built.observed, times_us))
+    write_picture(pictures / CONTACT_SHEET, contact_sheet(built.clip.images, built.clip.origins, times_us))
     if recording.views:
         write_picture(pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
     if built.motion is not None:

@@ -363,6 +363,7 @@ def test_inspect_shows_one_clip(store):
         "frames": 90,
         "first_us": 81_000,
         "last_us": 8_981_000,
+        "frames_not_seen": 0,
     }
     text = run("inspect", store.root, clip_id).stdout
     assert "clip bend (GT, nominal, train)" in text

@@ -99,13 +99,12 @@ class BuildJob:
         if self.measured_motion and recording.reference is not None:
             options = replace(options, use_reference_motion=True)
         built = build_clip(recording, self.estimators.apply(options), on_progress, on_step)
-        streams = built.clip.streams
         start = time.perf_counter()
         info = ClipStore(self.store).prepare(built.clip)
         prepared = time.perf_counter()
-        images = {name: stream.frames for name, stream in streams.items()}
-        times_us = next(iter(streams.values())).timestamps_us
-        pictures = write_clip_pictures(self.store / PREVIEWS, self.name, images, built.observed, times_us)
+        images, origins = built.clip.images, built.clip.origins
+        times_us = next(iter(built.clip.streams.values())).timestamps_us
+        pictures = write_clip_pictures(self.store / PREVIEWS, self.name, images, origins, times_us)
         seconds = {"prepare": prepared - start, "pictures": time.perf_counter() - prepared}
         sources = {"poses": str(self.estimators.poses), "depth": str(self.estimators.depth)}
         return summarize_build(built, info) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
