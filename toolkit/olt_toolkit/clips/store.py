@@ -72,13 +72,18 @@ class ClipStore:
         with write_whole_folder(self._prepared(clip.clip_id)) as folder:
             return write_clip_files(folder, clip)
 
+    def prepared(self, clip_id: str) -> ClipInfo | None:
+        """The row of a clip that waits to be committed; one that other code prepared does not count."""
+        path = self._prepared(clip_id) / CLIP_TABLE
+        if not path.is_file():
+            return None
+        # Asked before the rest is read: other code may have other columns.
+        made_with = tables.read_table(path, ["created_with"], str(path))["created_with"][0].as_py()
+        return read_clip_table(path)[0] if made_with == code_version() else None
+
     def is_prepared(self, clip_id: str) -> bool:
         """Whether the clip waits to be committed; one that other code prepared does not count."""
-        path = self._prepared(clip_id) / CLIP_TABLE
-        return (
-            path.is_file()
-            and tables.read_table(path, ["created_with"], str(path))["created_with"][0].as_py() == code_version()
-        )
+        return self.prepared(clip_id) is not None
 
     def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
         """Add prepared clips to the store; returns the ids of those that it did not hold already.

@@ -10,7 +10,8 @@ from olt_generator.cameras import Camera
 from olt_generator.doubts import Doubt
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.rigs.rig import POLICY_CAMERAS, MountedCamera, VehicleDimensions
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT
+from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
 
 @dataclass(frozen=True)
@@ -68,4 +69,4 @@ class OpenOptions:
     duration: float = 20.0
     horizontal_fov: float | None = None
     camera_height: float | None = None
-    views: tuple[str, ...] = POLICY_CAMERAS
+    views: tuple[str, ...] = DEFAULT_CONTRACT.cameras
