@@ -33,9 +33,9 @@ class PolicyInputs:
 def encode_inputs(images: NDArray[np.uint8], history: Array) -> PolicyInputs:
     """Tensors of images (n, cameras, frames, 3, H, W) and histories (n, 16, 3).
 
-    Histories are x, y in metres and yaw in radians, in the rig frame at t0. The motion is the speed now, and the mean acceleration and curvature over the older half, the newer half and the
-    last three steps, all of about unit size. History tokens cut off what is fast and do not hold the heading; the toy
-    is too small to make up for it.
+    Histories are x, y in metres and yaw in radians, in the rig frame at t0. The motion is the speed now, and the mean
+    acceleration and curvature over the older half, the newer half and the last three steps, all of about unit size.
+    History tokens cut off what is fast and do not hold the heading; the toy is too small to make up for it.
     """
     flat = np.concatenate([history[..., :2], np.zeros_like(history[..., :1])], axis=-1)
     rates = np.diff(history, axis=-2) / STEP_SECONDS
