@@ -86,10 +86,11 @@ def decode_origin(data: bytes, where: str) -> OriginRuns:
     width, height = map(int, size)
     origin, length = (table.column(name).combine_chunks() for name in ("origin", "length"))
     edges = origin.offsets.to_numpy().astype(np.int64)
-    values, lengths = (column.flatten().fill_null(0).to_numpy() for column in (origin, length))
+    runs = origin.flatten(), length.flatten()
+    values, lengths = (column.fill_null(0).to_numpy() for column in runs)
     totals = np.concatenate([[0], np.cumsum(lengths, dtype=np.int64)])
     if (
-        any(column.null_count for column in table.columns)
+        any(column.null_count for column in (*table.columns, *runs))
         or not np.array_equal(edges, length.offsets.to_numpy())
         or len(totals) <= edges[-1]
         or np.any(np.diff(totals[edges]) != width * height)
