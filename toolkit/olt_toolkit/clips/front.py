@@ -56,13 +56,14 @@ def is_lens_of(camera: Camera, named: Camera) -> bool:
 
     Both have images of one size.
     """
-    ours, theirs = _angles(camera), _angles(named)
+    columns = np.arange(named.width)
+    ours, theirs = _angles(camera, columns), _angles(named, columns)
     return bool(np.max(np.abs(ours - theirs)) <= _SAME_LENS * np.abs(theirs).max())  # NaN is no agreement
 
 
 def degrees_across(camera: Camera) -> float:
     """Horizontal field of view in degrees, along the row of the optical axis, of the columns that the lens reaches."""
-    angles = np.degrees(_angles(camera))
+    angles = np.degrees(_angles(camera, np.arange(2 * camera.width + 1) / 2 - 0.5))
     return float(np.nanmax(angles) - np.nanmin(angles))
 
 
@@ -92,8 +93,7 @@ def border_origin(seen: NDArray[np.bool_], count: int) -> NDArray[np.uint8]:
     return np.repeat(origin[None], count, axis=0)
 
 
-def _angles(camera: Camera) -> Array:
-    """Angles (width,) from the axis, positive to the right, of the columns along the row of the axis."""
-    columns = np.arange(camera.width, dtype=np.float64)
-    rays = camera.rays(np.stack([columns, np.full(camera.width, camera.cy)], axis=-1))
+def _angles(camera: Camera, columns: NDArray[np.generic]) -> Array:
+    """Angles (n,) from the axis, positive to the right, of columns (n,) along the row of the axis."""
+    rays = camera.rays(np.stack(np.broadcast_arrays(np.asarray(columns, np.float64), camera.cy), axis=-1))
     return np.arctan2(rays[:, 0], rays[:, 2])
