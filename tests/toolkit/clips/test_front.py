@@ -89,6 +89,14 @@ def test_a_front_as_it_is_keeps_its_whole_width():
     assert any("keeps the recording's lens, 82 degrees across and not 116" in note for note in built.assumptions)
 
 
+def test_a_true_view_stays_what_it_is_and_says_so():
+    recording = make_recording(NARROW, TURNED)
+    built = build_front(recording, use_reference_views=True, use_reference_motion=False)
+    as_is = build_front(recording, FrontLens.AS_IS)
+    np.testing.assert_array_equal(built.clip.streams[FRONT_WIDE].frames, as_is.clip.streams[FRONT_WIDE].frames)
+    assert any("keeps the recording's lens" in note for note in built.assumptions)
+
+
 @pytest.mark.parametrize("front", FrontLens)
 def test_the_named_lens_is_left_alone(front):
     """Also that of another vehicle, whose principal point and mounting differ a little."""

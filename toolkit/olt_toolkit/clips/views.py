@@ -141,9 +141,10 @@ class ViewMaker:
         recording, size = self.recording, (self.options.width, self.options.height)
         named, camera = self.options.rig.fitted(*size)[FRONT_WIDE], fit_width(recording.camera, *size)
         kind, notes = self.options.image_kind, ()
-        if not self.options.use_reference_views and not is_lens_of(camera, named.camera):
+        if not is_lens_of(camera, named.camera):
             across = [f"{degrees_across(each):.0f}" for each in (recording.camera, named.camera)]
-            if self.options.front is FrontLens.AS_NAMED:
+            # A true view stays what it is.
+            if self.options.front is FrontLens.AS_NAMED and not self.options.use_reference_views:
                 images, seen, pose = see_through(recording.frames, recording.camera, self.T_rig_front, named)
                 note = (
                     f"{FRONT_WIDE}: shown through the lens of that name, {across[1]} degrees across; the recording's "
