@@ -45,7 +45,9 @@ def test_clip_from_a_real_drive(shared_real, tmp_path):
     front = info.views[FRONT_WIDE]
     assert front.observed_share == pytest.approx(0.29, abs=0.02)
     assert (front.invented_share, front.unseen_share) == (0.0, pytest.approx(1.0 - front.observed_share))
-    assert store.read_camera(info.clip_id, FRONT_WIDE).camera == pav_rig().fitted(576, 320)[FRONT_WIDE].camera
+    lens, named = store.read_camera(info.clip_id, FRONT_WIDE).camera, pav_rig().fitted(576, 320)[FRONT_WIDE].camera
+    assert lens.pixels_per_radian == pytest.approx(named.pixels_per_radian)
+    assert (lens.cx, lens.cy) == pytest.approx((named.cx, named.cy))
     for name, view in info.views.items():
         origin = store.read_origin(info.clip_id, name, times)
         assert view.invented_share == pytest.approx((origin == PixelOrigin.INVENTED).mean())
