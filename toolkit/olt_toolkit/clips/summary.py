@@ -10,6 +10,8 @@ from olt_toolkit.clips.clip import ClipInfo, EgoMotion, ViewProvenance
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.rigs.contracts import contracts_met
 
+_UNCERTAINTY = ("scale_sigma", "scale_sigma_parts", "scale_error", "scale_z", "ate_sigma_m", "ate_z")
+
 
 def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
     """Numbers of a built clip: trajectory and its errors, views and theirs, what was left out, assumed and timed."""
@@ -17,11 +19,14 @@ def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
     return {
         "clip": summarize_info(info),
         "trajectory": summarize_motion(built.clip.ego_motion),
-        "scale_sigma": motion.get("scale_sigma"),
+        "doubts": [asdict(doubt) for doubt in built.doubts],
+        **{name: motion.get(name) for name in _UNCERTAINTY},
         "pose_errors_before_smoothing": motion.get("errors_before_smoothing"),
         "pose_errors": motion.get("errors"),
         "smoothness_before_smoothing": motion.get("smoothness_before_smoothing"),
         "smoothness": motion.get("smoothness"),
+        "smoothness_of_reference": motion.get("smoothness_of_reference"),
+        "smoothness_of_reference_smoothed": motion.get("smoothness_of_reference_smoothed"),
         "label_noise": motion.get("label_noise"),
         "distance_median_relative_error": built.distance_error,
         "view_errors": built.view_errors,
@@ -35,6 +40,7 @@ def summarize_info(info: ClipInfo) -> dict[str, Any]:
     """A row of the clip table."""
     return asdict(info) | {
         "factors": list(info.factors),
+        "doubts": None if info.doubts is None else list(info.doubts),
         "sample_t0_us": list(info.sample_t0_us),
         "views": {camera: summarize_view(view) for camera, view in info.views.items()},
         "contracts": [contract.name for contract in contracts_met(info.views)],
