@@ -10,7 +10,7 @@ from olt_generator.distance.depth import estimate_distance
 from olt_generator.metrics.image_metrics import psnr
 from olt_generator.poses import invert
 from olt_generator.views.front_view import FrontView
-from olt_generator.views.moving_objects import find_moving
+from olt_generator.views.moving_objects import check_distances
 from olt_generator.views.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
 
 pytestmark = pytest.mark.slow
@@ -23,7 +23,7 @@ def front(six_cameras):
     view = FrontView(
         record.frames, found.distance, record.trajectory, record.camera, record.T_rig_camera, found.confidence
     )
-    return record, replace(view, moving=found.moving | find_moving(view))
+    return record, check_distances(replace(view, moving=found.moving))
 
 
 @pytest.mark.parametrize("name", ["front left", "front right"])

@@ -32,7 +32,7 @@ from olt_toolkit.clips.pai_tables import read_egomotion, read_mounted_camera, re
 from olt_toolkit.clips.table import CLIP_TABLE
 from olt_toolkit.clips.video import decode_frames
 from olt_toolkit.policy.window import Span
-from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, short_name
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, MountedCamera, short_name
 
 SOURCE = "pav"
 LICENCE = Licence(
@@ -100,7 +100,7 @@ class Pav:
             front_us=clip_us - start_us,
             cameras=cameras,
             ego_span_us=ego_span_us,
-            true_views=self._cameras_beside(key, POLICY_CAMERAS, clip_us),
+            true_views=self._cameras_beside(key, tuple(CAMERA_INDEX), clip_us),
             category=events.category,
             country=self._countries().get(key),
             split=clip.split,
@@ -109,7 +109,8 @@ class Pav:
         )
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
-        """See `Dataset.open`; lenses and mountings are the clip's own, whatever the options say."""
+        """See `Dataset.open`."""
+        options.refuse_camera(f"{self.root}: clip {key}")
         clip_us = self._timestamps(key, FRONT_WIDE)
         times_us = clip_us[images_within(clip_us - clip_us[0], window_us, f"{self.root}: clip {key}")]
         beside = [name for name in self._cameras_beside(key, options.views, times_us) if name != FRONT_WIDE]

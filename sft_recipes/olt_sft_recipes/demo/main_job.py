@@ -46,7 +46,8 @@ from olt_toolkit.clips.clip import Clip, Split
 from olt_toolkit.clips.pictures import contact_sheet, write_picture
 from olt_toolkit.clips.summary import summarize_build
 from olt_toolkit.clips.trajectory_errors import draw_motions
-from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
 from olt_toolkit.runtime.console import make_progress
 from olt_toolkit.runtime.environment import describe_machine
 from olt_toolkit.runtime.threads import use_one_thread
@@ -79,6 +80,7 @@ class DemoSettings:
         video_seconds: how much of a given video is used, from its start.
         video_fov: its horizontal field of view in radians, where it is not calibrated; None for its reader's default.
         video_camera_height: height in metres of its camera, where it is not known; None for its reader's default.
+        video_rotate, video_mirror: see `OpenOptions`.
         input_size: height and width of the synthetic input video and of the views made from the input.
         training_front_size: height and width of the front videos behind the training clips.
         training_size: height and width of the training clips.
@@ -95,6 +97,8 @@ class DemoSettings:
     video_seconds: float = 14.0
     video_fov: float | None = None
     video_camera_height: float | None = None
+    video_rotate: int = 0
+    video_mirror: bool = False
     input_size: tuple[int, int] = (270, 480)
     training_front_size: tuple[int, int] = (144, 256)
     training_size: tuple[int, int] = (64, 112)
@@ -231,8 +235,13 @@ def open_video(video: Path, settings: DemoSettings) -> Recording:
     Raises:
         InputError: the video cannot be used.
     """
-    fov, camera_height = settings.video_fov, settings.video_camera_height
-    options = OpenOptions(duration=settings.video_seconds, horizontal_fov=fov, camera_height=camera_height)
+    options = OpenOptions(
+        duration=settings.video_seconds,
+        horizontal_fov=settings.video_fov,
+        camera_height=settings.video_camera_height,
+        rotate=settings.video_rotate,
+        mirror=settings.video_mirror,
+    )
     return open_recording(video, options)
 
 
@@ -274,7 +283,7 @@ def build_training_clip(
     """Film a drive and prepare its clip, with those frames alone that its samples use; returns its numbers."""
     scene = read_scene(scene_path(out, scene_name))
     size = settings.training_size if real_views else settings.training_front_size
-    cameras = POLICY_CAMERAS if real_views else (FRONT_WIDE,)
+    cameras = DEFAULT_CONTRACT.cameras if real_views else (FRONT_WIDE,)
     recording = record_drive(scene, size[1], size[0], settings.frame_rate, cameras)
     options = BuildOptions(
         width=settings.training_size[1],
@@ -315,10 +324,9 @@ def store_clips(out: Path, made: list[dict[str, Any]]) -> dict[str, Any]:
 
 def draw_clip(pictures: Path, recording: Recording, built: BuiltClip) -> None:
     """Draw what the report shows of the input: its views, the true ones and its trajectory, where they are known."""
-    images = {camera: stream.frames for camera, stream in built.clip.streams.items()}
     # Fewer times than the recording's: frames that no sample uses are not made.
     times_us = built.clip.streams[FRONT_WIDE].timestamps_us
-    write_picture(pictures / CONTACT_SHEET, contact_sheet(images, built.observed, times_us))
+    write_picture(pictures / CONTACT_SHEET, contact_sheet(built.clip.images, built.clip.origins, times_us))
     if recording.views:
         write_picture(pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
     if built.motion is not None:

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import fit_camera
+from olt_generator.doubts import Doubt
 from olt_generator.errors import InputError
 from olt_generator.metrics.image_metrics import psnr
 from olt_generator.motion.smoother import smooth_trajectory
@@ -17,8 +18,10 @@ from olt_generator.trajectory import Trajectory
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
 from olt_generator.views.moving_objects import check_distances
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_generator.views.view_plan import ViewPlan, plan_views
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipKind, ClipOrigin, EgoMotion, make_clip_id
+from olt_toolkit.clips.feasibility import check_feasible
 from olt_toolkit.clips.images import fit_images
 from olt_toolkit.clips.recovered_motion import RecoveredMotion
 from olt_toolkit.clips.views import BuildOptions, View, ViewMaker
@@ -42,7 +45,7 @@ class BuiltClip:
     Attributes:
         plan, left_out: which views were made, and how; what was not, and why.
         motion: as it was measured and smoothed, with its errors; None where the reference was taken.
-        observed: (m, h, w) pixels taken from what the front camera saw, by synthesized view.
+        doubts: why the clip may not be what it seems.
         distance_error: median relative error of the distances.
         view_errors: PSNR in dB of synthesized views against the true ones, mean over frames, by camera: "psnr" over all
             pixels, "psnr_observed" over those observed.
@@ -54,7 +57,7 @@ class BuiltClip:
     plan: ViewPlan
     left_out: tuple[Omission, ...]
     motion: RecoveredMotion | None
-    observed: dict[str, NDArray[np.bool_]]
+    doubts: tuple[Doubt, ...]
     distance_error: float | None
     view_errors: dict[str, dict[str, float]]
     seconds: dict[str, float]
@@ -76,6 +79,7 @@ def build_clip(
     """
     options = options or BuildOptions()
     plan = plan_views(options.cameras)
+    check_feasible(recording, options, plan)
     steps = Steps(_SHARES, on_progress, on_step)
     motion, ego_motion, at_frames, T_rig_camera = _measure_motion(recording, options, steps)
     made, drawn_on, with_distance = _choose_frames(recording, options, plan)
@@ -114,16 +118,18 @@ def build_clip(
         for done, name in enumerate(plan.methods):
             views[name] = maker.make(name, lambda part, done=done: on_part((done + part) / len(plan.methods)))
 
+    doubts = recording.doubts if motion is None else motion.doubts
     return BuiltClip(
-        clip=_assemble(shown, options, views, ego_motion),
+        clip=_assemble(shown, options, views, ego_motion, doubts, motion),
         plan=plan,
         left_out=(*plan.left_out, *_omissions(len(recording.frames), len(made), len(with_distance), views)),
         motion=motion,
-        observed={name: view.observed for name, view in views.items() if view.observed is not None},
+        doubts=doubts,
         distance_error=distance_error,
         view_errors=_view_errors(views, shown),
         seconds=steps.seconds,
         assumptions=recording.assumptions
+        + tuple(note for view in views.values() for note in view.notes)
         + tuple(
             f"{name}: the f-theta polynomials of the clip's tables miss its lens by up to {error:.2f} px"
             for name, view in views.items()
@@ -153,7 +159,7 @@ def _measure_motion(
         measured = options.poses(recording.frames, times_us, recording.camera, recording.T_rig_camera, on_part)
     with steps.step("smoothing"):
         smoothed = smooth_trajectory(measured.trajectory, measured.noise)
-    recovered = RecoveredMotion(measured.trajectory, smoothed, measured.scale_sigma, reference)
+    recovered = RecoveredMotion(measured, smoothed, recording.spread, reference, recording.doubts)
     ego_motion = EgoMotion.anchored(smoothed.trajectory, smoothed.velocity, smoothed.acceleration, smoothed.curvature)
     return recovered, ego_motion, smoothed.trajectory, measured.T_rig_camera
 
@@ -176,7 +182,15 @@ def _choose_frames(recording: Recording, options: BuildOptions, plan: ViewPlan) 
     return made, drawn_on, np.unique(np.concatenate([made, drawn_on, np.array(looked_back_to, np.int64)]))
 
 
-def _assemble(recording: Recording, options: BuildOptions, views: dict[str, View], ego_motion: EgoMotion) -> Clip:
+def _assemble(
+    recording: Recording,
+    options: BuildOptions,
+    views: dict[str, View],
+    ego_motion: EgoMotion,
+    doubts: tuple[Doubt, ...],
+    motion: RecoveredMotion | None,
+) -> Clip:
+    noise = None if motion is None else motion.label_noise
     times_us, name, kind = recording.timestamps_us, options.name or recording.name, clip_kind(options)
     # Video files need one constant rate, and readers take times from the timestamp tables: it only has to be close.
     rate = float(max(1, round(1e6 / float(np.median(np.diff(times_us))))))
@@ -191,8 +205,11 @@ def _assemble(recording: Recording, options: BuildOptions, views: dict[str, View
         category=options.category,
         factors=options.factors,
         split=options.split,
+        doubts=tuple(dict.fromkeys(doubt.what for doubt in doubts)),
+        scale_sigma=None if motion is None else motion.scale.total,
+        acceleration_noise=None if noise is None else noise.expected.acceleration,
         streams={
-            camera: CameraStream(view.images, times_us, rate, view.camera, view.T_rig_camera)
+            camera: CameraStream(view.images, times_us, rate, view.camera, view.T_rig_camera, view.origin)
             for camera, view in wanted.items()
         },
         ego_motion=ego_motion,
@@ -235,7 +252,7 @@ def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, dict
     """Errors of the synthesized views whose true images are known: whole, by the same lens, from the same place."""
     errors = {}
     for name, view in views.items():
-        if view.observed is None or name not in recording.views or name in recording.observed:
+        if view.drawn_on is None or view.origin is None or name not in recording.views or name in recording.observed:
             continue
         _, height, width, _ = view.images.shape
         true = recording.mounted.get(name)
@@ -245,7 +262,7 @@ def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, dict
         ):
             continue
         truth = fit_images(recording.views[name], width, height)
-        triples = list(zip(view.images, truth, view.observed, strict=True))
+        triples = list(zip(view.images, truth, view.origin != PixelOrigin.INVENTED, strict=True))
         all_pixels = [psnr(image, true_image) for image, true_image, _ in triples]
         observed = [psnr(image, true_image, seen) for image, true_image, seen in triples if seen.any()]
         errors[name] = {"psnr": float(np.mean(all_pixels)), "psnr_observed": float(np.mean(observed))}

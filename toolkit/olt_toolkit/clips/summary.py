@@ -6,8 +6,11 @@ from typing import Any
 import numpy as np
 
 from olt_toolkit.clips.builder import BuiltClip
-from olt_toolkit.clips.clip import ClipInfo, EgoMotion
+from olt_toolkit.clips.clip import ClipInfo, EgoMotion, ViewProvenance
 from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.rigs.contracts import contracts_met
+
+_UNCERTAINTY = ("scale_sigma", "scale_sigma_parts", "scale_error", "scale_z", "ate_sigma_m", "ate_z")
 
 
 def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
@@ -16,11 +19,14 @@ def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
     return {
         "clip": summarize_info(info),
         "trajectory": summarize_motion(built.clip.ego_motion),
-        "scale_sigma": motion.get("scale_sigma"),
+        "doubts": [asdict(doubt) for doubt in built.doubts],
+        **{name: motion.get(name) for name in _UNCERTAINTY},
         "pose_errors_before_smoothing": motion.get("errors_before_smoothing"),
         "pose_errors": motion.get("errors"),
         "smoothness_before_smoothing": motion.get("smoothness_before_smoothing"),
         "smoothness": motion.get("smoothness"),
+        "smoothness_of_reference": motion.get("smoothness_of_reference"),
+        "smoothness_of_reference_smoothed": motion.get("smoothness_of_reference_smoothed"),
         "label_noise": motion.get("label_noise"),
         "distance_median_relative_error": built.distance_error,
         "view_errors": built.view_errors,
@@ -32,7 +38,18 @@ def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
 
 def summarize_info(info: ClipInfo) -> dict[str, Any]:
     """A row of the clip table."""
-    return asdict(info) | {"factors": list(info.factors), "sample_t0_us": list(info.sample_t0_us)}
+    return asdict(info) | {
+        "factors": list(info.factors),
+        "doubts": None if info.doubts is None else list(info.doubts),
+        "sample_t0_us": list(info.sample_t0_us),
+        "views": {camera: summarize_view(view) for camera, view in info.views.items()},
+        "contracts": [contract.name for contract in contracts_met(info.views)],
+    }
+
+
+def summarize_view(view: ViewProvenance) -> dict[str, Any]:
+    """Where the pixels of a view came from."""
+    return asdict(view) | {"unseen_share": view.unseen_share}
 
 
 def summarize_motion(motion: EgoMotion) -> dict[str, float]:
@@ -52,12 +69,14 @@ def summarize_stored(store: ClipStore, clip_id: str) -> dict[str, Any]:
     info, cameras = store.info(clip_id), {}
     for name in info.views:
         mounted, times_us = store.read_camera(clip_id, name), store.read_timestamps(clip_id, name)
+        runs = store.read_origin_runs(clip_id, name)
         cameras[name] = {
             "size": [mounted.camera.width, mounted.camera.height],
             "position_rig": mounted.T_rig_camera[:3, 3].tolist(),
             "frames": len(times_us),
             "first_us": int(times_us[0]),
             "last_us": int(times_us[-1]),
+            "frames_not_seen": 0 if runs is None else int((~runs.seen_frames).sum()),
         }
     return {
         "store": str(store.root),

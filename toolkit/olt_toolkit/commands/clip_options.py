@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from olt_toolkit.clips.estimators import DepthEstimator, Estimators, PoseEstimator
+from olt_toolkit.rigs.names import ContractName, FrontLens
 
 if TYPE_CHECKING:
     from olt_toolkit.recordings.recording import OpenOptions
@@ -31,21 +32,46 @@ class CameraOptions:
 
     fov: Annotated[float | None, typer.Option(help="Horizontal field of view in degrees, if not calibrated.")] = None
     camera_height: Annotated[float | None, typer.Option(help="Height of the camera in metres, if unknown.")] = None
+    rotate: Annotated[int, typer.Option(help="Turn a video clockwise by 0, 90, 180 or 270 degrees.")] = 0
+    mirror: Annotated[bool, typer.Option("--mirror", help="Mirror a video left to right, after it is turned.")] = False
+
+    def given(self) -> dict[str, bool]:
+        """Which of these options were given, by name."""
+        return {
+            "--fov": self.fov is not None,
+            "--camera-height": self.camera_height is not None,
+            "--rotate": self.rotate != 0,
+            "--mirror": self.mirror,
+        }
 
     def opening(self, duration: float = float("inf")) -> "OpenOptions":
-        """How a drive is opened, up to so many seconds where no window is asked for."""
+        """How a drive is opened, up to so many seconds where no window is asked for; InputError for odd values."""
         from math import radians
 
+        from olt_generator.errors import InputError
         from olt_toolkit.recordings.recording import OpenOptions
 
-        field_of_view = None if self.fov is None else radians(self.fov)
-        return OpenOptions(duration=duration, horizontal_fov=field_of_view, camera_height=self.camera_height)
+        if self.rotate not in (0, 90, 180, 270):
+            raise InputError(f"--rotate {self.rotate}: give 0, 90, 180 or 270 degrees")
+        if self.camera_height is not None and not self.camera_height > 0.0:
+            raise InputError(f"--camera-height {self.camera_height:g}: give metres above the road")
+        return OpenOptions(
+            duration=duration,
+            horizontal_fov=None if self.fov is None else radians(self.fov),
+            camera_height=self.camera_height,
+            rotate=self.rotate,
+            mirror=self.mirror,
+        )
 
 
 @dataclass(frozen=True)
 class BuildingOptions(CameraOptions):
     """How clips are built: the size of their views, and what measures motion and distances."""
 
+    rig: Annotated[ContractName, typer.Option(help="The policy whose cameras are made.")] = ContractName.ALPAMAYO_R1
+    front: Annotated[
+        FrontLens, typer.Option(help="The front view: its name's lens with black borders, or the source's own lens.")
+    ] = FrontLens.AS_NAMED
     width: Annotated[int, typer.Option(min=32, help="Width of the views in pixels, even.")] = 576
     height: Annotated[int, typer.Option(min=32, help="Height of the views in pixels, even.")] = 320
     poses: Annotated[PoseEstimator, typer.Option(help="Where the motion of the vehicle comes from.")] = (
@@ -55,6 +81,23 @@ class BuildingOptions(CameraOptions):
     depth: Annotated[DepthEstimator, typer.Option(help="Where the distances come from.")] = DepthEstimator.GEOMETRIC
     depth_weights: Annotated[Path | None, typer.Option(help="Folder with the files of the depth network.")] = None
     device: DeviceOption = "cpu"
+
+    def given_of_recordings(self) -> dict[str, bool]:
+        """Which options were given that tell how a recording is read, and where its motion comes from."""
+        return self.given() | {"--poses": self.poses is not PoseEstimator.ODOMETRY}
+
+    def opening(self, duration: float = float("inf")) -> "OpenOptions":
+        """How a drive is opened, with the true views of the rig's cameras where they are known."""
+        from dataclasses import replace
+
+        return replace(super().opening(duration), views=self.cameras)
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The cameras of the rig."""
+        from olt_toolkit.rigs.contracts import find_contract
+
+        return find_contract(self.rig.value).cameras
 
     def estimators(self) -> Estimators:
         """What measures motion and distances; an `InputError` where weights are given without their estimator."""

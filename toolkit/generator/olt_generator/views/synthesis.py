@@ -6,7 +6,6 @@ saw at other moments, of things that stand still, and then smooth colours.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import lru_cache
 
 import cv2
@@ -23,6 +22,7 @@ from olt_generator.views.coherence import make_coherent
 from olt_generator.views.fill import fill_holes
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.panorama import Panorama
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_generator.views.source_frames import SourceChooser
 from olt_generator.views.surface_mesh import SurfaceMesh, build_mesh
 
@@ -35,14 +35,6 @@ _KEPT_MESHES = 32
 # Source pixels for each target pixel from which on an image is blurred before it is looked up, and by how much: the
 # blur that takes a pixel to one `shrink` times as wide.
 _LEAST_SHRINK, _BLUR = 1.2, 0.4
-
-
-class PixelOrigin(IntEnum):
-    """Where a pixel of a synthesized view comes from."""
-
-    INVENTED = 0
-    SAME_FRAME = 1
-    OTHER_FRAME = 2
 
 
 @dataclass(frozen=True)
