@@ -1,12 +1,13 @@
 """Monocular visual odometry without learned weights.
 
-Corners are tracked over keyframes a tenth of a second apart. Epipolar geometry gives the rotation and direction of
-each step, and the road below a camera of known height its rough speed. From there all keyframes are adjusted together
-to all tracks, which makes the shape of the path exact but lets its scale drift; the road gives the scale back.
+Corners are tracked over keyframes a tenth of a second apart. Epipolar geometry gives the rotation of each step and the
+line along which the camera moved; whether forward or backward, and how fast, is told by the road below a camera of
+known height, because most corners may belong to vehicles that move by themselves. From there all keyframes are adjusted
+together to all tracks, which makes the shape of the path exact but lets its scale drift; the road gives the scale back.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -17,32 +18,30 @@ from scipy.spatial.transform import Rotation
 from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.motion.bundle_adjustment import FeatureTracks, StepPriors, adjust_poses
-from olt_generator.motion.features import Gray, TrackedPair, track_from_keyframes
+from olt_generator.motion.features import Gray, track_from_keyframes
 from olt_generator.motion.pose_sources import PoseEstimate
+from olt_generator.motion.road_following import ahead, follow_road, usual_direction
+from olt_generator.motion.road_grid import RoadGrid, road_frame
 from olt_generator.motion.road_plane import measure_scale
-from olt_generator.motion.road_scale import RoadStrip, estimate_speed, road_frame
+from olt_generator.motion.road_speed import RoadSpeed
 from olt_generator.motion.smoother import ODOMETRY_SETTINGS
-from olt_generator.motion.static_mask import BELOW_HORIZON, find_static_mask
-from olt_generator.motion.two_view import TwoViewMotion, estimate_motion
+from olt_generator.motion.static_mask import find_static_mask
+from olt_generator.motion.steps import TRACK_SIGMA_PIXELS, Step, estimate_step, radians_per_pixel, turn_between
+from olt_generator.motion.two_view import TwoViewMotion, parallax_forward
 from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
 from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
 
 KEYFRAME_SECONDS = 0.1
 MAX_STEP_SECONDS = 0.5
-MIN_POINTS = 20
 MIN_CAMERA_HEIGHT = 0.3
-MAX_RAY_ANGLE = np.radians(75.0)
-TRACK_SIGMA_PIXELS = 0.5
 # Keyframes after its first in which a point must be seen.
 LEAST_OBSERVATIONS = 2
-# A median motion below this many pixels between keyframes is standstill.
-STANDSTILL_PIXELS = 0.15
-# The same once a rotation is taken out; following is less sharp while the picture moves.
-TURNING_PIXELS = 0.3
-# Lengths of the strips of road, in camera heights, that give the speed of single steps and the scale of the whole.
-SPEED_STRIP_HEIGHTS = 5.5
-SCALE_STRIP_HEIGHTS = 9.0
+# Slower than this is standstill too, m/s.
+STANDSTILL_SPEED = 0.05
+# Slow motion is measured over more than one step: over this distance, and so many keyframes at most.
+SLOW_METRES = 0.8
+MOST_STEPS = 8
 # How far a step found on its own may be from the truth: radians of rotation, share of the distance driven along the
 # step, radians of its direction; and what is left of radians and metres at standstill.
 PRIOR_ROTATION = np.radians(0.1)
@@ -110,12 +109,13 @@ def estimate_odometry(
     hidden = find_static_mask(grays, keyframes, camera, T_rig_camera)
     steps = []
     for pair in track_from_keyframes(grays, keyframes, hidden, settings.corners_per_cell, settings.window):
-        steps.append(_estimate_step(pair, camera, T_rig_camera[2, :3]))
+        steps.append(estimate_step(pair, camera, T_rig_camera[2, :3]))
         on_progress(0.8 * pair.current / (len(grays) - 1))
     key_steps = [step for step in steps if step.current in set(keyframes)]
     times = (timestamps_us - timestamps_us[0]) * 1e-6
     clip = _Clip(grays, times, keyframes, key_steps, camera, T_rig_camera, hidden)
-    T_start_key, mounting, scale_sigma = _recover_keyframes(clip, settings)
+    path = _recover_keyframes(clip, settings)
+    T_start_key, mounting = path.T_start_key, path.mounting
     on_progress(1.0)
     # Positions between the keyframes' run smoothly, rotations are measured.
     T_start_camera = np.tile(np.eye(4), (len(timestamps_us), 1, 1))
@@ -124,11 +124,11 @@ def estimate_odometry(
         measured = rotation_of[step.key] @ step.motion.R_b_a.T
         T_start_camera[step.current, :3, :3] = rotation_of.get(step.current, measured)
     T_start_camera[:, :3, 3] = PchipInterpolator(times[keyframes], T_start_key[:, :3, 3])(times)
-    stood = {step.key: not step.moves for step in key_steps}
+    stood = dict(zip(keyframes, ~path.moves, strict=False))
     return Odometry(
         Trajectory(timestamps_us, mounting @ T_start_camera @ invert(mounting)),
         mounting,
-        scale_sigma,
+        path.scale_sigma,
         ODOMETRY_SETTINGS,
         np.array([np.count_nonzero(step.motion.inliers) for step in steps]),
         np.array([stood[step.key] for step in steps]),
@@ -163,130 +163,77 @@ def _check_input(timestamps_us: NDArray[np.int64], T_rig_camera: Array) -> None:
 
 
 @dataclass(frozen=True)
-class _Step:
-    """Motion from the last keyframe to a frame; `moves` tells whether the vehicle gets anywhere, direction 0 if not."""
-
-    key: int
-    current: int
-    moves: bool
-    motion: TwoViewMotion
-    points: NDArray[np.int64]
-    rays_key: Array
-    rays_current: Array
-
-
-def _estimate_step(pair: TrackedPair, camera: Camera, up: Array) -> _Step:
-    rays_key = camera.rays(pair.key_pixels.astype(np.float64))
-    rays_current = camera.rays(pair.current_pixels.astype(np.float64))
-    used = np.minimum(rays_key[:, 2], rays_current[:, 2]) > np.cos(MAX_RAY_ANGLE)
-    key, current, points = rays_key[used], rays_current[used], pair.points[used]
-    if len(points) < MIN_POINTS:
-        raise _too_few(pair, len(points))
-    flow = np.linalg.norm(pair.current_pixels.astype(np.float64) - pair.key_pixels, axis=1)
-    turn = _turn_at_rest(flow[used], key, current, up, camera)
-    if turn is not None:
-        rest = TwoViewMotion(turn, np.zeros(3), used)
-        return _Step(pair.key, pair.current, False, rest, points, key, current)
-    motion = estimate_motion(key, current, TRACK_SIGMA_PIXELS * _radians_per_pixel(camera))
-    if motion is None or np.count_nonzero(motion.inliers) < MIN_POINTS:
-        raise _too_few(pair, 0 if motion is None else np.count_nonzero(motion.inliers))
-    agrees = motion.inliers
-    return _Step(pair.key, pair.current, True, motion, points[agrees], key[agrees], current[agrees])
-
-
-def _too_few(pair: TrackedPair, count: np.integer | int) -> InputError:
-    return InputError(
-        f"odometry: frame {pair.current} shares only {count} usable points with frame {pair.key}, {MIN_POINTS} are "
-        "needed; cut away dark, blurred or blank frames"
-    )
-
-
-def _turn_at_rest(flow: Array, rays_key: Array, rays_current: Array, up: Array, camera: Camera) -> Array | None:
-    """The rotation R_current_key (3, 3) if the vehicle gets nowhere: none or a turn on the spot; otherwise None.
-
-    What is near decides; clouds and the skyline stay in place even while the vehicle drives.
-    """
-    below = rays_key @ up < -np.sin(BELOW_HORIZON)
-    near = below if below.any() else slice(None)
-    if np.median(flow[near]) < STANDSTILL_PIXELS:
-        return np.eye(3)
-    R = Rotation.align_vectors(rays_current, rays_key)[0].as_matrix()
-    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)
-    # What moves by itself tilts the first fit; the second one is made without it.
-    agrees = missed <= 2.0 * np.median(missed)
-    R = Rotation.align_vectors(rays_current[agrees], rays_key[agrees])[0].as_matrix()
-    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)[near]
-    return R if np.median(missed) < TURNING_PIXELS * _radians_per_pixel(camera) else None
-
-
-def _radians_per_pixel(camera: Camera) -> float:
-    u, v = 0.5 * (camera.width - 1), 0.5 * (camera.height - 1)
-    left, right = camera.rays(np.array([[u - 1.0, v], [u + 1.0, v]]))
-    return 0.5 * float(np.arccos(left @ right))
-
-
-@dataclass(frozen=True)
 class _Clip:
     """What is known of a clip, times in seconds, once every step between keyframes has been found on its own."""
 
     grays: Sequence[Gray]
     times: Array
     keyframes: list[int]
-    key_steps: list[_Step]
+    key_steps: list[Step]
     camera: Camera
     T_rig_camera: Array
     hidden: NDArray[np.bool_]
 
 
-def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, Array, float | None]:
-    """Keyframe poses (k, 4, 4) in the axes of the first one, the mounting, and the scale's relative deviation."""
-    moves = np.array([step.moves for step in clip.key_steps])
-    if not moves.any():
-        turns = make_pose([step.motion.R_b_a.T for step in clip.key_steps], np.zeros(3))
-        return _chain(turns), clip.T_rig_camera, None
+@dataclass(frozen=True)
+class _Path:
+    """Keyframe poses (k, 4, 4) in the axes of the first one, the mounting, which steps move, and the scale's deviation."""
+
+    T_start_key: Array
+    mounting: Array
+    moves: NDArray[np.bool_]
+    scale_sigma: float | None
+
+
+def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> _Path:
+    """The motion of the keyframes."""
     times = clip.times[clip.keyframes]
-    driven = _measure_speed(clip, moves) * np.diff(times)
-    T_key_next = _adjust(clip, driven, settings.rounds)
-    mounting = _align_mounting(T_key_next, driven / np.diff(times), clip.T_rig_camera)
-    strip = _lay_strip(clip, mounting[0, :3], mounting, SCALE_STRIP_HEIGHTS)
     grays = [clip.grays[index] for index in clip.keyframes]
-    scale = measure_scale(grays, times, _chain(T_key_next), driven, strip, mounting[2, :3])
+    road = _follow_road(clip, grays, np.diff(times))
+    clip = replace(clip, key_steps=[_settle(clip, *pair) for pair in zip(clip.key_steps, road.speed, strict=True)])
+    moves = np.array([step.moves for step in clip.key_steps])
+    driven = np.where(moves, np.abs(road.speed) * np.diff(times), 0.0)
+    T_key_next = _adjust(clip, driven, settings.rounds) if moves.any() else _expect(clip, driven)
+    if not moves.any():
+        return _Path(_chain(T_key_next), clip.T_rig_camera, moves, None)
+    mounting = _align_mounting(T_key_next, driven / np.diff(times), clip.T_rig_camera)
+    grid = _lay_grid(clip, mounting[0, :3], mounting)
+    scale = measure_scale(grays, times, _chain(T_key_next), driven, grid, mounting[2, :3])
     T_key_next[:, :3, 3] *= scale.factor[:, None]
-    return _chain(T_key_next), mounting, scale.sigma
+    share = driven / driven.sum()
+    return _Path(_chain(T_key_next), mounting, moves, float(np.sqrt(share @ scale.covariance @ share)))
 
 
-def _measure_speed(clip: _Clip, moves: NDArray[np.bool_]) -> Array:
-    """Rough speed (k,) over the steps between keyframes, m/s."""
-    steps = clip.key_steps
-    directions = np.array([step.motion.direction_a for step in steps])
-    forward = directions[:, 2] >= 0.0
-    travel = np.median(np.where(forward[:, None], directions, -directions)[moves], axis=0)
-    travel /= np.linalg.norm(travel)
-    up = clip.T_rig_camera[2, :3]
-    strip = _lay_strip(clip, travel, clip.T_rig_camera, SPEED_STRIP_HEIGHTS)
-    scores = np.full((len(steps), strip.shifts), -1.0)
-    for index in np.flatnonzero(moves).tolist():
-        step = steps[index]
-        R, direction, frames = step.motion.R_b_a, step.motion.direction_a, (step.key, step.current)
-        if not forward[index]:
-            # The strip is matched in the order in which the camera drives ahead.
-            R, direction, frames = R.T, -R @ direction, frames[::-1]
-        first, second = (clip.grays[frame] for frame in frames)
-        scores[index] = strip.match(first, second, road_frame(travel, up, direction), R)
-    return estimate_speed(scores, np.diff(clip.times[clip.keyframes]), moves)
+def _follow_road(clip: _Clip, grays: Sequence[Gray], seconds: Array) -> RoadSpeed:
+    if not any(step.moves for step in clip.key_steps):
+        still = np.zeros(len(clip.key_steps))
+        return RoadSpeed(still, still, still, 0.0)
+    travel = usual_direction(clip.key_steps, clip.T_rig_camera[0, :3])
+    grid = _lay_grid(clip, travel, clip.T_rig_camera)
+    return follow_road(grays, seconds, clip.key_steps, grid, travel, clip.T_rig_camera[2, :3])
 
 
-def _lay_strip(clip: _Clip, forward: Array, T_rig_camera: Array, length_heights: float) -> RoadStrip:
+def _settle(clip: _Clip, step: Step, speed: float) -> Step:
+    """The step with the sign of the speed, without the points that then would lie behind the camera."""
+    if not step.moves or abs(speed) < STANDSTILL_SPEED:
+        turn = turn_between(step.rays_key, step.rays_current) if step.moves else step.motion.R_b_a
+        return replace(step, moves=False, motion=TwoViewMotion(turn, np.zeros(3), step.motion.inliers))
+    direction = np.sign(speed) * ahead([step], clip.T_rig_camera[0, :3])[0]
+    motion = TwoViewMotion(step.motion.R_b_a, direction, step.motion.inliers)
+    noise = 2.0 * TRACK_SIGMA_PIXELS * radians_per_pixel(clip.camera)
+    possible = parallax_forward(motion, step.rays_key, step.rays_current) > -noise
+    points, rays_key, rays_current = step.points[possible], step.rays_key[possible], step.rays_current[possible]
+    return replace(step, motion=motion, points=points, rays_key=rays_key, rays_current=rays_current)
+
+
+def _lay_grid(clip: _Clip, forward: Array, T_rig_camera: Array) -> RoadGrid:
     axes = road_frame(forward, T_rig_camera[2, :3], forward)
-    return RoadStrip(clip.camera, float(T_rig_camera[2, 3]), axes, clip.hidden, length_heights)
+    return RoadGrid(clip.camera, float(T_rig_camera[2, 3]), axes, clip.hidden)
 
 
 def _adjust(clip: _Clip, driven: Array, rounds: int) -> Array:
     """Motion (k, 4, 4) from keyframe to keyframe that agrees best with all tracks."""
-    steps = clip.key_steps
-    expected = make_pose(
-        [step.motion.R_b_a.T for step in steps], driven[:, None] * [step.motion.direction_a for step in steps]
-    )
+    steps, expected = clip.key_steps, _expect(clip, driven)
     moves = np.array([step.moves for step in steps])
     priors = StepPriors(
         expected,
@@ -294,9 +241,15 @@ def _adjust(clip: _Clip, driven: Array, rounds: int) -> Array:
         np.where(moves, PRIOR_SPEED_SHARE * driven, 0.0) + STANDING_METRES,
         np.where(moves, PRIOR_DIRECTION * driven, 0.0) + STANDING_METRES,
     )
-    ray_sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(clip.camera)
-    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), ray_sigma, priors, rounds)
+    ray_sigma = TRACK_SIGMA_PIXELS * radians_per_pixel(clip.camera)
+    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), ray_sigma, priors, rounds).poses
     return np.where(moves[:, None, None], invert(T_start_key[:-1]) @ T_start_key[1:], expected)
+
+
+def _expect(clip: _Clip, driven: Array) -> Array:
+    """Motion (k, 4, 4) from keyframe to keyframe as each step tells it."""
+    directions = np.array([step.motion.direction_a for step in clip.key_steps])
+    return make_pose([step.motion.R_b_a.T for step in clip.key_steps], driven[:, None] * directions)
 
 
 def _collect_tracks(clip: _Clip) -> FeatureTracks:
