@@ -84,3 +84,20 @@ def drive(road: Road, profile: BPoly, cruise: float, limits: Limits, duration_us
     (x, y), tangent = path(driven).T, path(driven, 1)
     poses = planar_pose(x, y, np.arctan2(tangent[:, 1], tangent[:, 0]))
     return EgoMotion(Trajectory(timestamps_us, poses), np.interp(driven, arc, stations))
+
+
+def drive_at_speed(road: Road, offset: float, start: float, times: Array, speeds: Array) -> EgoMotion:
+    """Drive along a constant offset from station `start` with speeds (n,) m/s at times (n,) s, straight between them.
+
+    Negative speeds drive backwards. The rig origin follows the path, tangent to it, for as long as the times reach.
+    """
+    timestamps_us = np.arange(0, round(times[-1] * 1e6) + 1, SAMPLE_US, dtype=np.int64)
+    speed = np.interp(timestamps_us * 1e-6, times, speeds)
+    stations = np.arange(0.0, road.length, _PATH_STEP)
+    points = road.locate(stations, np.full_like(stations, offset))
+    arc = arc_lengths(points)
+    path = CubicSpline(arc, points)
+    driven = np.interp(start, stations, arc) + cumulative_trapezoid(speed, timestamps_us * 1e-6, initial=0.0)
+    (x, y), tangent = path(driven).T, path(driven, 1)
+    poses = planar_pose(x, y, np.arctan2(tangent[:, 1], tangent[:, 0]))
+    return EgoMotion(Trajectory(timestamps_us, poses), np.interp(driven, arc, stations))

@@ -4,6 +4,7 @@ Road coordinates: the station `s` runs along the line between the two directions
 to its left. Traffic keeps to the right, so the lanes of the ego's direction have negative offsets.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -112,9 +113,23 @@ def generate_road(generator: np.random.Generator, length: float, lanes: int) -> 
         knots.append((knots[-1][0] + generator.uniform(5.0, 25.0), 0.0))
         sign = -sign
     knots.append((max(length, knots[-1][0]) + 1.0, 0.0))
+    heading = generator.uniform(-np.pi, np.pi)
+    return lay_road(knots, heading, length, lanes, generator.uniform(2.0, 2.5))
+
+
+def lay_road(knots: Sequence[tuple[float, float]], heading: float, length: float, lanes: int, shoulder: float) -> Road:
+    """A road from the origin whose curvature (1/m, positive to the left) runs linearly between knots by station.
+
+    Args:
+        knots: (station, curvature), sorted by station; the curvature of the last one goes on.
+        heading: direction of its start, radians.
+        length: metres.
+        lanes: lanes in each direction.
+        shoulder: width of the paved shoulder on both sides, metres.
+    """
     s = np.linspace(0.0, length, round(length / _GRID_STEP) + 1)
     bend = np.interp(s, *np.array(knots).T)
-    heading = generator.uniform(-np.pi, np.pi) + cumulative_simpson(bend, x=s, initial=0.0)
-    direction = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    headings = heading + cumulative_simpson(bend, x=s, initial=0.0)
+    direction = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
     points = cumulative_simpson(direction, x=s, axis=0, initial=0.0)
-    return Road(length, lanes, generator.uniform(2.0, 2.5), CubicSpline(s, points))
+    return Road(length, lanes, shoulder, CubicSpline(s, points))

@@ -1,7 +1,7 @@
 """The scene in memory: road, lanes, route, recorded ego and agents. `scene_file` reads and writes it.
 
-World frame: metres, z up, the ground is z = 0 unless a lane says otherwise; times are integer microseconds from the
-start of the recording.
+World frame: metres, z up, the ground is z = 0 unless a lane or hills say otherwise; times are integer microseconds from
+the start of the recording.
 """
 
 from dataclasses import dataclass
@@ -47,6 +47,32 @@ class Lane:
 
 
 @dataclass(frozen=True)
+class Hills:
+    """Ground whose height changes along one direction only, in straight pieces; level before and behind.
+
+    Attributes:
+        direction: of the change, radians from the world's x axis.
+        start: place of the first height along that direction from the origin, metres.
+        step: metres between two heights.
+        heights: (n,) metres.
+    """
+
+    direction: float
+    start: float
+    step: float
+    heights: Array
+
+    def along(self, points: Array) -> Array:
+        """Places (...) of points (..., 2 or 3) along the direction of the change, metres from the origin."""
+        return points[..., 0] * np.cos(self.direction) + points[..., 1] * np.sin(self.direction)
+
+    def height(self, points: Array) -> Array:
+        """Height (...) of the ground at points (..., 2 or 3), metres."""
+        known = self.start + self.step * np.arange(len(self.heights))
+        return np.interp(self.along(points), known, self.heights)
+
+
+@dataclass(frozen=True)
 class Scene:
     """A closed-loop scene.
 
@@ -63,6 +89,7 @@ class Scene:
         route: (n, 3) the line that the ego is meant to follow.
         looks: path of the scene file whose payload holds what only rendering needs; None if there is none.
         assumptions: what the recording does not say and was assumed, a sentence each.
+        hills: height of the ground; None where it is level.
     """
 
     name: str
@@ -77,3 +104,4 @@ class Scene:
     route: Array
     looks: str | None = None
     assumptions: tuple[str, ...] = ()
+    hills: Hills | None = None

@@ -2,13 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.scenes.looks import Color, Looks
+from olt_closed_loop.scenes.looks import Color, SceneryBox
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.sensors.surfaces import SURFACE_INDEX, TILE, sample_surfaces
+from olt_closed_loop.sensors.surfaces import SURFACE_INDEX, TILE, lamp_glow, sample_surfaces
 from olt_closed_loop.sensors.textures import FloatImage
 from olt_generator.poses import Array
 
@@ -28,6 +29,7 @@ class Boxes:
         color: (n, 3) base colour, 0 ... 255.
         surface: (n, 6) index of the surface on each face.
         repeats: (n, 3) how often surfaces repeat along each axis.
+        lit: (n,) whether the lamps on its faces are switched on.
     """
 
     center: Array
@@ -36,6 +38,7 @@ class Boxes:
     color: FloatImage
     surface: NDArray[np.int32]
     repeats: FloatImage
+    lit: NDArray[np.bool_]
 
     def __len__(self) -> int:
         return len(self.center)
@@ -130,11 +133,15 @@ _PLAIN = (("plain", "plain", "plain", "plain"), np.inf, np.inf)
 _SCENERY: dict[str, tuple[tuple[str, str, str, str], float, float]] = {
     "building": (("building", "building", "building", "plain"), 9.0, 6.0),
     "crown": (("foliage", "foliage", "foliage", "foliage"), 3.0, 3.0),
+    "street_light": (("lamp", "lamp", "lamp", "lamp"), np.inf, np.inf),
 }
 
 
-def body_boxes(agent: Agent, color: Color) -> Boxes:
-    """The boxes that make up an agent, relative to the centre of its own box; a plain box for a label unknown here."""
+def body_boxes(agent: Agent, color: Color, lit: bool = True) -> Boxes:
+    """The boxes that make up an agent, relative to the centre of its own box; a plain box for a label unknown here.
+
+    `lit` tells whether its lamps are switched on, which shows at night.
+    """
     parts = _BODIES.get(agent.label, (_WHOLE,))
     size = np.array([agent.length, agent.width, agent.height])
     low, high = (np.array([getattr(part, end) for part in parts]) for end in ("low", "high"))
@@ -145,34 +152,45 @@ def body_boxes(agent: Agent, color: Color) -> Boxes:
         color=np.array([part.color or color for part in parts], dtype=np.float32),
         surface=np.array([_faces(*part.surfaces) for part in parts], dtype=np.int32),
         repeats=np.ones((len(parts), 3), dtype=np.float32),
+        lit=np.full(len(parts), lit),
     )
 
 
-def scenery_boxes(looks: Looks) -> Boxes:
+def scenery_boxes(scenery: Sequence[SceneryBox]) -> Boxes:
     """The buildings, trees and poles."""
-    size = np.array([box.size for box in looks.scenery]).reshape(-1, 3)
-    surfaces = [_SCENERY.get(box.kind, _PLAIN) for box in looks.scenery]
+    size = np.array([box.size for box in scenery]).reshape(-1, 3)
+    surfaces = [_SCENERY.get(box.kind, _PLAIN) for box in scenery]
     covered = np.array([[across, across, up] for _, across, up in surfaces]).reshape(-1, 3)
     # Pictures repeat as a whole, up also by halves.
     parts = np.array([1.0, 1.0, 2.0])
     return Boxes(
-        center=np.array([box.center for box in looks.scenery]).reshape(-1, 3),
+        center=np.array([box.center for box in scenery]).reshape(-1, 3),
         half=size / 2,
-        yaw=np.array([box.yaw for box in looks.scenery]),
-        color=np.array([box.color for box in looks.scenery], dtype=np.float32).reshape(-1, 3),
+        yaw=np.array([box.yaw for box in scenery]),
+        color=np.array([box.color for box in scenery], dtype=np.float32).reshape(-1, 3),
         surface=np.array([_faces(*names) for names, _, _ in surfaces], dtype=np.int32).reshape(-1, 6),
         repeats=(np.maximum(np.round(parts * size / covered), 1.0) / parts).astype(np.float32),
+        lit=np.ones(len(size), dtype=bool),
     )
 
 
 def _faces(front: str, rear: str, side: str, top: str) -> list[int]:
-    return [SURFACE_INDEX[name] for name in (front, rear, side, side, top, "plain")]
+    below = "lamp" if top == "lamp" else "plain"
+    return [SURFACE_INDEX[name] for name in (front, rear, side, side, top, below)]
 
 
-def color_boxes(
+class Paint(NamedTuple):
+    """What rays (n,) see of boxes: colour (n, 3) without light, light (n,) of the day, and colour (n, 3) of lamps."""
+
+    color: FloatImage
+    light: FloatImage
+    glow: FloatImage
+
+
+def paint_boxes(
     boxes: Boxes, box: NDArray[np.intp], offset: FloatImage, position: Array, pixel_size: FloatImage, sun: Array
-) -> FloatImage:
-    """Colours (n, 3) where rays meet boxes, lit by a sun in direction (3,).
+) -> Paint:
+    """What is seen where rays meet boxes, lit by a sun in direction (3,).
 
     The rays meet the boxes of index `box` (n,) at `offset` (3, n) from the camera's `position` (3,), where a pixel
     covers `pixel_size` (n,) metres.
@@ -192,9 +210,11 @@ def color_boxes(
     u = (across * np.float32(0.5) + np.float32(0.5)) * np.take(repeats_across, entry)
     v = (np.float32(0.5) - up * np.float32(0.5)) * np.take(repeats_up, entry)
     texels = pixel_size * np.take(density, entry)
-    texture = sample_surfaces(np.take(boxes.surface, entry), u - np.floor(u), v - np.floor(v), texels)
+    surface = np.take(boxes.surface, entry)
+    texture = sample_surfaces(surface, u - np.floor(u), v - np.floor(v), texels)
     gain = texture[:, 3:] * np.float32(1.0 / 128.0)
-    return (texture[:, :3] + gain * np.take(boxes.color, box, axis=0)) * np.take(light, entry)[:, None]
+    glow = lamp_glow(np.where(np.take(boxes.lit, box), surface, -1), texture)
+    return Paint(texture[:, :3] + gain * np.take(boxes.color, box, axis=0), np.take(light, entry), glow)
 
 
 def _face_tables(boxes: Boxes, sun: Array) -> list[FloatImage]:

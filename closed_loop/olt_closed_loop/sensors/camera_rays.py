@@ -1,7 +1,7 @@
 """A camera's rays, grouped in square blocks of pixels that are worked on together."""
 
-from dataclasses import dataclass
-from functools import lru_cache
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -36,6 +36,23 @@ class CameraRays:
     height: int
     size: int
 
+    @cached_property
+    def strips(self) -> "tuple[CameraRays, ...]":
+        """The rays of each row of blocks."""
+        columns = -(-self.width // self.size)
+        cuts = [slice(first, first + columns) for first in range(0, len(self.spread), columns)]
+        return tuple(
+            replace(
+                self,
+                rays=np.ascontiguousarray(self.rays[:, cut]),
+                angles=self.angles[cut],
+                middle=np.ascontiguousarray(self.middle[:, cut]),
+                spread=self.spread[cut],
+                height=self.size,
+            )
+            for cut in cuts
+        )
+
     def image(self, blocks: NDArray[Value]) -> NDArray[Value]:
         """Put values (b, p, ...) in the order of the image (height, width, ...)."""
         rows, columns = -(-self.height // self.size), -(-self.width // self.size)
@@ -66,6 +83,13 @@ def camera_rays(camera: Camera) -> CameraRays:
         height=camera.height,
         size=size,
     )
+
+
+def strip_rows(camera: Camera) -> NDArray[np.float64]:
+    """The middle row (n,) of each strip of `camera_rays(camera).strips`, as a pixel coordinate."""
+    view = camera_rays(camera)
+    first = np.arange(0, camera.height, view.size)
+    return (first + np.minimum(first + view.size, camera.height) - 1) / 2
 
 
 def _blocks(image: NDArray[np.float64], size: int) -> NDArray[np.float64]:

@@ -98,6 +98,11 @@ class Ground:
         gain = 1.0 + np.take(self._contrast, material) * self._noise(camera, dx, dy, np.sqrt(across * along))
         return np.take(self._palette, material, axis=0) * gain[..., None]
 
+    def paved(self, camera: Array, dx: FloatImage, dy: FloatImage, across: FloatImage) -> FloatImage:
+        """How much of a place (n, m) is road and not grass or gravel, 0 ... 1; arguments as of `color`."""
+        material = self._material(camera, dx, dy, across).astype(np.float32)
+        return np.clip((material - np.float32(GRAVEL)) / np.float32(ASPHALT - GRAVEL), 0.0, 1.0)
+
     def _material(self, camera: Array, dx: FloatImage, dy: FloatImage, footprint: FloatImage) -> Image:
         raster = self._raster
         start = (camera[:2] - raster.origin) / raster.resolution

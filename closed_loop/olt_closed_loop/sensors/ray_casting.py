@@ -1,30 +1,33 @@
 """Camera images of a scene by ray casting, exact for every camera model: one ray through the centre of each pixel."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.actors import agent_poses
+from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions, relight
 from olt_closed_loop.scenes.looks import Looks, generate_looks
 from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_closed_loop.sensors.boxes import Boxes, body_boxes, color_boxes, scenery_boxes
-from olt_closed_loop.sensors.camera_rays import camera_rays
-from olt_closed_loop.sensors.casting import CHUNK, boxes_in_view, cast
-from olt_closed_loop.sensors.ground import Ground, add_shadows, empty_shadows, sunlight
+from olt_closed_loop.sensors.boxes import Boxes, body_boxes, paint_boxes, scenery_boxes
+from olt_closed_loop.sensors.camera_rays import CameraRays, camera_rays
+from olt_closed_loop.sensors.casting import CHUNK, Hits, boxes_in_view, cast
+from olt_closed_loop.sensors.ground import Ground
+from olt_closed_loop.sensors.illumination import illuminate, sink_into_hills
+from olt_closed_loop.sensors.lamps import hang_street_lights
 from olt_closed_loop.sensors.sky import Sky
+from olt_closed_loop.sensors.terrain import FARTHEST, GroundHits, meet_ground
 from olt_closed_loop.sensors.textures import FloatImage, Image
+from olt_closed_loop.sensors.wet_road import mirrored_share, mix_mirrored
 from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_toolkit.rigs.rig import Rig
 from olt_toolkit.rigs.rig_files import pav_rig
-
-_HAZE_DISTANCE = 700.0
-_FARTHEST_GROUND = 1e5
 
 
 @dataclass(frozen=True)
@@ -35,36 +38,88 @@ class Rendering:
     distance: NDArray[np.float32]
 
 
+class _Layers(NamedTuple):
+    """What rays in blocks (b, p) see: colours and distances, and on a wet road the mirror image and its share."""
+
+    rgb: Image
+    distance: FloatImage
+    mirrored: Image | None
+    share: FloatImage | None
+
+
 class SceneRenderer:
-    """Renders one scene. Its looks are read from the scene's file where it has one, and invented where not."""
+    """Renders one scene in the light and weather of `conditions`.
 
-    def __init__(self, scene: Scene) -> None:
-        self.looks = _load_looks(scene)
-        self._sun = np.array(self.looks.sun_direction)
+    Its looks are read from the scene's file where it has one, and invented where not.
+    """
+
+    def __init__(self, scene: Scene, conditions: Conditions = CLEAR_DAY) -> None:
+        self._conditions, self._hills = conditions, scene.hills
+        self.looks = relight(_load_looks(scene), conditions)
         self._ground = Ground(scene, self.looks)
-        self._sky = Sky(self.looks)
-        self._horizon = np.array(self.looks.horizon, dtype=np.float32)
-        bodies = [(agent, body_boxes(agent, self.looks.agent_colors[agent.id])) for agent in scene.agents]
+        self._sky = Sky(self.looks, conditions)
+        self._horizon = np.array(self.looks.horizon, np.float32) * np.array(conditions.sky_light, np.float32)
+        self._haze = np.float32(-1.0 / conditions.haze_distance)
         end_us = int(scene.ego.timestamps_us[-1])
-        fixed = [_pose_body(agent, body, 0) for agent, body in bodies if _always_stands(agent, end_us)]
-        self._changing = [(agent, body) for agent, body in bodies if not _always_stands(agent, end_us)]
-        self._fixed = Boxes.concatenate([scenery_boxes(self.looks), *fixed])
-        self._fixed_shadows = add_shadows(empty_shadows(scene), self._fixed.corners(), self._sun)
-        # What stands in the scene at `_time_us`, and the shadows on its ground.
+        stands = [_always_stands(agent, end_us) for agent in scene.agents]
+        bodies = [
+            (agent, body_boxes(agent, self.looks.agent_colors[agent.id], lit=not still))
+            for agent, still in zip(scene.agents, stands, strict=True)
+        ]
+        fixed = [_pose_body(*body, 0) for body, still in zip(bodies, stands, strict=True) if still]
+        self._changing = [body for body, still in zip(bodies, stands, strict=True) if not still]
+        self._fixed = Boxes.concatenate([self._place_scenery(), *fixed])
+        self._light = illuminate(scene, self.looks, conditions, self._fixed)
+        # What stands in the scene at `_time_us`.
         self._time_us: int | None = None
-        self._boxes, self._shadows = self._fixed, self._fixed_shadows
+        self._boxes = self._fixed
 
-    def render(self, camera: Camera, T_world_camera: Array, time_us: int) -> Rendering:
-        """Take one picture from a pose (4, 4), with the agents where they are at a time in the recording."""
+    def render(
+        self, camera: Camera, T_world_camera: Array, time_us: int, T_world_rig: Array | None = None
+    ) -> Rendering:
+        """Take one picture from a pose (4, 4), with the agents where they are at a time in the recording.
+
+        `T_world_rig` (4, 4) is the pose of the vehicle that films, whose headlights shine at night; None for a camera
+        that is on none.
+        """
+        view = camera_rays(camera)
+        return self._develop(view, self._see(view, T_world_camera, time_us, T_world_rig))
+
+    def render_strips(
+        self, camera: Camera, T_world_camera: Array, times_us: Sequence[int], T_world_rig: Array | None = None
+    ) -> Rendering:
+        """Take one picture strip by strip, as a rolling shutter takes rows.
+
+        Args:
+            camera: the camera.
+            T_world_camera: (n, 4, 4) its pose for each of the strips that `camera_rays.strip_rows` tells.
+            times_us: (n,) times in the recording.
+            T_world_rig: (n, 4, 4) or None, as in `render`.
+        """
+        view = camera_rays(camera)
+        rigs = [None] * len(times_us) if T_world_rig is None else list(T_world_rig)
+        strips = [
+            self._see(strip, pose, time_us, rig)
+            for strip, pose, time_us, rig in zip(view.strips, T_world_camera, times_us, rigs, strict=True)
+        ]
+        layers = (None if some[0] is None else np.concatenate(some) for some in zip(*strips, strict=True))
+        return self._develop(view, _Layers(*layers))
+
+    def _develop(self, view: CameraRays, layers: _Layers) -> Rendering:
+        rgb = view.image(layers.rgb)
+        if layers.mirrored is not None and layers.share is not None:
+            rgb = mix_mirrored(rgb, view.image(layers.mirrored), view.image(layers.share))
+        return Rendering(rgb, view.image(layers.distance))
+
+    def _see(self, view: CameraRays, T_world_camera: Array, time_us: int, T_world_rig: Array | None) -> _Layers:
         self._show(time_us)
-        view, position, rotation = camera_rays(camera), T_world_camera[:3, 3], T_world_camera[:3, :3].astype(np.float32)
-        rays = _rotate(rotation, view.rays)
-        # Distance along each ray to the ground z = 0, inf for those that do not go down.
-        fall = np.maximum(-rays[2], np.float32(1e-9))
-        distance = np.where(rays[2] < 0.0, np.float32(position[2]) / fall, np.float32(np.inf))
+        position, rotation = T_world_camera[:3, 3], T_world_camera[:3, :3].astype(np.float32)
+        rays, middle = _rotate(rotation, view.rays), _rotate(rotation, view.middle)
+        ground = meet_ground(self._hills, position, rays)
         boxes = boxes_in_view(self._boxes, position, T_world_camera[:3, 2], view)
-        hits = cast(boxes, position, rays, _rotate(rotation, view.middle), view.spread, distance)
+        hits = cast(boxes, position, rays, middle, view.spread, ground.distance)
 
+        distance = ground.distance
         rgb, sky = np.empty((*distance.shape, 3), dtype=np.uint8), np.isinf(distance)
         blocks = np.nonzero(sky.any(axis=1))[0]
         if len(blocks):
@@ -72,39 +127,95 @@ class SceneRenderer:
         blocks = np.nonzero(~sky.all(axis=1))[0]
         for start in range(0, len(blocks), CHUNK):
             some = blocks[start : start + CHUNK]
-            (x, y, _), away = rays[:, some], np.minimum(distance[some], np.float32(_FARTHEST_GROUND))
-            across, dx, dy = away * view.angles[some], away * x, away * y
-            along = across * away / np.float32(max(position[2], 0.1))
-            color = self._ground.color(position, dx, dy, across, along)
-            color *= sunlight(self._shadows, position, dx, dy)[..., None]
+            these, away = rays[:, some], np.minimum(distance[some], np.float32(FARTHEST))
+            across = away * view.angles[some]
+            color = self._ground.color(position, away * these[0], away * these[1], across, ground.along(some, across))
+            self._light.on_ground(color, position, these, away, T_world_rig)
             seen = rgb[some]
             np.copyto(seen, self._hazy(color, away), where=~sky[some][..., None])
             rgb[some] = seen
-        if len(hits.box):
-            places = rays[:, hits.block, hits.pixel] * hits.distance
-            pixel_size = hits.distance * view.angles[hits.block, hits.pixel]
-            color = color_boxes(boxes, hits.box, places, position, pixel_size, self._sun)
-            rgb[hits.block, hits.pixel] = self._hazy(color, hits.distance)
+        mirrored, share = self._mirror(view, position, T_world_camera, rays, middle, ground)
+        self._draw_boxes(rgb, boxes, hits, rays, view, position, T_world_rig)
         distance[hits.block, hits.pixel] = hits.distance
-        return Rendering(view.image(rgb), view.image(distance))
+        if share is not None:
+            share[hits.block, hits.pixel] = 0.0
+        return _Layers(rgb, distance, mirrored, share)
+
+    def _draw_boxes(
+        self,
+        rgb: Image,
+        boxes: Boxes,
+        hits: Hits,
+        rays: FloatImage,
+        view: CameraRays,
+        position: Array,
+        T_world_rig: Array | None,
+    ) -> None:
+        if len(hits.box) == 0:
+            return
+        these = rays[:, hits.block, hits.pixel]
+        pixel_size = hits.distance * view.angles[hits.block, hits.pixel]
+        paint = paint_boxes(boxes, hits.box, these * hits.distance, position, pixel_size, self._light.face_sun)
+        color = self._light.on_boxes(paint, position, these, hits.distance, T_world_rig)
+        rgb[hits.block, hits.pixel] = self._hazy(color, hits.distance)
+
+    def _mirror(
+        self,
+        view: CameraRays,
+        position: Array,
+        T_world_camera: Array,
+        rays: FloatImage,
+        middle: FloatImage,
+        ground: GroundHits,
+    ) -> tuple[Image | None, FloatImage | None]:
+        """What a wet road mirrors (b, p, 3), and the share of it (b, p); None where the road is dry.
+
+        The mirror image is what a camera as far below the road sees that looks upwards through it.
+        """
+        if self._conditions.rain == 0.0:
+            return None, None
+        below = position.copy()
+        below[2] = 2.0 * self._height(position) - position[2]
+        turn = np.array([1.0, 1.0, -1.0], dtype=np.float32)[:, None]
+        upwards, axis = np.abs(rays[2]), T_world_camera[:3, 2] * [1.0, 1.0, -1.0]
+        mirrored_rays = np.stack([rays[0], rays[1], upwards])
+        boxes = boxes_in_view(self._boxes, below, axis, view)
+        endless = np.where(rays[2] < 0.0, np.float32(np.inf), np.float32(0.0))
+        hits = cast(boxes, below, mirrored_rays, middle * turn, view.spread, endless)
+        image = self._sky.color(mirrored_rays)
+        self._draw_boxes(image, boxes, hits, mirrored_rays, view, below, None)
+        away = np.minimum(ground.distance, np.float32(FARTHEST))
+        paved = self._ground.paved(position, away * rays[0], away * rays[1], away * view.angles)
+        share = paved * mirrored_share(ground.sine, self._conditions.rain)
+        return image, np.where(np.isinf(ground.distance), np.float32(0.0), share)
+
+    def _height(self, position: Array) -> float:
+        return 0.0 if self._hills is None else float(self._hills.height(position))
+
+    def _place_scenery(self) -> Boxes:
+        boxes = scenery_boxes(self.looks.scenery)
+        if self._conditions.light == "night" and self._conditions.street_lights:
+            boxes = Boxes.concatenate([boxes, scenery_boxes(hang_street_lights(self.looks))])
+        return boxes if self._hills is None else sink_into_hills(boxes, self._hills)
 
     def _show(self, time_us: int) -> None:
         """Put the agents where they are at a time; the cameras of a rig ask for the same one in a row."""
         if self._time_us == time_us:
             return
         present = [
-            _pose_body(agent, body, time_us)
+            (agent, body, agent_poses(agent, np.array([time_us]))[0])
             for agent, body in self._changing
             if agent.timestamps_us[0] <= time_us <= agent.timestamps_us[-1]
         ]
-        self._time_us, self._boxes = time_us, Boxes.concatenate([self._fixed, *present])
-        changing = self._boxes.corners()[len(self._fixed) :]
-        self._shadows = add_shadows(self._fixed_shadows, changing, self._sun)
+        self._time_us = time_us
+        self._boxes = Boxes.concatenate([self._fixed, *(body.moved(pose) for _, body, pose in present)])
+        changing = self._boxes.select(np.arange(len(self._boxes)) >= len(self._fixed))
+        self._light.show(changing, [(agent, pose) for agent, _, pose in present])
 
     def _hazy(self, color: FloatImage, distance: FloatImage) -> Image:
         """Blend colours (n, ..., 3) into the colour of the horizon with distance; works in place."""
         color -= self._horizon
-        color *= np.exp(distance * np.float32(-1.0 / _HAZE_DISTANCE))[..., None]
+        color *= np.exp(distance * self._haze)[..., None]
         color += self._horizon + np.float32(0.5)
         return np.minimum(color, np.float32(255.0), out=color).astype(np.uint8)
 
@@ -113,7 +224,10 @@ def render_rig(
     renderer: SceneRenderer, rig: Rig, names: tuple[str, ...], T_world_rig: Array, time_us: int
 ) -> dict[str, Rendering]:
     """The pictures of some cameras of a rig at pose (4, 4), by name, taken at the same time."""
-    return {name: renderer.render(rig[name].camera, T_world_rig @ rig[name].T_rig_camera, time_us) for name in names}
+    return {
+        name: renderer.render(rig[name].camera, T_world_rig @ rig[name].T_rig_camera, time_us, T_world_rig)
+        for name in names
+    }
 
 
 def rig_sensors(scene: Scene) -> Callable[[tuple[str, ...], tuple[int, int], Array, int], Image]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions
 from olt_closed_loop.scenes.looks import Looks
 from olt_closed_loop.sensors.textures import FloatImage, Image, clouds, sample
 from olt_generator.seeds import make_generator
@@ -17,15 +18,22 @@ class Sky:
     horizon, where detail matters, gets the most pixels.
     """
 
-    def __init__(self, looks: Looks) -> None:
+    def __init__(self, looks: Looks, conditions: Conditions = CLEAR_DAY) -> None:
         axis = np.linspace(-1.0, 1.0, _SIZE, dtype=np.float32)
         u, v = np.meshgrid(axis, axis)
         squared = np.minimum(u * u + v * v, 1.0)
         x, y, z = 2.0 * u / (1.0 + squared), 2.0 * v / (1.0 + squared), (1.0 - squared) / (1.0 + squared)
         zenith, horizon = (np.array(color, dtype=np.float32) for color in (looks.zenith, looks.horizon))
         sky = _mix(horizon, zenith, np.sqrt(z))
-        sky = _mix(sky, np.array([245.0, 246.0, 248.0], dtype=np.float32), _cloud_cover(looks, x, y, z))
+        sky = _mix(
+            sky,
+            np.array([245.0, 246.0, 248.0], dtype=np.float32),
+            _cloud_cover(looks, x, y, z) * np.float32(conditions.sun_share),
+        )
         sky = _mix(sky, 0.55 * horizon + 0.45 * np.array(_HILLS, dtype=np.float32), _hills(looks, x, y, z))
+        if conditions.light == "low_sun":
+            sky += _sun_glare(looks, x, y, z)
+        sky *= np.array(conditions.sky_light, dtype=np.float32)
         self._image = np.clip(sky + 0.5, 0, 255).astype(np.uint8)
 
     def color(self, directions: FloatImage) -> Image:
@@ -58,6 +66,14 @@ def _hills(looks: Looks, x: FloatImage, y: FloatImage, z: FloatImage) -> FloatIm
     for waves in (2, 3, 7, 16, 37):
         ridge += np.float32(0.05 / waves) * np.sin(waves * azimuth + generator.uniform(0, 2 * np.pi)).astype(np.float32)
     return np.clip((ridge - z) * 250.0 + 0.5, 0.0, 1.0)
+
+
+def _sun_glare(looks: Looks, x: FloatImage, y: FloatImage, z: FloatImage) -> FloatImage:
+    """Light (n, m, 3) of a low sun and of the air around it."""
+    towards = sum(axis * np.float32(part) for axis, part in zip((x, y, z), looks.sun_direction, strict=True))
+    angle = np.arccos(np.clip(towards, -1.0, 1.0))
+    glare = 160.0 * np.exp(-angle / 0.25) + 600.0 * np.exp(-((angle / 0.02) ** 2))
+    return glare[..., None].astype(np.float32) * np.array([1.0, 0.92, 0.72], dtype=np.float32)
 
 
 def _mix(first: FloatImage, second: FloatImage, share: FloatImage) -> FloatImage:

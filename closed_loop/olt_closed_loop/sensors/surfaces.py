@@ -126,10 +126,16 @@ def skin(tile: FloatImage, generator: np.random.Generator) -> None:
     tile[: TILE // 3] = (50.0, 40.0, 35.0, 0.0)
 
 
+def lamp(tile: FloatImage, generator: np.random.Generator) -> None:
+    """The light of a street lamp."""
+    tile[:] = (255.0, 226.0, 170.0, 0.0)
+
+
 SURFACES: tuple[Paint, ...]
-SURFACES = (plain, building, foliage, stripes, cone, car_side, car_front, car_rear, glass, panels, wheel, skin)
+SURFACES = (plain, building, foliage, stripes, cone, car_side, car_front, car_rear, glass, panels, wheel, skin, lamp)
 SURFACE_INDEX: dict[str, int] = {paint.__name__: index for index, paint in enumerate(SURFACES)}
 
+_BRIGHTNESS, _DULL = np.float32(4.0), np.float32(40.0)
 _ROW_HEIGHT = TILE + 2 * _PADDING
 _LEVEL_SIZES = np.array([TILE >> level for level in range(TILE_LEVELS)], dtype=np.float32)
 _LEVEL_LEFT = (np.cumsum(_LEVEL_SIZES + 2 * _PADDING) - _LEVEL_SIZES - _PADDING - 0.5).astype(np.float32)
@@ -166,6 +172,22 @@ def sample_surfaces(surface: NDArray[np.int32], u: FloatImage, v: FloatImage, te
     x = np.take(_LEVEL_LEFT, level) + u * size
     y = (surface * _ROW_HEIGHT).astype(np.float32) + v * size + np.float32(_PADDING - 0.5)
     return sample(surface_atlas(), _as_picture(x), _as_picture(y)).reshape(-1, 4)[: len(u)]
+
+
+def lamp_glow(surface: NDArray[np.int32], texture: Image) -> FloatImage:
+    """Colour (n, 3) of the lamps that texels (n, 4) of surfaces of index (n,) show; 0 where there is none.
+
+    Lamps shine brighter than the picture can show, so that those far away, which fill but a part of a texel, are seen.
+    """
+    glow = np.zeros((len(surface), 3), dtype=np.float32)
+    white = np.isin(surface, [SURFACE_INDEX["car_front"], SURFACE_INDEX["lamp"]])
+    own = texture[white, :3].astype(np.float32)
+    glow[white] = _BRIGHTNESS * np.maximum(own - _DULL, 0.0)
+    rear = surface == SURFACE_INDEX["car_rear"]
+    own = texture[rear, :3].astype(np.float32)
+    # The number plate is as red as the lamps, but not only red.
+    glow[rear] = _BRIGHTNESS * np.maximum(own[:, :1] - own[:, 1:2], 0.0) * np.array([1.0, 0.12, 0.08], dtype=np.float32)
+    return glow
 
 
 def _as_picture(values: FloatImage) -> FloatImage:

@@ -1,0 +1,83 @@
+"""Hills: ground that rises and falls along one direction, and what stands and drives on it.
+
+Along the direction `u` the height is a chain of short straight pieces; across it the ground is level. So a road that
+runs along climbs and dips, one that runs across lies level, and one between them leans as well.
+"""
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from olt_closed_loop.scenes.scene import Hills, Scene
+from olt_generator.poses import Array, make_pose
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.rigs.rig import VehicleDimensions
+
+STEP = 1.0
+_REACH = 1500.0
+
+
+@dataclass(frozen=True)
+class Wave:
+    """One wave of the ground: height in metres (crest to mean), length in metres, and phase in radians."""
+
+    height: float
+    length: float
+    phase: float
+
+
+def lay_hills(direction: float, waves: tuple[Wave, ...]) -> Hills:
+    """Hills of waves along a direction (radians), within 1.5 km of the origin."""
+    along = np.arange(-_REACH, _REACH + STEP, STEP)
+    phases = (2.0 * np.pi / wave.length * along + wave.phase for wave in waves)
+    heights = sum(
+        (wave.height * np.sin(phase) for wave, phase in zip(waves, phases, strict=True)), np.zeros_like(along)
+    )
+    return Hills(direction, float(along[0]), STEP, heights)
+
+
+def put_on_hills(scene: Scene, hills: Hills) -> Scene:
+    """A scene on level ground, lifted onto hills: the ego leans with the road, agents stay upright."""
+    lift = partial(_lift, hills)
+    poses = pose_on_hills(hills, scene.ego.T_world_rig, scene.vehicle)
+    agents = tuple(
+        replace(agent, poses=np.column_stack([_lift(hills, agent.poses[:, :3]), agent.poses[:, 3]]))
+        for agent in scene.agents
+    )
+    lanes = tuple(
+        replace(lane, center=lift(lane.center), left=lift(lane.left), right=lift(lane.right)) for lane in scene.lanes
+    )
+    return replace(
+        scene,
+        ego=Trajectory(scene.ego.timestamps_us, poses),
+        agents=agents,
+        lanes=lanes,
+        road_edges=tuple(map(lift, scene.road_edges)),
+        drivable=tuple(map(lift, scene.drivable)),
+        route=lift(scene.route),
+        hills=hills,
+    )
+
+
+def pose_on_hills(hills: Hills, T_world_rig: Array, vehicle: VehicleDimensions) -> Array:
+    """Poses (..., 4, 4) of a vehicle that stands on hills with its axles, from those on level ground at the same place.
+
+    The rig origin lies on the ground under the rear axle; the rig's x axis points to the ground under the front axle.
+    """
+    rear, ahead, left = (T_world_rig[..., :3, column] for column in (3, 0, 1))
+    base = _lift(hills, rear)
+    forward = _lift(hills, rear + vehicle.wheelbase * ahead) - base
+    half_track = 0.5 * vehicle.track_width * left
+    across = _lift(hills, rear + half_track) - _lift(hills, rear - half_track)
+    x = forward / np.linalg.norm(forward, axis=-1, keepdims=True)
+    z = np.cross(x, across)
+    z /= np.linalg.norm(z, axis=-1, keepdims=True)
+    return make_pose(np.stack([x, np.cross(z, x), z], axis=-1), base)
+
+
+def _lift(hills: Hills, points: Array) -> Array:
+    """Points (..., 3), raised by the height of the ground at their place."""
+    raised = points.copy()
+    raised[..., 2] += hills.height(points)
+    return raised

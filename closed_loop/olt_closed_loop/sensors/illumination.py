@@ -1,0 +1,131 @@
+"""The light of a scene: the sun and its shadows by day, lamps by night."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from olt_closed_loop.scenes.conditions import Conditions
+from olt_closed_loop.scenes.looks import Looks
+from olt_closed_loop.scenes.scene import Agent, Hills, Scene
+from olt_closed_loop.sensors.boxes import Boxes, Paint
+from olt_closed_loop.sensors.ground import add_shadows, empty_shadows, sunlight
+from olt_closed_loop.sensors.lamps import add_headlights, lamp_light, light_street, own_headlights
+from olt_closed_loop.sensors.textures import FloatImage
+from olt_generator.poses import Array
+
+_MOTOR_VEHICLES = ("automobile", "heavy_truck", "other_vehicle")
+
+
+class Illumination(Protocol):
+    """Lights colours as they would be in plain daylight; rays (3, ...) are those of the world, distances in metres.
+
+    `face_sun` (3,) is the direction of the light that shades the faces of boxes, as long as it is strong.
+    """
+
+    face_sun: Array
+
+    def show(self, boxes: Boxes, moving: Sequence[tuple[Agent, Array]]) -> None:
+        """Take note of boxes that change, and of agents that move, with their poses (4,)."""
+        ...
+
+    def on_ground(
+        self, color: FloatImage, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
+    ) -> None:
+        """Light colours (n, m, 3) of ground in place."""
+        ...
+
+    def on_boxes(
+        self, paint: Paint, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
+    ) -> FloatImage:
+        """Colours (n, 3) of boxes, lit."""
+        ...
+
+
+class Daylight:
+    """A sun that casts shadows, weaker where clouds hide it."""
+
+    def __init__(self, scene: Scene, looks: Looks, conditions: Conditions, fixed: Boxes) -> None:
+        self._sun, self._share, self._hills = np.array(looks.sun_direction), conditions.sun_share, scene.hills
+        self.face_sun = self._share * self._sun + (1.0 - self._share) * np.array([0.0, 0.0, 0.5])
+        self._fixed = self._shadows = add_shadows(empty_shadows(scene), self._corners(fixed), self._sun)
+
+    def show(self, boxes: Boxes, moving: Sequence[tuple[Agent, Array]]) -> None:
+        """See `Illumination`: the shadows of boxes."""
+        self._shadows = add_shadows(self._fixed, self._corners(boxes), self._sun)
+
+    def on_ground(
+        self, color: FloatImage, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
+    ) -> None:
+        """See `Illumination`."""
+        light = sunlight(self._shadows, position, distance * rays[0], distance * rays[1])
+        if self._share < 1.0:
+            light = np.float32(1.0) - np.float32(self._share) * (np.float32(1.0) - light)
+        color *= light[..., None]
+
+    def on_boxes(
+        self, paint: Paint, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
+    ) -> FloatImage:
+        """See `Illumination`."""
+        return paint.color * paint.light[:, None]
+
+    def _corners(self, boxes: Boxes) -> Array:
+        """Corners (n, 8, 3), their height that above the ground under the box."""
+        corners = boxes.corners()
+        if self._hills is not None:
+            corners[..., 2] -= self._hills.height(boxes.center)[:, None]
+        return corners
+
+
+class LampLight:
+    """A night: street lights, headlights of others on the road, and those of the vehicle that films."""
+
+    face_sun = np.array([0.0, 0.0, 1.0])
+
+    def __init__(self, scene: Scene, looks: Looks, conditions: Conditions) -> None:
+        self._street = self._lamps = light_street(empty_shadows(scene), looks, conditions)
+        # Water throws the light of one's own lamps on, away from the eye.
+        self._wet = np.float32(1.0 - 0.5 * conditions.rain)
+
+    def show(self, boxes: Boxes, moving: Sequence[tuple[Agent, Array]]) -> None:
+        """See `Illumination`: the headlights of agents that move."""
+        cars = [(agent.length, pose) for agent, pose in moving if agent.label in _MOTOR_VEHICLES]
+        poses = np.array([pose for _, pose in cars]).reshape(-1, 4)
+        self._lamps = add_headlights(self._street, poses, np.array([length for length, _ in cars]))
+
+    def on_ground(
+        self, color: FloatImage, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
+    ) -> None:
+        """See `Illumination`."""
+        light = lamp_light(self._lamps, position, distance * rays[0], distance * rays[1])
+        if T_world_rig is not None:
+            light += self._wet * own_headlights(T_world_rig, rays, distance)[..., None]
+        color *= light
+
+    def on_boxes(
+        self, paint: Paint, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
+    ) -> FloatImage:
+        """See `Illumination`: what the ground below has of street lights lights boxes, too."""
+        light = lamp_light(self._lamps, position, distance * rays[0][None], distance * rays[1][None])[0]
+        light *= paint.light[:, None]
+        if T_world_rig is not None:
+            light += own_headlights(T_world_rig, rays, distance)[:, None]
+        return paint.color * light + paint.glow
+
+
+def illuminate(scene: Scene, looks: Looks, conditions: Conditions, fixed: Boxes) -> Illumination:
+    """The light of a scene whose boxes `fixed` never move."""
+    if conditions.light == "night":
+        return LampLight(scene, looks, conditions)
+    return Daylight(scene, looks, conditions, fixed)
+
+
+def sink_into_hills(boxes: Boxes, hills: Hills) -> Boxes:
+    """Boxes of level ground put on hills, deep enough that none floats at its lower side."""
+    radius = np.hypot(boxes.half[:, 0], boxes.half[:, 1])
+    across = np.array([np.cos(hills.direction), np.sin(hills.direction)])
+    ends = (hills.height(boxes.center[:, :2] + side * radius[:, None] * across) for side in (-1.0, 0.0, 1.0))
+    center = boxes.center.copy()
+    center[:, 2] += np.min(list(ends), axis=0)
+    return replace(boxes, center=center)
