@@ -207,7 +207,7 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> _Path:
 def _follow_road(clip: _Clip, grays: Sequence[Gray], seconds: Array) -> RoadSpeed:
     if not any(step.moves for step in clip.key_steps):
         still = np.zeros(len(clip.key_steps))
-        return RoadSpeed(still, still, still, 0.0)
+        return RoadSpeed(still, still, still, 0.0, 0.0, 0.0)
     travel = usual_direction(clip.key_steps, clip.T_rig_camera[0, :3])
     grid = _lay_grid(clip, travel, clip.T_rig_camera)
     return follow_road(grays, seconds, clip.key_steps, grid, travel, clip.T_rig_camera[2, :3])

@@ -56,7 +56,7 @@ def follow_road(
     moves = np.array([step.moves for step in steps])
     votes = np.zeros((len(steps), len(grid.shifts)))
     for step in range(len(steps)):
-        votes[step] = _vote(grays, steps, directions, grid, travel, up, step, step + 1)
+        votes[step] = _vote(grays, seconds, steps, directions, grid, travel, up, step, step + 1)
     speed = estimate_speed(votes, grid.shifts, seconds)
     slow = moves & (np.abs(speed.speed) < SLOW_SPEED)
     if not slow.any():
@@ -67,13 +67,14 @@ def follow_road(
         count = int(np.clip(wanted, 1, MOST_STEPS))
         first = int(np.clip(step - (count - 1) // 2, 0, len(steps) - count)) if count <= len(steps) else 0
         last = min(first + count, len(steps))
-        votes[step] = _vote(grays, steps, directions, grid, travel, up, first, last)
+        votes[step] = _vote(grays, seconds, steps, directions, grid, travel, up, first, last)
         lasts[step] = seconds[first:last].sum()
     return estimate_speed(votes, grid.shifts, seconds, lasts)
 
 
 def _vote(
     grays: Sequence[Gray],
+    seconds: Array,
     steps: Sequence[Step],
     directions: Array,
     grid: RoadGrid,
@@ -89,4 +90,5 @@ def _vote(
         turned = step.motion.R_b_a @ turned
     straight = moved @ travel > np.cos(AGREEING_DIRECTIONS) * max(float(np.linalg.norm(moved)), 1e-9)
     axes = road_frame(travel, up, moved if straight else travel)
-    return count_votes(grid.match(grid.rectify(grays[first], axes), grid.rectify(grays[last], axes.rotated(turned))))
+    matches = grid.match(grid.rectify(grays[first], axes), grid.rectify(grays[last], axes.rotated(turned)))
+    return count_votes(matches, float(seconds[first:last].sum()))

@@ -17,14 +17,21 @@ from olt_generator.poses import Array
 # Independent pixels of a cell: how much a correlation says. Texture, noise and blur go together over decimetres.
 PIXELS_OF_CELL = 12.0
 BEST_CORRELATION = 0.99
-# A cell is road, stays in the picture, or is anything else.
+# A cell is road, something that keeps its distance and so stays in the picture, or is anything else. What is not fixed
+# to the vehicle keeps its distance for a while only.
 ROAD_SHARE, STAYING_SHARE = 0.5, 0.25
+STAYING_SECONDS = 0.4
+# In the vehicle's own lane something may drive ahead; beside it anything may drive in any direction.
+OWN_LANE, BESIDE_WEIGHT = 1.6, 0.5
 
 # Speeds that are told apart; a vehicle reverses slowly, but a camera that looks back may be met.
 FASTEST = 60.0
 SPEEDS: Array = np.concatenate(
-    [np.arange(-FASTEST, -5.0, 0.25), np.arange(-5.0, 5.0, 0.1), np.arange(5.0, FASTEST, 0.25)]
+    [np.arange(-FASTEST, -5.0, 0.5), np.arange(-5.0, 5.0, 0.1), np.arange(5.0, FASTEST, 0.5)]
 )
+_SIDES = SPEEDS > -1e-9, SPEEDS < 1e-9
+# A course is another one where it differs by so many metres over a vote, and by this share of the speed.
+RIVAL_METRES, RIVAL_SHARE = 0.15, 0.25
 # Spread of the change of speed over a second, m/s: everyday driving.
 SPEED_CHANGE = 1.5
 # By how many times driving forward is more probable than backward, as a logarithm: once for a whole clip, and for each
@@ -37,11 +44,12 @@ MEASUREMENT_SHARE = 0.02
 LEAST_LOG_ODDS = 2.0
 
 
-def count_votes(matches: CellMatches) -> Array:
+def count_votes(matches: CellMatches, seconds: float) -> Array:
     """Log odds (shifts,) of every shift of the road against a road that shows nothing.
 
     A column of cells shows road from near until something stands on it, and what stands there seems to shift the more
-    the farther its cells are. So a column counts up to where it agrees best, from near to far.
+    the farther its cells are. So a column counts up to where it agrees best, from near to far. `seconds` lie between
+    the two pictures.
     """
     correlation = np.clip(matches.correlation, 0.0, BEST_CORRELATION)
     tried = np.isfinite(correlation)
@@ -51,10 +59,11 @@ def count_votes(matches: CellMatches) -> Array:
     agrees = np.where(tried, fit * count / np.maximum(fit.sum(axis=-1, keepdims=True), 1.0), 1.0)
     middle = correlation.shape[-1] // 2
     stays = agrees[..., middle - 1 : middle + 2].max(axis=-1, keepdims=True)
-    anything = 1.0 - ROAD_SHARE - STAYING_SHARE
-    explained = ROAD_SHARE * agrees + STAYING_SHARE * stays + anything
-    odds = np.log(explained / (STAYING_SHARE * stays + anything + ROAD_SHARE))
-    return np.maximum(np.cumsum(odds, axis=1).max(axis=1), 0.0).sum(axis=0)
+    staying = STAYING_SHARE * np.exp(-seconds / STAYING_SECONDS)
+    otherwise = staying * stays + (1.0 - ROAD_SHARE - staying)
+    odds = np.log((ROAD_SHARE * agrees + otherwise) / (ROAD_SHARE + otherwise))
+    weight = np.where(np.abs(matches.across) < OWN_LANE, 1.0, BESIDE_WEIGHT)
+    return weight @ np.maximum(np.cumsum(odds, axis=1).max(axis=1), 0.0)
 
 
 @dataclass(frozen=True)
@@ -65,13 +74,17 @@ class RoadSpeed:
         speed: (n,) m/s, negative backward.
         sigma: (n,) its standard deviation; that of a step that the road does not tell is what its neighbours leave open.
         log_odds: (n,) votes of the road for the speed, as a logarithm, against a road that shows nothing.
-        direction_log_odds: how much more probable a clip is that never goes backward than one that never goes forward.
+        path_log_odds: those of the whole course.
+        direction_log_odds: how much more probable a course is that never goes backward than one that never goes forward.
+        rival_log_odds: those of the most probable course that is nowhere near this one.
     """
 
     speed: Array
     sigma: Array
     log_odds: Array
+    path_log_odds: float
     direction_log_odds: float
+    rival_log_odds: float
 
 
 def estimate_speed(votes: Array, shifts: Array, seconds: Array, lasts: Array | None = None) -> RoadSpeed:
@@ -90,8 +103,10 @@ def estimate_speed(votes: Array, shifts: Array, seconds: Array, lasts: Array | N
     here = np.array(
         [np.interp(SPEEDS * last, shifts, row, left=0.0, right=0.0) for row, last in zip(votes, lasts, strict=True)]
     )
-    rough, _ = _most_probable_path(here, seconds, np.ones(len(SPEEDS), np.bool_))
-    forward, backward = (_most_probable_path(here, seconds, sign * SPEEDS >= 0.0)[1] for sign in (1.0, -1.0))
+    rough, course = _most_probable_path(here, seconds)
+    forward, backward = (_most_probable_path(here[:, side], seconds, SPEEDS[side])[1] for side in _SIDES)
+    near = np.abs(SPEEDS - rough[:, None]) < np.maximum(RIVAL_METRES / lasts, RIVAL_SHARE * np.abs(rough))[:, None]
+    rival = _most_probable_path(np.where(near, -np.inf, here), seconds)[1]
     measured, sigma, weight = np.zeros((3, len(votes)))
     for step, row in enumerate(votes):
         measured[step], sigma[step] = _measure_peak(row, shifts, rough[step] * lasts[step])
@@ -99,16 +114,15 @@ def estimate_speed(votes: Array, shifts: Array, seconds: Array, lasts: Array | N
     measured, sigma = measured / lasts, sigma / lasts
     used = weight > LEAST_LOG_ODDS
     speed, deviation = _smooth_speeds(np.where(used, measured, rough), np.where(used, sigma, np.inf), seconds)
-    return RoadSpeed(speed, deviation, weight, forward - backward)
+    return RoadSpeed(speed, deviation, weight, course, forward - backward, rival)
 
 
-def _most_probable_path(votes: Array, seconds: Array, allowed: NDArray[np.bool_]) -> tuple[Array, float]:
-    """Viterbi path (n,) over the speeds that are allowed through the votes (n, speeds), and its log odds."""
-    speeds = SPEEDS[allowed]
+def _most_probable_path(votes: Array, seconds: Array, speeds: Array = SPEEDS) -> tuple[Array, float]:
+    """Viterbi path (n,) over speeds through their votes (n, speeds), and its log odds."""
     best = np.where(speeds < 0.0, -FORWARD_LOG_ODDS, 0.0)
     came_from = np.zeros((len(votes), len(speeds)), dtype=np.intp)
     change = (speeds[:, None] - speeds[None, :]) ** 2 / (2.0 * SPEED_CHANGE**2)
-    for step, row in enumerate(votes[:, allowed]):
+    for step, row in enumerate(votes):
         total = best[None, :] - change / seconds[step]
         came_from[step] = np.argmax(total, axis=1)
         best = total[np.arange(len(speeds)), came_from[step]] + row - BACKWARD_STEP * (speeds < 0.0)
