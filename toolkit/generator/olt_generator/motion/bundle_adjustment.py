@@ -107,6 +107,11 @@ def adjust_poses(
     )
 
 
+def track_residuals(adjusted: AdjustedPoses, tracks: FeatureTracks, ray_sigma: float) -> Array:
+    """How far each observation is from where the motion puts it, (m, 2) in sigmas."""
+    return _linearise(adjusted.poses, adjusted.inverse_distance, tracks, ray_sigma)[0]
+
+
 def _rotation_covariance(
     poses: Array, inverse_distance: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors
 ) -> Array:
