@@ -4,11 +4,13 @@ import numpy as np
 
 from olt_closed_loop.hard_clips.specification import ClipSpecification, FilmingCamera
 from olt_closed_loop.hard_clips.staging import LEAD_IN_SECONDS, stage_scene
+from olt_closed_loop.sensors.camera_effects import film
 from olt_closed_loop.sensors.ray_casting import SceneRenderer
 from olt_generator.cameras import Camera, FthetaCamera, PinholeCamera
 from olt_generator.poses import Array, camera_pose_in_rig
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.rigs.rig import MountedCamera
 
 _FORWARD, _LATERAL = 1.6, 0.0
 
@@ -18,15 +20,9 @@ def make_clip(specification: ClipSpecification) -> Recording:
     scene, camera = stage_scene(specification), specification.camera
     elapsed_us = np.round(np.arange(specification.frames) * (1e6 / specification.frame_rate)).astype(np.int64)
     times_us = elapsed_us + round(LEAD_IN_SECONDS * 1e6)
-    T_world_rig = scene.ego.interpolate(times_us)
+    mounted = MountedCamera(_lens(camera, camera.focal_off), _mount(camera, true=True))
     renderer = SceneRenderer(scene, specification.conditions)
-    true_camera, true_mounting = _lens(camera, camera.focal_off), _mount(camera, true=True)
-    frames = np.stack(
-        [
-            renderer.render(true_camera, pose @ true_mounting, time_us, pose).rgb
-            for pose, time_us in zip(T_world_rig, times_us.tolist(), strict=True)
-        ]
-    )
+    frames = film(renderer, mounted, scene.ego, times_us, specification.effects, specification.seed)
     return Recording(
         name=specification.name,
         source="synthetic",
@@ -35,7 +31,7 @@ def make_clip(specification: ClipSpecification) -> Recording:
         camera=_lens(camera, 0.0),
         T_rig_camera=_mount(camera, true=False),
         vehicle=scene.vehicle,
-        reference=Trajectory(elapsed_us, T_world_rig),
+        reference=Trajectory(elapsed_us, scene.ego.interpolate(times_us)),
         spread=camera.spread,
     )
 

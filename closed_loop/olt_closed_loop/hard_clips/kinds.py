@@ -19,6 +19,8 @@ from olt_closed_loop.scenes.conditions import Conditions
 from olt_closed_loop.scenes.hills import Wave
 from olt_closed_loop.scenes.roads import LANE_WIDTH
 from olt_closed_loop.scenes.traffic import Lead, Stream
+from olt_closed_loop.sensors.imager import Imager
+from olt_closed_loop.sensors.windscreen import Windscreen
 from olt_generator.camera_spread import CameraSpread, Spread
 from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
@@ -172,17 +174,60 @@ def make_turn(clip: ClipSpecification, generator: Generator) -> ClipSpecificatio
 
 
 def make_night(clip: ClipSpecification, generator: Generator) -> ClipSpecification:
-    """Night, with or without street lights, with the lamps of others."""
+    """Night, with or without street lights, with the lamps of others and the noise of a camera that sees little."""
     streams = (*clip.traffic.streams, _beside(0, float(generator.uniform(8.0, 18.0)), 35.0))
     lit = bool(generator.random() < 0.6)
-    return replace(clip, traffic=Traffic(streams=streams), conditions=Conditions("night", 0.0, lit))
+    imager = Imager(noise=float(generator.uniform(3.0, 9.0)), glow=float(generator.uniform(0.3, 1.0)))
+    shutter = replace(clip.effects.shutter, exposure_s=float(generator.uniform(0.008, 0.025)), samples=3)
+    return replace(
+        clip,
+        traffic=Traffic(streams=streams),
+        conditions=Conditions("night", clip.conditions.rain, lit),
+        effects=replace(clip.effects, imager=imager, shutter=shutter),
+    )
 
 
 def make_rain(clip: ClipSpecification, generator: Generator) -> ClipSpecification:
-    """Rain on road, air and glass."""
+    """Rain on road, in the air and on the glass, with and without a wiper."""
     streams = (*clip.traffic.streams, _beside(0, float(generator.uniform(8.0, 18.0)), 35.0))
-    conditions = Conditions("day", float(generator.uniform(0.3, 1.0)))
-    return replace(clip, traffic=Traffic(streams=streams), conditions=conditions)
+    rain = float(generator.uniform(0.3, 1.0))
+    windscreen = Windscreen(
+        drops=float(generator.uniform(0.3, 1.0)),
+        wiper_seconds=float(generator.uniform(0.9, 3.0)) if generator.random() < 0.7 else None,
+        streaks=rain,
+    )
+    return replace(
+        clip,
+        traffic=Traffic(streams=streams),
+        conditions=replace(clip.conditions, rain=rain),
+        effects=replace(clip.effects, windscreen=windscreen),
+    )
+
+
+def make_bonnet(clip: ClipSpecification, generator: Generator) -> ClipSpecification:
+    """The bonnet in the picture, and reflections in the windscreen."""
+    reflection = float(generator.uniform(0.2, 0.7)) if generator.random() < 0.7 else 0.0
+    windscreen = Windscreen(bonnet=float(generator.uniform(0.10, 0.28)), reflection=reflection)
+    return replace(clip, effects=replace(clip.effects, windscreen=windscreen))
+
+
+def make_rolling_shutter(clip: ClipSpecification, generator: Generator) -> ClipSpecification:
+    """Rows that are read out one after the other over most of the time of a frame."""
+    readout = float(generator.uniform(0.015, 0.033))
+    return replace(clip, effects=replace(clip.effects, shutter=replace(clip.effects.shutter, readout_s=readout)))
+
+
+def make_blur(clip: ClipSpecification, generator: Generator) -> ClipSpecification:
+    """Long exposures."""
+    exposure = float(min(generator.uniform(0.012, 0.04), 0.9 / clip.frame_rate))
+    shutter = replace(clip.effects.shutter, exposure_s=exposure, samples=5)
+    return replace(clip, effects=replace(clip.effects, shutter=shutter))
+
+
+def make_compression(clip: ClipSpecification, generator: Generator) -> ClipSpecification:
+    """An encoder that has 0.03 to 0.15 bits for a pixel."""
+    bits = generator.uniform(0.03, 0.15) * clip.camera.width * clip.camera.height * clip.frame_rate
+    return replace(clip, effects=replace(clip.effects, kilobits_per_second=float(bits / 1000.0)))
 
 
 def make_low_sun(clip: ClipSpecification, generator: Generator) -> ClipSpecification:
@@ -231,17 +276,15 @@ def make_reverse(clip: ClipSpecification, generator: Generator) -> ClipSpecifica
 
 
 def make_mixture(clip: ClipSpecification, generator: Generator) -> ClipSpecification:
-    """Two or three of the others together."""
-    courses = (make_traffic, make_stop_and_go, make_turn)
+    """Several of the others together: a drive, a sky, a lens and a camera."""
+    drives = (make_traffic, make_stop_and_go, make_turn, make_hills)
     skies = (make_night, make_rain, make_low_sun)
-    lenses = (make_narrow_lens, make_wide_lens, make_unknown_camera, make_hills)
-    mixed = clip
-    for group in (skies, lenses):
-        mixed = group[generator.integers(len(group))](mixed, generator)
-    if generator.random() < 0.7:
-        crowd = courses[generator.integers(len(courses))](mixed, generator)
-        mixed = replace(crowd, course=replace(crowd.course, waves=mixed.course.waves))
-    return mixed
+    lenses = (make_narrow_lens, make_wide_lens, make_unknown_camera)
+    cameras = (make_rolling_shutter, make_blur, make_compression)
+    for group in (skies, lenses, cameras, drives):
+        if generator.random() < 0.75:
+            clip = group[generator.integers(len(group))](clip, generator)
+    return clip
 
 
 KINDS: dict[str, Change] = {
@@ -252,6 +295,10 @@ KINDS: dict[str, Change] = {
     "night": make_night,
     "rain": make_rain,
     "low_sun": make_low_sun,
+    "bonnet": make_bonnet,
+    "rolling_shutter": make_rolling_shutter,
+    "blur": make_blur,
+    "compression": make_compression,
     "hills": make_hills,
     "narrow_lens": make_narrow_lens,
     "wide_lens": make_wide_lens,

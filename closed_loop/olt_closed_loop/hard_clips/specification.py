@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions
 from olt_closed_loop.scenes.hills import Wave
 from olt_closed_loop.scenes.traffic import Lead, Stream
+from olt_closed_loop.sensors.camera_effects import NO_EFFECTS, CameraEffects
 from olt_generator.camera_spread import CameraSpread
 
 
@@ -72,8 +73,8 @@ class FilmingCamera:
         height_off, focal_off: natural logarithm of true over stated; drawn from `spread`.
     """
 
-    width: int = 640
-    height: int = 360
+    width: int = 576
+    height: int = 324
     horizontal_fov: float = 1.2
     fisheye: bool = False
     mounting_height: float = 1.4
@@ -108,3 +109,4 @@ class ClipSpecification:
     traffic: Traffic = Traffic()
     camera: FilmingCamera = FilmingCamera()
     conditions: Conditions = CLEAR_DAY
+    effects: CameraEffects = NO_EFFECTS

@@ -12,6 +12,9 @@ from olt_generator.cameras import Camera, pixel_rays
 
 Value = TypeVar("Value", bound=np.generic)
 
+STRIP_ROWS = 8
+"""Rows that a rolling shutter takes together: at 20 m/s and 30 ms a picture the nearest road is off by 0.2 pixels."""
+
 
 @dataclass(frozen=True)
 class CameraRays:
@@ -63,9 +66,12 @@ class CameraRays:
 
 
 @lru_cache(maxsize=32)
-def camera_rays(camera: Camera) -> CameraRays:
-    """The rays of a camera; cached, because it does not depend on where the camera is."""
-    size = 16 if camera.width * camera.height > 40_000 else 8
+def camera_rays(camera: Camera, block_size: int | None = None) -> CameraRays:
+    """The rays of a camera; cached, because it does not depend on where the camera is.
+
+    Blocks have a side of `block_size` pixels; None for the one that is worked on fastest.
+    """
+    size = block_size or (16 if camera.width * camera.height > 40_000 else 8)
     rays = pixel_rays(camera)
     steps = np.linalg.norm(np.diff(rays, axis=1, append=2.0 * rays[:, -1:] - rays[:, -2:-1]), axis=-1)
     blocks = _blocks(rays, size)
@@ -86,10 +92,9 @@ def camera_rays(camera: Camera) -> CameraRays:
 
 
 def strip_rows(camera: Camera) -> NDArray[np.float64]:
-    """The middle row (n,) of each strip of `camera_rays(camera).strips`, as a pixel coordinate."""
-    view = camera_rays(camera)
-    first = np.arange(0, camera.height, view.size)
-    return (first + np.minimum(first + view.size, camera.height) - 1) / 2
+    """The middle row (n,) of each strip of a rolling shutter, as a pixel coordinate."""
+    first = np.arange(0, camera.height, STRIP_ROWS)
+    return (first + np.minimum(first + STRIP_ROWS, camera.height) - 1) / 2
 
 
 def _blocks(image: NDArray[np.float64], size: int) -> NDArray[np.float64]:

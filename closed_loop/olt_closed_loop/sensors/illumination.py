@@ -107,7 +107,7 @@ class LampLight:
         self, paint: Paint, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
     ) -> FloatImage:
         """See `Illumination`: what the ground below has of street lights lights boxes, too."""
-        light = lamp_light(self._lamps, position, distance * rays[0][None], distance * rays[1][None])[0]
+        light = lamp_light(self._lamps, position, distance * rays[0], distance * rays[1])
         light *= paint.light[:, None]
         if T_world_rig is not None:
             light += own_headlights(T_world_rig, rays, distance)[:, None]

@@ -7,7 +7,7 @@ from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.conditions import Conditions
 from olt_closed_loop.scenes.looks import Looks, SceneryBox
 from olt_closed_loop.sensors.ground import Raster
-from olt_closed_loop.sensors.textures import FloatImage, sample
+from olt_closed_loop.sensors.textures import FloatImage, sample, sample_list
 from olt_generator.poses import Array
 
 # Light that falls on everything, and colours of lamps, as factors of a surface's colour by day.
@@ -17,7 +17,7 @@ _STREET_STRENGTH, _POOL_RADIUS = 0.55, 15.0
 _LAMP_SIZE = (0.7, 0.3, 0.15)
 # Headlights of others: metres from the nose, half width and strength, from the rim of the pool to its heart.
 _POOLS = ((20.0, 3.6, 40), (15.0, 2.9, 80), (10.0, 2.1, 130))
-_BEAM_STRENGTH, _BEAM_REACH, _BEAM_WIDTH = 1.9, 15.0, 0.5
+_BEAM_STRENGTH, _BEAM_REACH, _BEAM_WIDTH = 1.15, 17.0, 0.5
 # Sine of the angle below the horizon at which a dipped beam is cut off, how sharply, and what is left above.
 _CUT, _CUT_WIDTH, _STRAY = 0.012, 0.012, 0.05
 
@@ -67,10 +67,11 @@ def add_headlights(street: Raster, poses: Array, lengths: Array) -> Raster:
 
 
 def lamp_light(lamps: Raster, camera: Array, dx: FloatImage, dy: FloatImage) -> FloatImage:
-    """Light (n, m, 3) of ambience and lamps at places on the ground, given relative to the camera."""
+    """Light (..., 3) of ambience and lamps at places (...) on the ground, given relative to the camera."""
     scale = np.float32(1.0 / lamps.resolution)
     start = ((camera[:2] - lamps.origin) / lamps.resolution - 0.5).astype(np.float32)
-    strength = sample(lamps.image, dx * scale + start[0], dy * scale + start[1])
+    look_up = sample_list if dx.ndim == 1 else sample
+    strength = look_up(lamps.image, dx * scale + start[0], dy * scale + start[1])
     return _AMBIENT + (strength * np.float32(_STREET_STRENGTH / 255.0))[..., None] * _STREET_COLOR
 
 

@@ -14,7 +14,7 @@ from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions, relight
 from olt_closed_loop.scenes.looks import Looks, generate_looks
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.sensors.boxes import Boxes, body_boxes, paint_boxes, scenery_boxes
-from olt_closed_loop.sensors.camera_rays import CameraRays, camera_rays
+from olt_closed_loop.sensors.camera_rays import STRIP_ROWS, CameraRays, camera_rays
 from olt_closed_loop.sensors.casting import CHUNK, Hits, boxes_in_view, cast
 from olt_closed_loop.sensors.ground import Ground
 from olt_closed_loop.sensors.illumination import illuminate, sink_into_hills
@@ -96,7 +96,7 @@ class SceneRenderer:
             times_us: (n,) times in the recording.
             T_world_rig: (n, 4, 4) or None, as in `render`.
         """
-        view = camera_rays(camera)
+        view = camera_rays(camera, STRIP_ROWS)
         rigs = [None] * len(times_us) if T_world_rig is None else list(T_world_rig)
         strips = [
             self._see(strip, pose, time_us, rig)

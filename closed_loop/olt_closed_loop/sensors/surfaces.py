@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.sensors.textures import FloatImage, Image, sample
+from olt_closed_loop.sensors.textures import FloatImage, Image, sample_list
 from olt_generator.seeds import make_generator
 
 TILE = 128
@@ -171,7 +171,7 @@ def sample_surfaces(surface: NDArray[np.int32], u: FloatImage, v: FloatImage, te
     size = np.take(_LEVEL_SIZES, level)
     x = np.take(_LEVEL_LEFT, level) + u * size
     y = (surface * _ROW_HEIGHT).astype(np.float32) + v * size + np.float32(_PADDING - 0.5)
-    return sample(surface_atlas(), _as_picture(x), _as_picture(y)).reshape(-1, 4)[: len(u)]
+    return sample_list(surface_atlas(), x, y)
 
 
 def lamp_glow(surface: NDArray[np.int32], texture: Image) -> FloatImage:
@@ -188,8 +188,3 @@ def lamp_glow(surface: NDArray[np.int32], texture: Image) -> FloatImage:
     # The number plate is as red as the lamps, but not only red.
     glow[rear] = _BRIGHTNESS * np.maximum(own[:, :1] - own[:, 1:2], 0.0) * np.array([1.0, 0.12, 0.08], dtype=np.float32)
     return glow
-
-
-def _as_picture(values: FloatImage) -> FloatImage:
-    """Values (n,) as rows of 512, the last one filled up: `cv2.remap` takes no rows longer than 32766."""
-    return np.resize(values, (max(1, -(-len(values) // 512)), 512))

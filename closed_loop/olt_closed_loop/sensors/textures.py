@@ -28,6 +28,14 @@ def sample(image: NDArray[Any], x: FloatImage, y: FloatImage) -> NDArray[Any]:
     return cv2.remap(image, x, y, cv2.INTER_LINEAR)
 
 
+def sample_list(image: NDArray[Any], x: FloatImage, y: FloatImage) -> NDArray[Any]:
+    """Values (n, ...) of an image at columns x and rows y, each (n,), however many."""
+    # Rows of 512, the last one filled up: `cv2.remap` takes none longer than 32766.
+    rows = max(1, -(-len(x) // 512))
+    found = sample(image, np.resize(x, (rows, 512)), np.resize(y, (rows, 512)))
+    return found.reshape(-1, *image.shape[2:])[: len(x)]
+
+
 @lru_cache(maxsize=1)
 def ground_noise() -> tuple[FloatImage, ...]:
     """One square layer (n + 1, n + 1) for each of `NOISE_LAYERS`; last row and column repeat the first."""
