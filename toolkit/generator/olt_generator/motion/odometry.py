@@ -16,14 +16,18 @@ from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from olt_generator.cameras import Camera
+from olt_generator.doubts import Doubt
 from olt_generator.errors import InputError
-from olt_generator.motion.bundle_adjustment import FeatureTracks, StepPriors, adjust_poses
+from olt_generator.motion.bundle_adjustment import AdjustedPoses, FeatureTracks, StepPriors, adjust_poses
+from olt_generator.motion.evidence import DOUBTFUL_LOG_SCALE, Evidence, find_doubts
 from olt_generator.motion.features import Gray, track_from_keyframes
+from olt_generator.motion.path_covariance import add_up_drift
 from olt_generator.motion.pose_sources import PoseEstimate
 from olt_generator.motion.road_following import ahead, follow_road, usual_direction
 from olt_generator.motion.road_grid import RoadGrid, road_frame
 from olt_generator.motion.road_plane import measure_scale
 from olt_generator.motion.road_speed import RoadSpeed
+from olt_generator.motion.road_structure import find_planes
 from olt_generator.motion.smoother import ODOMETRY_SETTINGS
 from olt_generator.motion.static_mask import find_static_mask
 from olt_generator.motion.steps import TRACK_SIGMA_PIXELS, Step, estimate_step, radians_per_pixel, turn_between
@@ -45,7 +49,7 @@ MOST_STEPS = 8
 # How far a step found on its own may be from the truth: radians of rotation, share of the distance driven along the
 # step, radians of its direction; and what is left of radians and metres at standstill.
 PRIOR_ROTATION = np.radians(0.1)
-PRIOR_SPEED_SHARE = 0.2
+PRIOR_SPEED_SHARE = 0.05
 PRIOR_DIRECTION = np.radians(2.0)
 STANDING_ROTATION = 1e-5
 STANDING_METRES = 0.002
@@ -132,6 +136,8 @@ def estimate_odometry(
         ODOMETRY_SETTINGS,
         np.array([np.count_nonzero(step.motion.inliers) for step in steps]),
         np.array([stood[step.key] for step in steps]),
+        covariance=_in_rig_axes(path.covariance, mounting, times[keyframes], times),
+        doubts=path.doubts,
     )
 
 
@@ -177,12 +183,23 @@ class _Clip:
 
 @dataclass(frozen=True)
 class _Path:
-    """Keyframe poses (k, 4, 4) in the axes of the first one, the mounting, which steps move, and the scale's deviation."""
+    """What was recovered of the keyframes.
+
+    Attributes:
+        T_start_key: (k, 4, 4) poses in the axes of the first one.
+        covariance: (k, 6, 6) of their errors, in the same axes.
+        mounting: (4, 4) of the camera.
+        moves: (k - 1,) which steps move.
+        scale_sigma: relative standard deviation of the scale; None where nothing moves.
+        doubts: why all this may be wrong.
+    """
 
     T_start_key: Array
+    covariance: Array
     mounting: Array
     moves: NDArray[np.bool_]
     scale_sigma: float | None
+    doubts: tuple[Doubt, ...]
 
 
 def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> _Path:
@@ -192,16 +209,27 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> _Path:
     road = _follow_road(clip, grays, np.diff(times))
     clip = replace(clip, key_steps=[_settle(clip, *pair) for pair in zip(clip.key_steps, road.speed, strict=True)])
     moves = np.array([step.moves for step in clip.key_steps])
-    driven = np.where(moves, np.abs(road.speed) * np.diff(times), 0.0)
-    T_key_next = _adjust(clip, driven, settings.rounds) if moves.any() else _expect(clip, driven)
     if not moves.any():
-        return _Path(_chain(T_key_next), clip.T_rig_camera, moves, None)
+        standing = np.zeros((len(times), 6, 6)) + np.diag([STANDING_METRES**2] * 3 + [PRIOR_ROTATION**2] * 3)
+        T_start_key = _chain(_expect(clip, np.zeros(len(moves))))
+        return _Path(T_start_key, standing, clip.T_rig_camera, moves, None, ())
+    driven = np.where(moves, np.abs(road.speed) * np.diff(times), 0.0)
+    tracks, ray_sigma = _collect_tracks(clip), TRACK_SIGMA_PIXELS * radians_per_pixel(clip.camera)
+    adjusted = _adjust(clip, driven, tracks, ray_sigma, settings.rounds)
+    T_key_next = invert(adjusted.poses[:-1]) @ adjusted.poses[1:]
     mounting = _align_mounting(T_key_next, driven / np.diff(times), clip.T_rig_camera)
     grid = _lay_grid(clip, mounting[0, :3], mounting)
-    scale = measure_scale(grays, times, _chain(T_key_next), driven, grid, mounting[2, :3])
+    scale = measure_scale(grays, times, adjusted.poses, driven, grid, mounting[2, :3])
     T_key_next[:, :3, 3] *= scale.factor[:, None]
-    share = driven / driven.sum()
-    return _Path(_chain(T_key_next), mounting, moves, float(np.sqrt(share @ scale.covariance @ share)))
+    metric = np.append(scale.factor, scale.factor[-1])
+    aside = float(np.arccos(np.clip(mounting[0, :3] @ clip.T_rig_camera[0, :3], -1.0, 1.0)))
+    evidence = Evidence(road, moves, *find_planes(tracks, adjusted, metric, ray_sigma, mounting), aside)
+    doubts = tuple(find_doubts(evidence))
+    log_scale_covariance = scale.covariance + (DOUBTFUL_LOG_SCALE**2 if doubts else 0.0)
+    T_start_key, share = _chain(T_key_next), driven / driven.sum()
+    covariance = add_up_drift(T_start_key[:, :3, 3], adjusted.rotation_covariance, log_scale_covariance)
+    sigma = float(np.sqrt(share @ log_scale_covariance @ share))
+    return _Path(T_start_key, covariance, mounting, moves, sigma, doubts)
 
 
 def _follow_road(clip: _Clip, grays: Sequence[Gray], seconds: Array) -> RoadSpeed:
@@ -231,19 +259,16 @@ def _lay_grid(clip: _Clip, forward: Array, T_rig_camera: Array) -> RoadGrid:
     return RoadGrid(clip.camera, float(T_rig_camera[2, 3]), axes, clip.hidden)
 
 
-def _adjust(clip: _Clip, driven: Array, rounds: int) -> Array:
-    """Motion (k, 4, 4) from keyframe to keyframe that agrees best with all tracks."""
-    steps, expected = clip.key_steps, _expect(clip, driven)
-    moves = np.array([step.moves for step in steps])
+def _adjust(clip: _Clip, driven: Array, tracks: FeatureTracks, ray_sigma: float, rounds: int) -> AdjustedPoses:
+    """Keyframe poses that agree best with all tracks."""
+    moves = np.array([step.moves for step in clip.key_steps])
     priors = StepPriors(
-        expected,
+        _expect(clip, driven),
         np.where(moves, PRIOR_ROTATION, STANDING_ROTATION),
         np.where(moves, PRIOR_SPEED_SHARE * driven, 0.0) + STANDING_METRES,
         np.where(moves, PRIOR_DIRECTION * driven, 0.0) + STANDING_METRES,
     )
-    ray_sigma = TRACK_SIGMA_PIXELS * radians_per_pixel(clip.camera)
-    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), ray_sigma, priors, rounds).poses
-    return np.where(moves[:, None, None], invert(T_start_key[:-1]) @ T_start_key[1:], expected)
+    return adjust_poses(_chain(priors.T_key_next), tracks, ray_sigma, priors, rounds)
 
 
 def _expect(clip: _Clip, driven: Array) -> Array:
@@ -268,6 +293,14 @@ def _collect_tracks(clip: _Clip) -> FeatureTracks:
     number_of = np.cumsum(lasting) - 1
     first = first[lasting]
     return FeatureTracks(start[first], rays_key[first], number_of[point[kept]], start[kept] + 1, rays_current[kept])
+
+
+def _in_rig_axes(covariance: Array, mounting: Array, key_times: Array, times: Array) -> Array:
+    """Covariance (n, 6, 6) at all times of poses known at some, turned from the axes of the camera to those of the rig."""
+    index = np.clip(np.searchsorted(key_times, times) - 1, 0, len(key_times) - 2)
+    share = ((times - key_times[index]) / (key_times[index + 1] - key_times[index]))[:, None, None]
+    turn = np.kron(np.eye(2), mounting[:3, :3])
+    return turn @ ((1.0 - share) * covariance[index] + share * covariance[index + 1]) @ turn.T
 
 
 def _align_mounting(T_key_next: Array, speed: Array, T_rig_camera: Array) -> Array:

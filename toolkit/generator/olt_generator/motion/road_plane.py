@@ -4,10 +4,11 @@ Pieces of road ahead are matched between frames some metres apart. If the road w
 moves, every piece would give the same scale. A road that is tilted against the motion by an angle t, because the body
 pitches or the road bends, seems to move by d^2 t / h more at distance d, so that near and far pieces differ:
 
-    log(shift / motion) = scale + t (d_first + d_second) / h + r y / h.
+    log(shift / motion) = scale + t (d_first + d_second) / h + r y / h + b d_first d_second / (2 h).
 
-The last term is that of a road which falls by an angle r to the left, where a piece lies y to the left. Scale, tilt and
-roll are told apart by the places of the pieces and by what is known beforehand: both angles are small and last about a
+The third term is that of a road which falls by an angle r to the left, where a piece lies y to the left; the last one
+that of a road which bends upward by b = 1 / radius, through the points below both places of the camera. The four are
+told apart by the places of the pieces and by what is known beforehand: angles and bends are small and last about a
 second, and the scale of a tracked motion changes little by little.
 """
 
@@ -35,12 +36,13 @@ CLEARLY_BETTER = 0.2
 FARTHEST_ACROSS_LANE = 2.0
 
 # Standard deviations: of the logarithm of scale of a cell, and of a rough measurement of one step; of tilt and roll in
-# radians, which last for `TILT_SECONDS`; of the change of scale over a second, and of the scale at the start.
-STATES = 3
+# radians and of the bend in 1/m, which last for `TILT_SECONDS`; of the change of scale over a second, and of the scale at the start.
+STATES = 4
 CELL_SIGMA = 0.025
 ROUGH_SIGMA = 0.05
 TILT_SIGMA = 0.002
 ROLL_SIGMA = 0.01
+BEND_SIGMA = 0.001
 TILT_SECONDS = 1.0
 SCALE_CHANGE = 0.005
 INITIAL_SCALE_SIGMA = 0.3
@@ -55,6 +57,8 @@ class RoadMatches:
         step: (m,) first keyframe of the pair.
         lever: (m,) sum of the distances in both frames, in camera heights: what a tilt is multiplied by.
         across: (m,) distance to the left, in camera heights: what a roll is multiplied by.
+        bend: (m,) half the product of the distances in both frames over the camera's height, in metres: what the
+            curvature of a crest or a dip is multiplied by.
         log_scale: (m,) logarithm of the shift of the road over the distance driven.
         sigma: (m,) standard deviation of `log_scale`.
     """
@@ -62,6 +66,7 @@ class RoadMatches:
     step: NDArray[np.int64]
     lever: Array
     across: Array
+    bend: Array
     log_scale: Array
     sigma: Array
 
@@ -74,12 +79,14 @@ class PlaneScale:
         factor: (n,) by which each of the n steps must be multiplied to be metric.
         covariance: (n, n) of their logarithms, for the height as given.
         tilt, roll: (n,) angles by which the road rises ahead and falls to the left against the motion, radians.
+        bend: (n,) curvature of the road upward, 1/m.
     """
 
     factor: Array
     covariance: Array
     tilt: Array
     roll: Array
+    bend: Array
 
 
 def measure_scale(
@@ -97,12 +104,13 @@ def measure_scale(
     """
     moves = np.flatnonzero(driven > 0.0)
     length = np.linalg.norm(np.diff(T_world_camera[:, :3, 3], axis=0), axis=1)[moves]
-    middle = np.full(len(moves), 2.0 * float(grid.along.mean()) / grid.height)
+    middle = float(grid.along.mean())
     matched = match_road(grays, T_world_camera, grid, up)
     matches = RoadMatches(
         np.concatenate([moves, matched.step]),
-        np.concatenate([middle, matched.lever]),
+        np.concatenate([np.full(len(moves), 2.0 * middle / grid.height), matched.lever]),
         np.concatenate([np.zeros(len(moves)), matched.across]),
+        np.concatenate([np.full(len(moves), middle**2 / (2.0 * grid.height)), matched.bend]),
         np.concatenate([np.log(driven[moves] / length), matched.log_scale]),
         np.concatenate([np.full(len(moves), ROUGH_SIGMA), matched.sigma]),
     )
@@ -124,10 +132,11 @@ def match_road(grays: Sequence[Gray], T_world_camera: Array, grid: RoadGrid, up:
         first, second = (end, start) if backward else (start, end)
         motion = invert(T_start_end) if backward else T_start_end
         for distance, across, log_scale, correlation in _match_cells(grays[first], grays[second], motion, grid, up):
-            lever = 2.0 * distance + float(np.linalg.norm(motion[:3, 3])) * np.exp(log_scale)
-            rows.append((start, lever / grid.height, across / grid.height, log_scale, correlation))
-    step, lever, across, log_scale, correlation = np.array(rows).reshape(-1, 5).T
-    return RoadMatches(step.astype(np.int64), lever, across, log_scale, CELL_SIGMA / np.sqrt(correlation))
+            before = distance + float(np.linalg.norm(motion[:3, 3])) * np.exp(log_scale)
+            places = (before + distance) / grid.height, across / grid.height, before * distance / (2.0 * grid.height)
+            rows.append((start, *places, log_scale, correlation))
+    step, lever, across, bend, log_scale, correlation = np.array(rows).reshape(-1, 6).T
+    return RoadMatches(step.astype(np.int64), lever, across, bend, log_scale, CELL_SIGMA / np.sqrt(correlation))
 
 
 def _match_cells(
@@ -161,8 +170,8 @@ def separate_tilt(matches: RoadMatches, times: Array) -> PlaneScale:
     rows = np.arange(len(matches.step))
     A = csc_matrix(
         (
-            np.concatenate([np.ones(len(rows)), matches.lever, matches.across]),
-            (np.tile(rows, 3), np.concatenate([STATES * matches.step + state for state in range(STATES)])),
+            np.concatenate([np.ones(len(rows)), matches.lever, matches.across, matches.bend]),
+            (np.tile(rows, STATES), np.concatenate([STATES * matches.step + state for state in range(STATES)])),
         ),
         (len(rows), STATES * steps),
     )
@@ -176,7 +185,7 @@ def separate_tilt(matches: RoadMatches, times: Array) -> PlaneScale:
     each = np.zeros((STATES * steps, steps))
     each[STATES * np.arange(steps), np.arange(steps)] = 1.0
     covariance = each.T @ solver.solve(each)
-    return PlaneScale(np.exp(state[::STATES]), covariance, state[1::STATES], state[2::STATES])
+    return PlaneScale(np.exp(state[::STATES]), covariance, *(state[index::STATES] for index in range(1, STATES)))
 
 
 def _solve(A: csc_matrix, information: Array, prior: csc_matrix, target: Array) -> tuple[Array, SuperLU]:
@@ -186,16 +195,15 @@ def _solve(A: csc_matrix, information: Array, prior: csc_matrix, target: Array) 
 
 
 def _prior_information(times: Array) -> csc_matrix:
-    """Information (3 n, 3 n) on scale, tilt and roll in turn: a random walk, and stationary processes that forget."""
+    """Information (4 n, 4 n) on scale, tilt, roll and bend in turn: a random walk, and processes that forget."""
     gaps, n = np.diff(times), len(times)
-    kept = np.stack([np.ones(n - 1), *np.tile(np.exp(-gaps / TILT_SECONDS), (2, 1))], axis=-1)
-    fresh = np.stack(
-        [SCALE_CHANGE * np.sqrt(gaps), *(np.outer([TILT_SIGMA, ROLL_SIGMA], np.sqrt(1.0 - kept[:, 1] ** 2)))]
-    )
+    kept = np.exp(-gaps[:, None] / np.array([np.inf, TILT_SECONDS, TILT_SECONDS, TILT_SECONDS]))
+    fresh = np.array([0.0, TILT_SIGMA, ROLL_SIGMA, BEND_SIGMA]) * np.sqrt(1.0 - kept**2)
+    fresh[:, 0] = SCALE_CHANGE * np.sqrt(gaps)
     # Row k of each: (state k + 1 - kept * state k) / spread; the first rows are the state at the first time.
     rows = np.arange(STATES * n)
-    later = np.concatenate([[INITIAL_SCALE_SIGMA, TILT_SIGMA, ROLL_SIGMA], fresh.T.ravel()])
-    before = -(kept / fresh.T).ravel()
+    later = np.concatenate([[INITIAL_SCALE_SIGMA, TILT_SIGMA, ROLL_SIGMA, BEND_SIGMA], fresh.ravel()])
+    before = -(kept / fresh).ravel()
     columns = np.concatenate([rows, rows[:-STATES]])
     A = csc_matrix((np.concatenate([1.0 / later, before]), (np.concatenate([rows, rows[STATES:]]), columns)))
     return csc_matrix(A.T @ A)

@@ -8,7 +8,6 @@ standstill, while cells that move as one and the same plane does say much for dr
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from olt_generator.motion.road_grid import SPACING_ALONG, CellMatches, find_peak

@@ -1,0 +1,38 @@
+"""How uncertain the poses of a path are: drift of rotation, and drift of scale, added up along the way.
+
+With displacements d_i of the steps, errors of rotation w_i (rotation vectors in the axes of the first pose) and of the
+logarithm of scale e_i, the position after step j errs by the sum over i <= j of w_i x d_i + e_i d_i.
+"""
+
+import numpy as np
+
+from olt_generator.poses import Array
+from olt_generator.twists import cross_matrix
+
+# Errors of following last over several keyframes, so that rotations err by more than independent ones would.
+CORRELATED_TRACKS = 3.0
+
+
+def add_up_drift(positions: Array, rotation_covariance: Array, log_scale_covariance: Array) -> Array:
+    """Covariance (n, 6, 6) of position and rotation vector at every pose, in the axes of the first one.
+
+    Args:
+        positions: (n, 3) metres.
+        rotation_covariance: (3 n, 3 n) of all rotations together, for tracks with independent errors.
+        log_scale_covariance: (n - 1, n - 1) of the logarithm of the length of every step.
+    """
+    poses = len(positions)
+    turns = CORRELATED_TRACKS**2 * rotation_covariance.reshape(poses, 3, poses, 3)
+    moved = np.diff(positions, axis=0)
+    lever = -cross_matrix(moved)
+    by_turn = np.einsum("iab,ibjc,jdc->iajd", lever, turns[:-1, :, :-1], lever)
+    by_scale = np.einsum("ia,ij,jd->iajd", moved, log_scale_covariance, moved)
+    position = np.cumsum(np.cumsum(by_turn + by_scale, axis=0), axis=2)
+    mixed = np.cumsum(np.einsum("iab,ibjc->iajc", lever, turns[:-1, :, 1:]), axis=0)
+    covariance = np.zeros((poses, 6, 6))
+    each, later = np.arange(poses), np.arange(poses - 1)
+    covariance[1:, :3, :3] = position[later, :, later, :]
+    covariance[1:, :3, 3:] = mixed[later, :, later, :]
+    covariance[1:, 3:, :3] = np.swapaxes(covariance[1:, :3, 3:], -1, -2)
+    covariance[:, 3:, 3:] = turns[each, :, each, :]
+    return covariance
