@@ -11,7 +11,7 @@ from olt_generator.motion.road_structure import Plane
 from olt_generator.poses import Array
 
 # A course of the speed is in doubt where another one has more than this share of its votes.
-LARGEST_RIVAL = 0.5
+LARGEST_RIVAL = 0.7
 # A direction is in doubt where the opposite one is less improbable than this, as a logarithm, for a step.
 LEAST_DIRECTION_LOG_ODDS = 1.0
 # A speed is in doubt where fewer of its steps than this are told by the road.

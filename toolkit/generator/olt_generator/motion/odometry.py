@@ -29,7 +29,7 @@ from olt_generator.motion.road_plane import measure_scale
 from olt_generator.motion.road_speed import RoadSpeed
 from olt_generator.motion.road_structure import find_planes
 from olt_generator.motion.smoother import ODOMETRY_SETTINGS
-from olt_generator.motion.static_mask import find_static_mask
+from olt_generator.motion.static_mask import choose_moving, find_static_mask
 from olt_generator.motion.steps import TRACK_SIGMA_PIXELS, Step, estimate_step, radians_per_pixel, turn_between
 from olt_generator.motion.two_view import TwoViewMotion, parallax_forward
 from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
@@ -41,8 +41,9 @@ MAX_STEP_SECONDS = 0.5
 MIN_CAMERA_HEIGHT = 0.3
 # Keyframes after its first in which a point must be seen.
 LEAST_OBSERVATIONS = 2
-# Slower than this is standstill too, m/s.
+# Slower than this is standstill too, m/s; faster than that the road moves in the picture.
 STANDSTILL_SPEED = 0.05
+DRIVING_SPEED = 1.0
 # Slow motion is measured over more than one step: over this distance, and so many keyframes at most.
 SLOW_METRES = 0.8
 MOST_STEPS = 8
@@ -110,7 +111,7 @@ def estimate_odometry(
     settings = settings or OdometrySettings()
     grays = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in frames]
     keyframes = choose_keyframes(timestamps_us)
-    hidden = find_static_mask(grays, keyframes, camera, T_rig_camera)
+    hidden = find_static_mask([grays[key] for key in choose_moving(grays, keyframes)], camera, T_rig_camera)
     steps = []
     for pair in track_from_keyframes(grays, keyframes, hidden, settings.corners_per_cell, settings.window):
         steps.append(estimate_step(pair, camera, T_rig_camera[2, :3]))
@@ -218,6 +219,8 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> _Path:
     adjusted = _adjust(clip, driven, tracks, ray_sigma, settings.rounds)
     T_key_next = invert(adjusted.poses[:-1]) @ adjusted.poses[1:]
     mounting = _align_mounting(T_key_next, driven / np.diff(times), clip.T_rig_camera)
+    driving = np.flatnonzero(np.abs(road.speed) > DRIVING_SPEED)
+    clip = replace(clip, hidden=find_static_mask([grays[key] for key in driving], clip.camera, mounting))
     grid = _lay_grid(clip, mounting[0, :3], mounting)
     scale = measure_scale(grays, times, adjusted.poses, driven, grid, mounting[2, :3])
     T_key_next[:, :3, 3] *= scale.factor[:, None]
@@ -237,7 +240,8 @@ def _follow_road(clip: _Clip, grays: Sequence[Gray], seconds: Array) -> RoadSpee
         still = np.zeros(len(clip.key_steps))
         return RoadSpeed(still, still, still, 0.0, 0.0, 0.0)
     travel = usual_direction(clip.key_steps, clip.T_rig_camera[0, :3])
-    grid = _lay_grid(clip, travel, clip.T_rig_camera)
+    # What stays in the picture is told from the road by its votes: a vehicle that stands sees the road stay too.
+    grid = _lay_grid(replace(clip, hidden=np.zeros_like(clip.hidden)), travel, clip.T_rig_camera)
     return follow_road(grays, seconds, clip.key_steps, grid, travel, clip.T_rig_camera[2, :3])
 
 

@@ -64,9 +64,9 @@ def follow_road(
     lasts = seconds.copy()
     for step in np.flatnonzero(slow).tolist():
         wanted = round(SLOW_METRES / max(abs(float(speed.speed[step])) * float(seconds[step]), 1e-6))
-        count = int(np.clip(wanted, 1, MOST_STEPS))
-        first = int(np.clip(step - (count - 1) // 2, 0, len(steps) - count)) if count <= len(steps) else 0
-        last = min(first + count, len(steps))
+        count = min(int(np.clip(wanted, 1, MOST_STEPS)), len(steps))
+        first = int(np.clip(step - (count - 1) // 2, 0, len(steps) - count))
+        last = first + count
         votes[step] = _vote(grays, seconds, steps, directions, grid, travel, up, first, last)
         lasts[step] = seconds[first:last].sum()
     return estimate_speed(votes, grid.shifts, seconds, lasts)

@@ -29,6 +29,8 @@ SPACING_ACROSS = 0.1
 # Cells are so long, and so wide; their middles lie beside each other up to this far from the middle of the grid.
 CELL_METRES = (2.0, 1.0)
 FARTHEST_ACROSS = 4.5
+# Half the width of the vehicle's own lane, metres.
+OWN_LANE = 1.6
 # Brightness changes over more than this length are light and shade of the lens, not road.
 DETAIL_METRES = 1.0
 # A cell must be seen to this share, and differ from its surroundings by so many grey levels.
@@ -96,10 +98,11 @@ class RoadGrid:
         """
         self.camera, self.height, self.hidden = camera, height, hidden
         ahead = np.arange(NEAREST_HEIGHTS * height, FARTHEST_HEIGHTS * height, SPACING_ALONG)
-        _, visible = self._locate(axes, ahead, np.zeros(1))
+        _, visible = self._locate(axes, ahead, np.linspace(-OWN_LANE, OWN_LANE, 9))
+        visible = visible.mean(axis=1) > 0.5
         if not visible.any():
             raise InputError("odometry: the camera sees no road ahead, so speed is unknown; check its pitch and height")
-        nearest = ahead[int(np.argmax(visible[:, 0]))]
+        nearest = ahead[int(np.argmax(visible))]
         self.along = nearest + np.arange(0.0, LENGTH_HEIGHTS * height, SPACING_ALONG)
         half = FARTHEST_ACROSS + 0.5 * (CELL_METRES[1] - SPACING_ACROSS)
         self.across = np.arange(-half, half + 1e-9, SPACING_ACROSS)

@@ -30,7 +30,9 @@ MOST_STEPS_APART = 30
 # Shifts are tried within this share of the expected one; weaker matches are none.
 SEARCH_SHARE = 0.15
 LEAST_CORRELATION = 0.5
-# A cell that correlates so much better elsewhere shows no road; neither does what lies behind it.
+# A cell is matched where it correlates nowhere better than by this; where it does so much better elsewhere, it shows no
+# road, and neither does what lies behind it.
+NO_BETTER = 0.02
 CLEARLY_BETTER = 0.2
 # Cells beside the lane say less: the next lane often lies a little higher or lower.
 FARTHEST_ACROSS_LANE = 2.0
@@ -157,7 +159,7 @@ def _match_cells(
         for along, scores in zip(found.along, column, strict=True):
             peak = find_peak(scores, int(low), int(high))
             best = scores[low : high + 1].max()
-            if peak is not None and best > LEAST_CORRELATION:
+            if peak is not None and best > LEAST_CORRELATION and best > scores.max() - NO_BETTER:
                 shift = grid.shifts[0] + peak * SPACING_ALONG
                 yield float(along), float(across), float(np.log(shift / driven)), float(best)
             elif scores.max() > max(LEAST_CORRELATION, best + CLEARLY_BETTER):

@@ -10,18 +10,18 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solveh_banded
 
-from olt_generator.motion.road_grid import SPACING_ALONG, CellMatches, find_peak
+from olt_generator.motion.road_grid import OWN_LANE, SPACING_ALONG, CellMatches, find_peak
 from olt_generator.poses import Array
 
 # Independent pixels of a cell: how much a correlation says. Texture, noise and blur go together over decimetres.
 PIXELS_OF_CELL = 12.0
 BEST_CORRELATION = 0.99
 # A cell is road, something that keeps its distance and so stays in the picture, or is anything else. What is not fixed
-# to the vehicle keeps its distance for a while only.
-ROAD_SHARE, STAYING_SHARE = 0.5, 0.25
+# to the vehicle keeps its distance for a while only, and hardly ever from a vehicle that reverses.
+ROAD_SHARE, STAYING_SHARE, STAYING_BACKWARD_SHARE = 0.5, 0.25, 0.02
 STAYING_SECONDS = 0.4
 # In the vehicle's own lane something may drive ahead; beside it anything may drive in any direction.
-OWN_LANE, BESIDE_WEIGHT = 1.6, 0.5
+BESIDE_WEIGHT = 0.5
 
 # Speeds that are told apart; a vehicle reverses slowly, but a camera that looks back may be met.
 FASTEST = 60.0
@@ -58,9 +58,11 @@ def count_votes(matches: CellMatches, seconds: float) -> Array:
     agrees = np.where(tried, fit * count / np.maximum(fit.sum(axis=-1, keepdims=True), 1.0), 1.0)
     middle = correlation.shape[-1] // 2
     stays = agrees[..., middle - 1 : middle + 2].max(axis=-1, keepdims=True)
-    staying = STAYING_SHARE * np.exp(-seconds / STAYING_SECONDS)
-    otherwise = staying * stays + (1.0 - ROAD_SHARE - staying)
-    odds = np.log((ROAD_SHARE * agrees + otherwise) / (ROAD_SHARE + otherwise))
+    share = np.full(correlation.shape[-1], STAYING_SHARE)
+    share[:middle] = STAYING_BACKWARD_SHARE
+    share *= np.exp(-seconds / STAYING_SECONDS)
+    otherwise = share * stays + (1.0 - ROAD_SHARE - share)
+    odds = np.log((ROAD_SHARE * agrees + otherwise) / (ROAD_SHARE + otherwise[..., -1:]))
     weight = np.where(np.abs(matches.across) < OWN_LANE, 1.0, BESIDE_WEIGHT)
     return weight @ np.maximum(np.cumsum(odds, axis=1).max(axis=1), 0.0)
 
