@@ -17,10 +17,13 @@ if TYPE_CHECKING:
     from olt_closed_loop.evaluation.evaluation import save_results as save_results
     from olt_closed_loop.evaluation.gate import check_gate as check_gate
     from olt_closed_loop.evaluation.score_table import summarize_scores as summarize_scores
+    from olt_closed_loop.hard_clips.filming import make_clip as make_clip
+    from olt_closed_loop.hard_clips.kinds import list_hard_clips as list_hard_clips
     from olt_closed_loop.rollouts.rollout import Rollout as Rollout
     from olt_closed_loop.rollouts.rollout import load_rollouts as load_rollouts
     from olt_closed_loop.rollouts.rollout import save_rollouts as save_rollouts
     from olt_closed_loop.rollouts.rollout_files import read_rollout_file as read_rollout_file
+    from olt_closed_loop.scenes.conditions import Conditions as Conditions
     from olt_closed_loop.scenes.procedural import generate_scene as generate_scene
     from olt_closed_loop.scenes.scene import Scene as Scene
     from olt_closed_loop.scenes.scene_file import read_scene as read_scene
@@ -28,6 +31,7 @@ if TYPE_CHECKING:
     from olt_closed_loop.scoring.definitions import RolloutScore as RolloutScore
     from olt_closed_loop.scoring.definitions import score_record as score_record
     from olt_closed_loop.scoring.definitions import score_rollout as score_rollout
+    from olt_closed_loop.sensors.camera_effects import CameraEffects as CameraEffects
     from olt_closed_loop.simulation.closed_loop import replay as replay
     from olt_closed_loop.simulation.closed_loop import simulate as simulate
     from olt_closed_loop.simulation.policies import make_policy as make_policy
@@ -40,12 +44,16 @@ __getattr__, __dir__ = lazy_names(
         "evaluation.evaluation": ("count_left_out", "load_scene", "pass_gate", "run_closed_loop", "save_results"),
         "evaluation.gate": ("check_gate",),
         "evaluation.score_table": ("summarize_scores",),
+        "hard_clips.filming": ("make_clip",),
+        "hard_clips.kinds": ("list_hard_clips",),
         "rollouts.rollout": ("Rollout", "load_rollouts", "save_rollouts"),
         "rollouts.rollout_files": ("read_rollout_file",),
+        "scenes.conditions": ("Conditions",),
         "scenes.procedural": ("generate_scene",),
         "scenes.scene": ("Scene",),
         "scenes.scene_file": ("read_scene", "write_scene"),
         "scoring.definitions": ("RolloutScore", "score_record", "score_rollout"),
+        "sensors.camera_effects": ("CameraEffects",),
         "simulation.closed_loop": ("replay", "simulate"),
         "simulation.policies": ("make_policy",),
         "simulation.settings": ("SimulationSettings",),

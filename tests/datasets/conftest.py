@@ -47,6 +47,7 @@ def _make_clip(
     samples: int = 1,
     origin: ClipOrigin | None = None,
     fingerprint: tuple[int, ...] | None = None,
+    doubts: tuple[str, ...] | None = None,
 ) -> ClipInfo:
     return ClipInfo(
         clip_id=f"00000000-0000-5000-8000-{number:012d}",
@@ -58,6 +59,7 @@ def _make_clip(
         category=category,
         factors=factors,
         split=split,
+        doubts=doubts,
         duration_us=20_000_000,
         sample_t0_us=tuple(5_000_000 + 100_000 * index for index in range(samples)),
         no_sample_reason=None if samples else "too short",

@@ -5,9 +5,9 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
+import typer
 from typer.core import TyperCommand, TyperGroup
 
-from olt_toolkit.bench.runner import benchmark_names
 from olt_toolkit.runtime.command_line import build_command
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -97,22 +97,18 @@ def find_fault(shown: str) -> str | None:
     words = re.sub(r"\s*\\?\|\s*", "|", shown).translate(str.maketrans("", "", "[]")).split()[1:]
     commands: list[TyperCommand | TyperGroup] = [build_command()]
     place = "olt"
-    for index, word in enumerate(words):
+    for word in words:
         if word.startswith("-"):
             known = {option for command in commands for part in command.params for option in part.opts}
             known |= {option for command in commands for part in command.params for option in part.secondary_opts}
             if word.partition("=")[0] not in {*known, "--help"}:
                 return f"{place} has no option {word}"
         elif all(isinstance(command, TyperGroup) for command in commands) and not word.isupper():
-            names = word.split("|")
-            found = [
-                command.commands.get(name) for command in commands for name in names if isinstance(command, TyperGroup)
-            ]
-            if None in found:
+            names = [name for name in word.split("|") if not name.isupper()]
+            groups = [command for command in commands if isinstance(command, TyperGroup)]
+            context = typer.Context(groups[0])
+            if not all(name in group.list_commands(context) for group in groups for name in names):
                 return f"{place} has no command {word}"
-            commands, place = [command for command in found if command is not None], f"{place} {word}"
-        elif place == "olt bench" and index == 1:
-            unknown = {name for name in word.split("|") if not name.isupper()} - {*benchmark_names(), "all", "list"}
-            if unknown:
-                return f"there is no benchmark {', '.join(sorted(unknown))}"
+            commands = [group.get_command(context, name) for group in groups for name in names]
+            place = f"{place} {word}"
     return None

@@ -52,6 +52,13 @@ def test_a_whole_kitti_raw_drive(shared_real):
     assert motion.errors.metric.ate_m < 1.0
     assert motion.errors.metric.drift_percent < 1.0
     assert motion.errors.metric.step_rotation_deg < 0.05
+    numbers = motion.to_dict()
+    assert abs(numbers["scale_z"]) < 4.0
+    # Smoothing leaves as much acceleration as it leaves the truth.
+    assert 0.8 < numbers["acceleration_variance_over_reference_smoothed"] < 1.2
+    noise = motion.label_noise
+    for name in ("acceleration", "curvature"):
+        assert 0.7 < getattr(noise.actual, name) / getattr(noise.expected, name) < 1.3
 
 
 @pytest.mark.parametrize(

@@ -66,7 +66,7 @@ def _ordinary(name: str, kind: str, seed: int, generator: Generator) -> ClipSpec
         seed=seed,
         frames=int(np.clip(round(seconds * rate), 41, 80)),
         frame_rate=rate,
-        course=Course(bends=_gentle_bend(speed, generator), **_pace(generator, speed)),
+        course=_at_pace(Course(bends=_gentle_bend(speed, generator)), speed, generator),
         traffic=Traffic(streams=(_oncoming(generator, 0, gap=45.0),)),
         camera=FilmingCamera(
             horizontal_fov=float(np.radians(generator.uniform(60.0, 95.0))),
@@ -87,11 +87,11 @@ def _misjudge_camera(clip: ClipSpecification, generator: Generator) -> ClipSpeci
     return replace(clip, camera=replace(clip.camera, height_off=height, focal_off=focal))
 
 
-def _pace(generator: Generator, speed: float) -> dict[str, tuple[float, ...]]:
-    """Times and speeds of a drive about `speed`, now a little faster, now slower."""
+def _at_pace(course: Course, speed: float, generator: Generator) -> Course:
+    """The course driven at about `speed`, now a little faster, now slower."""
     times = (0.0, 2.0, 4.0, 6.0, 9.0)
     speeds = speed * (1.0 + 0.1 * np.cumsum(generator.uniform(-0.6, 0.6, len(times))))
-    return {"times": times, "speeds": tuple(speeds.tolist())}
+    return replace(course, times=times, speeds=tuple(speeds.tolist()))
 
 
 def _gentle_bend(speed: float, generator: Generator) -> tuple[Bend, ...]:
@@ -124,7 +124,7 @@ def make_traffic(clip: ClipSpecification, generator: Generator) -> ClipSpecifica
     )
     swing = float(generator.uniform(0.0, min(4.0, 0.8 * speed)))
     lead = Lead(float(generator.uniform(5.0, 18.0)), str(generator.choice(_LABELS)), swing)
-    course = Course(3, 1, _gentle_bend(max(speed, 8.0), generator), **_pace(generator, speed))
+    course = _at_pace(Course(3, 1, _gentle_bend(max(speed, 8.0), generator)), speed, generator)
     return replace(clip, course=course, traffic=Traffic(lead, streams))
 
 
@@ -165,12 +165,13 @@ def make_turn(clip: ClipSpecification, generator: Generator) -> ClipSpecificatio
         angle = side * float(np.radians(generator.uniform(80.0, 150.0)))
         speed = float(np.sqrt(generator.uniform(2.0, 3.5) * radius))
         bend = Bend(float(generator.uniform(-10.0, 8.0)), radius, angle, 20.0)
-        return replace(clip, frames=80, course=Course(1, 0, (bend,), **_pace(generator, speed)), traffic=Traffic())
+        course = Course(1, 0, (bend,))
+        return replace(clip, frames=80, course=_at_pace(course, speed, generator), traffic=Traffic())
     radius = float(generator.uniform(9.0, 14.0))
     speed = float(np.sqrt(generator.uniform(1.5, 3.0) * radius))
     bend = Bend(float(generator.uniform(0.0, 10.0)), radius, side * np.pi / 2, 5.0)
-    course = Course(1, 0, (bend,), **_pace(generator, speed), crossing=bend.after)
-    return replace(clip, frames=80, course=course, traffic=Traffic())
+    course = Course(1, 0, (bend,), crossing=bend.after)
+    return replace(clip, frames=80, course=_at_pace(course, speed, generator), traffic=Traffic())
 
 
 def make_night(clip: ClipSpecification, generator: Generator) -> ClipSpecification:

@@ -50,6 +50,11 @@ class Conditions:
         return max(0.0, 1.0 - 2.0 * self.rain)
 
     @property
+    def brightness(self) -> float:
+        """Light of the surroundings, 1 by day."""
+        return 0.08 if self.light == "night" else 1.0
+
+    @property
     def sky_light(self) -> tuple[float, float, float]:
         """Factors of the sky's red, green and blue."""
         return _NIGHT_SKY if self.light == "night" else (1.0, 1.0, 1.0)

@@ -61,11 +61,11 @@ def put_on_hills(scene: Scene, hills: Hills) -> Scene:
 
 
 def pose_on_hills(hills: Hills, T_world_rig: Array, vehicle: VehicleDimensions) -> Array:
-    """Poses (..., 4, 4) of a vehicle that stands on hills with its axles, from those on level ground at the same place.
+    """Poses (..., 4, 4) of a vehicle that stands on hills with its axles, from its places and headings in the plane.
 
     The rig origin lies on the ground under the rear axle; the rig's x axis points to the ground under the front axle.
     """
-    rear, ahead, left = (T_world_rig[..., :3, column] for column in (3, 0, 1))
+    rear, ahead, left = (T_world_rig[..., :3, column] * [1.0, 1.0, 0.0] for column in (3, 0, 1))
     base = _lift(hills, rear)
     forward = _lift(hills, rear + vehicle.wheelbase * ahead) - base
     half_track = 0.5 * vehicle.track_width * left

@@ -3,6 +3,7 @@
     /World            name, category, factors, assumptions
     /World/Road       lanes, edges, drivable, route: polylines
     /World/Ego        recorded motion of the rig, size of the vehicle
+    /World/Hills      height of the ground; missing where it is level
     /World/Agents/*   label, size and recorded motion of each agent
     /World/Looks      payload: the file beside it that holds what only rendering needs
 
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
 from olt_closed_loop.scenes.looks import Looks, SceneryBox, generate_looks
-from olt_closed_loop.scenes.scene import Agent, Lane, Scene
+from olt_closed_loop.scenes.scene import Agent, Hills, Lane, Scene
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array
@@ -50,6 +51,8 @@ def write_scene(scene: Scene, path: Path) -> Path:
     _write(stage.GetPrimAtPath("/World"), **{name: getattr(scene, name) for name in _TEXTS})
     _write_road(stage, scene)
     _write_ego(stage, scene)
+    if scene.hills is not None:
+        _write(stage.DefinePrim("/World/Hills"), **vars(scene.hills))
     UsdGeom.Scope.Define(stage, "/World/Agents")
     for index, agent in enumerate(scene.agents):
         # The prim's name is only a number, because ids of recorded data need not be valid prim names.
@@ -188,6 +191,7 @@ def read_scene(path: Path) -> Scene:
         drivable=outlines,
         route=reader.values(reader.prim("/World/Road/Route"), "points")[0],
         looks=str(path),
+        hills=reader.hills(),
     )
 
 
@@ -268,6 +272,10 @@ class _Reader:
         if not times:
             raise InputError(f"{self.path}: attribute {name} of prim {prim.GetPath()} has no time samples")
         return np.array(times, dtype=np.int64), np.array([attribute.Get(time) for time in times], dtype=np.float64)
+
+    def hills(self) -> Hills | None:
+        prim = self.stage.GetPrimAtPath("/World/Hills")
+        return Hills(*self.values(prim, *(field.name for field in fields(Hills)))) if prim else None
 
     def agent(self, prim: Prim) -> Agent:
         times_us, positions = self.samples(prim, "xformOp:translate")

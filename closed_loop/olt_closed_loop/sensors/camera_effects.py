@@ -12,7 +12,6 @@ from olt_closed_loop.sensors.shutter import INSTANT, Shutter, expose
 from olt_closed_loop.sensors.textures import Image
 from olt_closed_loop.sensors.windscreen import Windscreen, WindscreenGlass
 from olt_generator.errors import InputError
-from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import MountedCamera
 
@@ -45,36 +44,38 @@ class CameraEffects:
 NO_EFFECTS = CameraEffects()
 
 
-def film(
-    renderer: SceneRenderer,
-    mounted: MountedCamera,
-    ego: Trajectory,
-    times_us: NDArray[np.int64],
-    effects: CameraEffects = NO_EFFECTS,
-    seed: int = 0,
-    on_progress: Progress = silent,
-) -> Image:
-    """Frames (n, H, W, 3) of a camera on a vehicle.
+class Film:
+    """Pictures of one camera on a vehicle, taken one after the other and developed together.
 
-    Args:
-        renderer: of the scene.
-        mounted: lens and mounting.
-        ego: motion of the vehicle, T_world_rig; before its first and after its last pose the shutter sees it stand.
-        times_us: (n,) times in the recording, of the middle of each exposure of the middle row.
-        effects: of the camera.
-        seed: of drops, streaks and noise.
-        on_progress: told the share that is done.
+    `seed` is that of drops, streaks and noise.
     """
-    frames = np.empty((len(times_us), mounted.camera.height, mounted.camera.width, 3), dtype=np.uint8)
-    glass: WindscreenGlass | None = None
-    for index, time_us in enumerate(times_us.tolist()):
-        image = expose(renderer, mounted, ego, time_us, effects.shutter)
-        if effects.windscreen is not None:
-            glass = glass or WindscreenGlass(effects.windscreen, image, seed)
-            image = glass.look_through(image, time_us * 1e-6, index)
-        frames[index] = image if effects.imager is None else effects.imager.record(image, seed, index)
-        on_progress((index + 1) / len(times_us))
-    if effects.kilobits_per_second is None:
-        return frames
-    seconds = (times_us[-1] - times_us[0]) * 1e-6
-    return compress(frames, (len(times_us) - 1) / seconds if seconds > 0.0 else 1.0, effects.kilobits_per_second)
+
+    def __init__(self, renderer: SceneRenderer, mounted: MountedCamera, effects: CameraEffects, seed: int) -> None:
+        self._renderer, self._mounted, self._effects, self._seed = renderer, mounted, effects, seed
+        size, light = (mounted.camera.height, mounted.camera.width), renderer.conditions.brightness
+        glass = effects.windscreen
+        self._glass = None if glass is None else WindscreenGlass(glass, size, light, seed)
+        self._taken: list[Image] = []
+        self._times_us: list[int] = []
+
+    def take(self, ego: Trajectory, time_us: int) -> NDArray[np.float32]:
+        """Take the next picture; returns its distances (H, W), as of `Rendering`, without what is on the glass.
+
+        Args:
+            ego: motion of the vehicle, T_world_rig; before its first and after its last pose the shutter sees it stand.
+            time_us: time in the recording, of the middle of the exposure of the middle row.
+        """
+        imager = self._effects.imager
+        picture = expose(self._renderer, self._mounted, ego, time_us, self._effects.shutter)
+        image = picture.rgb if self._glass is None else self._glass.look_through(picture.rgb, time_us)
+        self._taken.append(image if imager is None else imager.record(image, self._seed, time_us))
+        self._times_us.append(time_us)
+        return picture.distance
+
+    def develop(self) -> Image:
+        """All pictures (n, H, W, 3)."""
+        frames, rate = np.stack(self._taken), self._effects.kilobits_per_second
+        if rate is None:
+            return frames
+        seconds = (self._times_us[-1] - self._times_us[0]) * 1e-6
+        return compress(frames, (len(frames) - 1) / seconds if seconds > 0.0 else 1.0, rate)

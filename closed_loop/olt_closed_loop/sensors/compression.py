@@ -12,7 +12,10 @@ _KEY_FRAME_SECONDS = 2.0
 
 
 def compress(frames: Image, frame_rate: float, kilobits_per_second: float) -> Image:
-    """Frames (n, H, W, 3), H and W even, encoded at a rate and decoded again; equal frames give equal bytes."""
+    """Frames (n, H, W, 3), encoded at a rate and decoded again; equal frames give equal bytes."""
+    height, width = frames.shape[1:3]
+    # H.264 wants even sizes.
+    frames = np.pad(frames, ((0, 0), (0, height % 2), (0, width % 2), (0, 0)), mode="edge")
     rate = Fraction(frame_rate).limit_denominator(1001)
     file = io.BytesIO()
     with av.open(file, "w", format="mp4") as container:
@@ -30,5 +33,6 @@ def compress(frames: Image, frame_rate: float, kilobits_per_second: float) -> Im
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
     file.seek(0)
-    with av.open(file) as container:
-        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+    with av.open(file, "r") as coded:
+        decoded = [np.asarray(frame.to_ndarray(format="rgb24"), np.uint8) for frame in coded.decode(video=0)]
+    return np.stack(decoded)[:, :height, :width]

@@ -34,13 +34,13 @@ class Imager:
         if self.noise < 0.0 or self.glow < 0.0:
             raise InputError(f"imager: noise {self.noise}, glow {self.glow}; both are 0 or more")
 
-    def record(self, image: Image, seed: int, index: int) -> Image:
-        """The image (H, W, 3) as recorded; seed and number of the frame draw the noise."""
+    def record(self, image: Image, seed: int, time_us: int) -> Image:
+        """The image (H, W, 3) as recorded; seed and time draw the noise."""
         level = image.astype(np.float32)
         if self.glow > 0.0:
             level += self.glow * _glow(image)
         if self.noise > 0.0:
-            generator = make_generator("imager", seed, index)
+            generator = make_generator("imager", seed, time_us)
             sigma = self.noise * np.sqrt(0.35 + level * np.float32(0.65 / 128.0))
             level += sigma * generator.standard_normal(level.shape, dtype=np.float32)
         return np.clip(level + np.float32(0.5), 0.0, 255.0).astype(np.uint8)

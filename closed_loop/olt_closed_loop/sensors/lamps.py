@@ -63,7 +63,7 @@ def add_headlights(street: Raster, poses: Array, lengths: Array) -> Raster:
             near = 0.3 * (rear_left - rear_right)
             middle = (rear_left + rear_right) / 2
             beams.fill(np.stack([front_left, middle + near, middle - near, front_right]), strength)
-    return Raster(cv2.max(street.image, beams.image), street.origin, street.resolution)
+    return Raster(np.maximum(street.image, beams.image), street.origin, street.resolution)
 
 
 def lamp_light(lamps: Raster, camera: Array, dx: FloatImage, dy: FloatImage) -> FloatImage:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.actors import agent_poses
 from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions, relight
+from olt_closed_loop.scenes.hills import pose_on_hills
 from olt_closed_loop.scenes.looks import Looks, generate_looks
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.sensors.boxes import Boxes, body_boxes, paint_boxes, scenery_boxes
@@ -46,6 +47,16 @@ class _Layers(NamedTuple):
     mirrored: Image | None
     share: FloatImage | None
 
+    @classmethod
+    def join(cls, strips: "Sequence[_Layers]") -> "_Layers":
+        """The layers of all strips of a picture."""
+        rgb, distance = (np.concatenate([getattr(strip, name) for strip in strips]) for name in ("rgb", "distance"))
+        mirrored = [strip.mirrored for strip in strips if strip.mirrored is not None]
+        share = [strip.share for strip in strips if strip.share is not None]
+        if not mirrored:
+            return cls(rgb, distance, None, None)
+        return cls(rgb, distance, np.concatenate(mirrored), np.concatenate(share))
+
 
 class SceneRenderer:
     """Renders one scene in the light and weather of `conditions`.
@@ -54,7 +65,7 @@ class SceneRenderer:
     """
 
     def __init__(self, scene: Scene, conditions: Conditions = CLEAR_DAY) -> None:
-        self._conditions, self._hills = conditions, scene.hills
+        self.conditions, self._hills = conditions, scene.hills
         self.looks = relight(_load_looks(scene), conditions)
         self._ground = Ground(scene, self.looks)
         self._sky = Sky(self.looks, conditions)
@@ -102,8 +113,7 @@ class SceneRenderer:
             self._see(strip, pose, time_us, rig)
             for strip, pose, time_us, rig in zip(view.strips, T_world_camera, times_us, rigs, strict=True)
         ]
-        layers = (None if some[0] is None else np.concatenate(some) for some in zip(*strips, strict=True))
-        return self._develop(view, _Layers(*layers))
+        return self._develop(view, _Layers.join(strips))
 
     def _develop(self, view: CameraRays, layers: _Layers) -> Rendering:
         rgb = view.image(layers.rgb)
@@ -172,7 +182,7 @@ class SceneRenderer:
 
         The mirror image is what a camera as far below the road sees that looks upwards through it.
         """
-        if self._conditions.rain == 0.0:
+        if self.conditions.rain == 0.0:
             return None, None
         below = position.copy()
         below[2] = 2.0 * self._height(position) - position[2]
@@ -186,7 +196,7 @@ class SceneRenderer:
         self._draw_boxes(image, boxes, hits, mirrored_rays, view, below, None)
         away = np.minimum(ground.distance, np.float32(FARTHEST))
         paved = self._ground.paved(position, away * rays[0], away * rays[1], away * view.angles)
-        share = paved * mirrored_share(ground.sine, self._conditions.rain)
+        share = paved * mirrored_share(ground.sine, self.conditions.rain)
         return image, np.where(np.isinf(ground.distance), np.float32(0.0), share)
 
     def _height(self, position: Array) -> float:
@@ -194,7 +204,7 @@ class SceneRenderer:
 
     def _place_scenery(self) -> Boxes:
         boxes = scenery_boxes(self.looks.scenery)
-        if self._conditions.light == "night" and self._conditions.street_lights:
+        if self.conditions.light == "night" and self.conditions.street_lights:
             boxes = Boxes.concatenate([boxes, scenery_boxes(hang_street_lights(self.looks))])
         return boxes if self._hills is None else sink_into_hills(boxes, self._hills)
 
@@ -230,17 +240,22 @@ def render_rig(
     }
 
 
-def rig_sensors(scene: Scene) -> Callable[[tuple[str, ...], tuple[int, int], Array, int], Image]:
+def rig_sensors(
+    scene: Scene, conditions: Conditions = CLEAR_DAY
+) -> Callable[[tuple[str, ...], tuple[int, int], Array, int], Image]:
     """What takes pictures with the nominal PhysicalAI-AV rig (`simulation.running_rollout.Sensors`).
+
+    The simulation moves in the plane; where a scene has hills, the vehicle is put on them to take pictures.
 
     Every camera is the rig's own, the tele camera too: a vehicle in a scene has a real one. (In clips built from one
     front video the tele view is the 30-degree crop of the front view.)
     """
-    renderer = SceneRenderer(scene)
+    renderer = SceneRenderer(scene, conditions)
     fitted_rig = lru_cache(maxsize=1)(lambda size: pav_rig().fitted(size[1], size[0]))
 
     def take_pictures(cameras: tuple[str, ...], size: tuple[int, int], T_world_rig: Array, time_us: int) -> Image:
-        pictures = render_rig(renderer, fitted_rig(size), cameras, T_world_rig, time_us)
+        pose = T_world_rig if scene.hills is None else pose_on_hills(scene.hills, T_world_rig, scene.vehicle)
+        pictures = render_rig(renderer, fitted_rig(size), cameras, pose, time_us)
         return np.ascontiguousarray(np.stack([pictures[name].rgb for name in cameras]).transpose(0, 3, 1, 2))
 
     return take_pictures

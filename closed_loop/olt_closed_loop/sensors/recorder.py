@@ -1,12 +1,17 @@
 """Drives recorded in invented scenes: what a real vehicle with the PhysicalAI-AV rig would have brought home."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.sensors.ray_casting import SceneRenderer, render_rig
+from olt_closed_loop.sensors.camera_effects import NO_EFFECTS, CameraEffects, Film
+from olt_closed_loop.sensors.ray_casting import SceneRenderer
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
+from olt_generator.seeds import derive_seed
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.recording import Recording
@@ -23,6 +28,8 @@ def record_drive(
     with_distance: bool = False,
     on_progress: Progress = silent,
     window_us: Span | None = None,
+    conditions: Conditions = CLEAR_DAY,
+    effects: Mapping[str, CameraEffects] | None = None,
 ) -> Recording:
     """Drive the recorded ego's way through a scene and film it.
 
@@ -35,6 +42,8 @@ def record_drive(
         on_progress: called with the share that is done.
         window_us: keep only the images between these times, both included; None for the whole length. The reference
             covers all of the drive in any case, so it may reach before the first image and beyond the last.
+        conditions: light and weather.
+        effects: of the cameras, by name; those that are not named have none.
 
     Raises:
         InputError: the frame rate is not positive, the rig has no such camera, or no image lies in the window.
@@ -48,17 +57,18 @@ def record_drive(
     if not filmed.any():
         raise InputError(f"{scene.name}: no image lies between {first_us} and {last_us} us of the drive")
     timestamps_us = drive_us[filmed]
-    renderer = SceneRenderer(scene)
+    renderer = SceneRenderer(scene, conditions)
+    ego = Trajectory(scene.ego.timestamps_us - scene.ego.timestamps_us[0], scene.ego.T_world_rig)
+    seed = derive_seed("camera effects", scene.name)
+    films = {name: Film(renderer, rig[name], (effects or {}).get(name, NO_EFFECTS), seed) for name in names}
 
-    images = {name: np.empty((len(timestamps_us), height, width, 3), dtype=np.uint8) for name in names}
     distance = np.empty((len(timestamps_us), height, width), dtype=np.float32) if with_distance else None
-    for index, (time_us, pose) in enumerate(zip(timestamps_us.tolist(), T_world_rig[filmed], strict=True)):
-        pictures = render_rig(renderer, rig, names, pose, time_us)
-        for name, picture in pictures.items():
-            images[name][index] = picture.rgb
+    for index, time_us in enumerate(timestamps_us.tolist()):
+        seen = {name: film.take(ego, time_us) for name, film in films.items()}
         if distance is not None:
-            distance[index] = pictures[FRONT_WIDE].distance
+            distance[index] = seen[FRONT_WIDE]
         on_progress((index + 1) / len(timestamps_us))
+    images = {name: film.develop() for name, film in films.items()}
 
     front = rig[FRONT_WIDE]
     return Recording(

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from olt_closed_loop.sensors.camera_rays import strip_rows
-from olt_closed_loop.sensors.ray_casting import SceneRenderer
-from olt_closed_loop.sensors.textures import Image
+from olt_closed_loop.sensors.ray_casting import Rendering, SceneRenderer
 from olt_generator.errors import InputError
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import MountedCamera
@@ -40,11 +39,13 @@ class Shutter:
 INSTANT = Shutter()
 
 
-def expose(renderer: SceneRenderer, mounted: MountedCamera, ego: Trajectory, time_us: int, shutter: Shutter) -> Image:
-    """One picture (H, W, 3) of a camera on a vehicle that moves as `ego`; `time_us` is the middle of it.
+def expose(
+    renderer: SceneRenderer, mounted: MountedCamera, ego: Trajectory, time_us: int, shutter: Shutter
+) -> Rendering:
+    """One picture of a camera on a vehicle that moves as `ego`; `time_us` is the middle of it.
 
     A rolling shutter takes strips of rows (`camera_rays.strip_rows`), each at the time of its middle row. What lies
-    outside the times of `ego` is taken at its nearest time.
+    outside the times of `ego` is taken at its nearest time. Distances are those of one instant in the middle.
     """
     count = shutter.samples if shutter.exposure_s > 0.0 else 1
     shares = (np.arange(count) + 0.5) / count - 0.5
@@ -54,13 +55,14 @@ def expose(renderer: SceneRenderer, mounted: MountedCamera, ego: Trajectory, tim
     if count == 1:
         return pictures[0]
     # Light adds up, and grey levels grow about as its square root.
-    energy = sum(np.square(picture, dtype=np.float32) for picture in pictures) / np.float32(count)
-    return (np.sqrt(energy) + np.float32(0.5)).astype(np.uint8)
+    energy = sum(np.square(picture.rgb, dtype=np.float32) for picture in pictures) / np.float32(count)
+    rgb = (np.sqrt(energy) + np.float32(0.5)).astype(np.uint8)
+    return Rendering(rgb, pictures[count // 2].distance)
 
 
 def _take(
     renderer: SceneRenderer, mounted: MountedCamera, ego: Trajectory, middle_us: float, readout_s: float
-) -> Image:
+) -> Rendering:
     camera = mounted.camera
     rolling = readout_s > 0.0
     rows = strip_rows(camera) if rolling else np.array([(camera.height - 1) / 2])
@@ -69,5 +71,5 @@ def _take(
     T_world_rig = ego.interpolate(times_us)
     T_world_camera = T_world_rig @ mounted.T_rig_camera
     if rolling:
-        return renderer.render_strips(camera, T_world_camera, times_us.tolist(), T_world_rig).rgb
-    return renderer.render(camera, T_world_camera[0], int(times_us[0]), T_world_rig[0]).rgb
+        return renderer.render_strips(camera, T_world_camera, times_us.tolist(), T_world_rig)
+    return renderer.render(camera, T_world_camera[0], int(times_us[0]), T_world_rig[0])

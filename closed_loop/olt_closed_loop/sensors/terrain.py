@@ -18,6 +18,8 @@ FARTHEST = 1e5
 
 _STEEPEST = 1e9
 _GRAZING = 1e-4
+# Metres along the profile below which a piece of it is left out.
+_NEAREST = 1e-6
 
 
 class GroundHits(NamedTuple):
@@ -65,36 +67,31 @@ def meet_hills(hills: Hills, position: Array, rays: FloatImage) -> GroundHits:
 
 
 def _profile(hills: Hills, position: Array, sign: float) -> tuple[Array, Array]:
-    """Places (n,) from the camera along one side of the hills, the first one 0, and heights (n,) below the camera."""
-    here = float(hills.along(position))
+    """Places (n,) from the camera along one side of the hills, the first one 0, and heights (n,) above the camera."""
     known = hills.start + hills.step * np.arange(len(hills.heights))
-    ahead = (known - here) * sign
-    beyond = np.argsort(ahead)[np.count_nonzero(ahead <= 0.0) :]
-    heights = np.concatenate([[float(hills.height(position))], hills.heights[beyond]])
-    return np.concatenate([[0.0], ahead[beyond]]), heights - position[2]
+    ahead = (known - float(hills.along(position))) * sign
+    beyond = np.argsort(ahead)[np.count_nonzero(ahead <= _NEAREST) :]
+    places = np.concatenate([[0.0], ahead[beyond]])
+    heights = np.concatenate([[float(hills.height(position))], hills.heights[beyond]]) - position[2]
+    # A level piece at the end, which goes on.
+    return np.append(places, places[-1] + hills.step), np.append(heights, heights[-1])
 
 
 def _meet_profile(places: Array, heights: Array, slope: FloatImage) -> tuple[Array, Array, Array]:
     """Where lines from (0, 0) with slopes (m,) meet the profile: place, how far they fell or rose, and its grade there.
 
-    Beyond its last place the profile goes on level. Lines that never meet it reach infinitely far.
+    Lines that never meet it reach infinitely far.
     """
-    seen_at = np.full(len(places), -np.inf)
-    seen_at[1:] = heights[1:] / places[1:]
-    rising = np.maximum.accumulate(seen_at)
-    piece = np.searchsorted(rising, slope, side="left")
-    beyond = piece >= len(places)
-    last = np.clip(piece, 1, max(len(places) - 1, 1))
-    if len(places) == 1:
-        beyond[:] = True
-        last[:] = 0
-    first = np.maximum(last - 1, 0)
-    gaps = [slope * places[end] - heights[end] for end in (first, last)]
-    share = np.clip(gaps[0] / np.maximum(gaps[0] - gaps[1], 1e-12), 0.0, 1.0)
-    length = places[last] - places[first]
-    reached = places[first] + share * length
-    grade = (heights[last] - heights[first]) / np.maximum(length, 1e-9)
-    far = np.where(slope < 0.0, heights[-1] / np.minimum(slope, -1e-9), np.inf)
-    far = np.where(far >= places[-1], far, np.inf)
-    reached = np.where(beyond, far, reached)
-    return reached, np.where(beyond & ~np.isfinite(far), np.inf, np.abs(slope * reached)), np.where(beyond, 0.0, grade)
+    seen_at = np.append(-np.inf, heights[1:] / places[1:])
+    piece = np.searchsorted(np.maximum.accumulate(seen_at), slope, side="left")
+    last = np.clip(piece, 1, len(places) - 1)
+    length = places[last] - places[last - 1]
+    before, after = (slope * places[end] - heights[end] for end in (last - 1, last))
+    share = np.clip(before / np.maximum(before - after, 1e-12), 0.0, 1.0)
+    grade = (heights[last] - heights[last - 1]) / length
+    # What passes over all of it meets the level ground beyond, if it falls.
+    beyond, falls = piece >= len(places), slope < 0.0
+    far = heights[-1] / np.where(falls, slope, np.float32(-1.0))
+    reached = np.where(beyond, far, places[last - 1] + share * length)
+    met = ~beyond | (falls & (far >= places[-1]))
+    return np.where(met, reached, np.inf), np.where(met, np.abs(slope * reached), np.inf), grade

@@ -10,8 +10,6 @@ from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
 
 _MOST_DROPS, _MOST_STREAKS = 160, 260
-# Grey level of an open road by day, against which bonnet and reflections are as bright as the first frame.
-_DAY_LEVEL = 115.0
 _WIPE_SECONDS = 0.5
 _UNWIPED_SECONDS = 6.0
 
@@ -46,22 +44,22 @@ class Windscreen:
 
 
 class WindscreenGlass:
-    """A windscreen before a camera whose first picture is `first` (H, W, 3)."""
+    """A windscreen before a camera with pictures of a height and width, in surroundings of a light that is 1 by day."""
 
-    def __init__(self, windscreen: Windscreen, first: Image, seed: int) -> None:
-        self._windscreen, self._seed = windscreen, seed
-        self._height, self._width = first.shape[:2]
-        self._light = float(np.clip(first.mean() / _DAY_LEVEL, 0.04, 1.2))
+    def __init__(self, windscreen: Windscreen, size: tuple[int, int], light: float, seed: int) -> None:
+        self._windscreen, self._seed, self._light = windscreen, seed, light
+        self._height, self._width = size
         self._reflected = windscreen.reflection * self._light * _dashboard(self._height, self._width, seed)
         self._bonnet, self._covered = _bonnet(self._height, self._width, windscreen.bonnet, self._light)
 
-    def look_through(self, image: Image, time: float, index: int) -> Image:
-        """The image (H, W, 3), seen through the glass at a time in seconds; `index` is the number of the frame."""
+    def look_through(self, image: Image, time_us: int) -> Image:
+        """The image (H, W, 3), seen through the glass at a time in microseconds."""
+        time = time_us * 1e-6
         seen = image.astype(np.float32)
         if self._windscreen.bonnet > 0.0:
             seen += (self._bonnet - seen) * self._covered[..., None]
         if self._windscreen.streaks > 0.0:
-            seen += self._streaks(index)[..., None]
+            seen += self._streaks(time_us)[..., None]
         if self._windscreen.reflection > 0.0:
             seen += self._reflected
         if self._windscreen.drops > 0.0:
@@ -70,9 +68,9 @@ class WindscreenGlass:
             seen *= self._wiper(time)[..., None]
         return np.clip(seen + np.float32(0.5), 0.0, 255.0).astype(np.uint8)
 
-    def _streaks(self, index: int) -> FloatImage:
+    def _streaks(self, time_us: int) -> FloatImage:
         """Light (H, W) of falling drops, drawn out by the exposure."""
-        generator = make_generator("streaks", self._seed, index)
+        generator = make_generator("streaks", self._seed, time_us)
         count = round(self._windscreen.streaks * _MOST_STREAKS)
         canvas = np.zeros((self._height, self._width), dtype=np.float32)
         x, y = generator.uniform(0.0, 1.0, (2, count)) * [[self._width], [self._height]]
@@ -80,11 +78,10 @@ class WindscreenGlass:
         # Seen from a moving car rain flies apart from the middle.
         slant = 0.35 * (x / self._width - 0.5) + generator.normal(0.0, 0.03, count)
         strength = generator.uniform(6.0, 28.0, count) * self._light
-        for start, end, light in zip(
-            np.column_stack([x, y]), np.column_stack([x + slant * length, y + length]), strength.tolist(), strict=True
-        ):
-            cv2.line(canvas, *(tuple(np.round(point).astype(int).tolist()) for point in (start, end)), light, 1)
-        return cv2.GaussianBlur(canvas, (0, 0), 0.6)
+        ends = np.round(np.stack([x, y, x + slant * length, y + length], axis=-1)).astype(int)
+        for (x0, y0, x1, y1), light in zip(ends.tolist(), strength.tolist(), strict=True):
+            cv2.line(canvas, (x0, y0), (x1, y1), light, 1)
+        return np.asarray(cv2.GaussianBlur(canvas, (0, 0), 0.6), dtype=np.float32)
 
     def _refract(self, seen: FloatImage, time: float) -> FloatImage:
         """The picture with drops: each shows the scene around it upside down, dark at its upper rim."""
@@ -133,7 +130,7 @@ class WindscreenGlass:
         tip = pivot + reach * np.array([np.cos(angle), -np.sin(angle)])
         ends = [tuple(np.round(point).astype(int).tolist()) for point in (pivot, tip)]
         cv2.line(light, ends[0], ends[1], 0.1, max(2, self._width // 40), cv2.LINE_AA)
-        return cv2.blur(light, (max(1, self._width // 60), 1))
+        return np.asarray(cv2.blur(light, (max(1, self._width // 60), 1)), dtype=np.float32)
 
 
 def _bonnet(height: int, width: int, share: float, light: float) -> tuple[FloatImage, FloatImage]:

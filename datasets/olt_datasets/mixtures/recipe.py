@@ -52,6 +52,8 @@ class Filter(BaseModel):
         source, country, category: the clip's is one of these; empty for every one, told or not.
         category_not: the clip's category is none of these.
         factors_any, factors_all, factors_none: the clip has at least one, all, none of these scene factors.
+        doubts: "none" leaves out clips of which something is in doubt, such as the direction of their motion; "any"
+            takes them. Clips that are only indexed, so that nobody looked, have none yet.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -64,6 +66,7 @@ class Filter(BaseModel):
     factors_any: Words = ()
     factors_all: Words = ()
     factors_none: Words = ()
+    doubts: Literal["none", "any"] = "none"
 
     def __str__(self) -> str:
         conditions = self.model_dump(exclude_defaults=True)

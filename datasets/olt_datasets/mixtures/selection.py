@@ -20,6 +20,8 @@ ClipTable = pl.DataFrame | pl.LazyFrame
 # Clips that agree in these show the same moments of the same scene, whatever their kind.
 PAIR_COLUMNS = ("scene_id", "start_us", "end_us")
 
+_IN_DOUBT = pl.col("doubts").list.len().fill_null(0) > 0
+
 
 @dataclass(frozen=True)
 class Selection:
@@ -72,6 +74,7 @@ class Shortage:
         samples_per_epoch: items of all components together.
         asked: the most items that an epoch asks of this one; 0 with clips available is a share too small for one.
         split_holds: number of clips of each kind, category and source in the split.
+        doubtful: clips that its filter would match if it took those in doubt.
     """
 
     recipe: str
@@ -84,6 +87,7 @@ class Shortage:
     repeats: int
     split: str
     split_holds: list[dict[str, Any]]
+    doubtful: int
 
 
 class AbsentValue(NamedTuple):
@@ -183,6 +187,7 @@ def find_shortages(recipe: Recipe, table: ClipTable, selections: Sequence[Select
             repeats=selection.component.repeats,
             split=recipe.split,
             split_holds=groups,
+            doubtful=_count_doubtful(clips, selection.component.where),
         )
         for selection, count in short
     ]
@@ -200,11 +205,13 @@ def word_shortage(shortage: Shortage) -> str:
     groups = [
         f"{group['clips']} {group['kind']} {group['category']} from {group['source']}" for group in shortage.split_holds
     ]
+    left_out = f"; {shortage.doubtful} more match and are in doubt, `doubts: any` takes them"
+    doubtful = left_out if shortage.doubtful else ""
     return (
         f"{start}component {shortage.component!r} {shortage.where} asks for {asked} per epoch, but matches "
         f"{shortage.clips} clips with {shortage.available} samples (repeats {shortage.repeats}); split "
-        f"{shortage.split} holds {', '.join(groups) or 'no clips'}; change the filter, ask for fewer or allow more "
-        "repeats"
+        f"{shortage.split} holds {', '.join(groups) or 'no clips'}{doubtful}; change the filter, ask for fewer "
+        "or allow more repeats"
     )
 
 
@@ -217,7 +224,7 @@ def find_absent_values(recipe: Recipe, table: ClipTable) -> list[AbsentValue]:
     return [
         AbsentValue(component.name, field, value)
         for component in recipe.components
-        for field, named in component.where.model_dump(exclude={"kind"}).items()
+        for field, named in component.where.model_dump(exclude={"kind", "doubts"}).items()
         for value in named
         if value not in present[field.partition("_")[0]]
     ]
@@ -232,6 +239,8 @@ def matches(where: Filter) -> pl.Expr:
             conditions.append(pl.col(name).is_in(wanted).fill_null(False))
     if where.category_not:
         conditions.append(~pl.col("category").is_in(where.category_not))
+    if where.doubts == "none":
+        conditions.append(~_IN_DOUBT)
     has_factor = pl.col("factors").list.contains
     if where.factors_any:
         conditions.append(pl.any_horizontal(map(has_factor, where.factors_any)))
@@ -249,6 +258,13 @@ def _mark(clips: pl.LazyFrame, component: Component) -> pl.LazyFrame:
     pairs = clips.filter(matching & preferred).select(PAIR_COLUMNS).unique().with_columns(pl.lit(True).alias(name))
     paired = clips.join(pairs, on=PAIR_COLUMNS, how="left", maintain_order="left")
     return paired.with_columns((matching & (preferred | pl.col(name).is_null())).alias(name))
+
+
+def _count_doubtful(clips: pl.LazyFrame, where: Filter) -> int:
+    if where.doubts == "any":
+        return 0
+    all_that_match = matches(where.model_copy(update={"doubts": "any"}))
+    return clips.filter(all_that_match & _IN_DOUBT).select(pl.len()).collect(engine="streaming").item()
 
 
 def _used_by(component: Component) -> str:

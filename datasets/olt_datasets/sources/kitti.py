@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from olt_datasets.sources.times import images_within, starting_at
 from olt_generator.errors import InputError
-from olt_generator.poses import Array, invert
 from olt_generator.video import shrink
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import WHOLE, DatasetReader, Drive, Licence
@@ -30,8 +29,6 @@ LICENCE = Licence(
 PASSAT = VehicleDimensions(
     length=4.774, width=1.820, height=1.517, rear_axle_to_bbox_center=1.36, wheelbase=2.709, track_width=1.551
 )
-# Steps shorter than this, in metres, say nothing about the direction of travel.
-_MIN_TRAVEL_STEP = 0.2
 
 
 class KittiDrive(Protocol):
@@ -131,11 +128,3 @@ def check_increasing(times: NDArray[np.int64], path: Path) -> NDArray[np.int64]:
     if len(wrong):
         raise InputError(f"{path}, line {wrong[0] + 2}: its time is not after the one before it; copy the drive again")
     return times
-
-
-def usual_travel(T_world_body: Array) -> Array | None:
-    """The usual direction of travel (3,) in the axes of a body with poses (n, 4, 4); None where it does not move."""
-    steps = (invert(T_world_body[:-1]) @ T_world_body[1:])[:, :3, 3]
-    length = np.linalg.norm(steps, axis=1)
-    moving = length > _MIN_TRAVEL_STEP
-    return np.median(steps[moving] / length[moving, None], axis=0) if moving.any() else None

@@ -12,9 +12,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, usual_travel
+from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images
 from olt_generator import InputError, PinholeCamera, Trajectory
-from olt_generator.poses import Array, aim_camera, camera_pose_in_rig, invert, make_pose
+from olt_generator.motion.mounting import align_mounting
+from olt_generator.poses import Array, camera_pose_in_rig, invert, make_pose
 from olt_toolkit.recordings.recording import Recording
 
 # KITTI's sensor sketch: camera 0 stands 1.65 m above the road; calib_imu_to_velo and calib_velo_to_cam of the raw data
@@ -60,9 +61,16 @@ class KittiOdometrySequence:
                 raise InputError(f"{poses}: {len(rows)} poses for {len(self._images)} images; copy the sequence again")
             self._T_start_camera = make_pose(rows[..., :3], rows[..., 3])
         self.has_motion = self._T_start_camera is not None
+        level = camera_pose_in_rig(CAMERA_POSITION, 0.0, 0.0, 0.0)
+        aligned = None if self._T_start_camera is None else align_mounting(self._T_start_camera, level)
+        self._T_rig_camera = level if aligned is None else aligned
         self._assumptions = (
-            "The camera is mounted as in KITTI's sensor sketch, 1.65 m above the road, and the rig's x axis is "
-            + ("the usual direction of travel of the true poses." if self.has_motion else "the camera's axis."),
+            "The camera is mounted as in KITTI's sensor sketch, 1.65 m above the road, and "
+            + (
+                "where it looks is not known, because there is no true motion to tell it: its axis is taken for rig x."
+                if aligned is None
+                else "the rig's x axis is the usual direction in which the true poses move the rear axle."
+            ),
             "The vehicle has the published size of KITTI's VW Passat.",
             *assumed,
         )
@@ -75,12 +83,8 @@ class KittiOdometrySequence:
         frames, size = read_images([self._images[index] for index in indices], width)
         (fx, _, cx, _), (_, fy, cy, _) = self._projection[0], self._projection[1]
         camera = PinholeCamera(size[0], size[1], fx, fy, cx, cy).resized(frames.shape[2], frames.shape[1])
-        T_rig_camera, reference = camera_pose_in_rig(CAMERA_POSITION, 0.0, 0.0, 0.0), None
+        T_rig_camera, reference = self._T_rig_camera, None
         if self._T_start_camera is not None:
-            travel = usual_travel(self._T_start_camera)
-            if travel is not None:
-                # Mounted with the pitch and yaw for which the vehicle travels along rig x.
-                T_rig_camera = aim_camera(CAMERA_POSITION, 0.0, travel)
             # From the start's rig, whose z is up, rather than from its camera.
             reference = Trajectory(self.image_us, T_rig_camera @ self._T_start_camera @ invert(T_rig_camera))
         return Recording(

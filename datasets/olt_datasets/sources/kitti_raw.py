@@ -15,10 +15,12 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
-from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, usual_travel
+from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images
 from olt_generator import InputError, PinholeCamera, Trajectory
+from olt_generator.motion.mounting import align_mounting
 from olt_generator.poses import Array, invert, make_pose
 from olt_toolkit.recordings.recording import Recording
 
@@ -32,8 +34,14 @@ _DRIVE_NAME = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")
 ASSUMPTIONS = (
     f"The rig origin is the IMU's position projected to the ground, {IMU_HEIGHT} m below it, and is taken for the "
     "middle of the rear axle.",
-    "The rig's x axis is the usual direction of travel measured by the GPS/IMU.",
+    "The rig's x axis is the usual direction of travel measured by the GPS/IMU, where the vehicle moves.",
     "The vehicle has the published size of KITTI's VW Passat.",
+)
+_POSITIONS_ALONE = (
+    "The GPS/IMU files do not tell how accurate positions and velocities are; the positions alone are the reference."
+)
+_STANDS = (
+    "The vehicle stands throughout, so how the IMU is turned against it is not known: its axes are taken for the rig's."
 )
 
 
@@ -70,8 +78,8 @@ class KittiRawDrive:
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """See `KittiDrive.record`."""
-        T_world_imu = _read_oxts(self._oxts)
-        T_rig_imu = _align_rig(T_world_imu)
+        T_world_imu, with_velocities = _read_oxts(self._oxts, self._oxts_us)
+        T_rig_imu, moves = _align_rig(T_world_imu)
         measured = _extended(Trajectory(self._oxts_us, T_world_imu @ invert(T_rig_imu)))
         files = [self._images[index] for index in indices]
         frames, stored = read_images(files, width)
@@ -91,7 +99,11 @@ class KittiRawDrive:
             camera=camera.resized(frames.shape[2], frames.shape[1]),
             T_rig_camera=T_rig_imu @ self._T_imu_camera,
             vehicle=PASSAT,
-            assumptions=ASSUMPTIONS,
+            assumptions=(
+                *ASSUMPTIONS,
+                *(() if moves else (_STANDS,)),
+                *(() if with_velocities else (_POSITIONS_ALONE,)),
+            ),
             reference=Trajectory(self.image_us, measured.interpolate(self.image_us)),
         )
 
@@ -155,27 +167,53 @@ def _read_times(path: Path) -> NDArray[np.int64]:
     return check_increasing(np.array(times, dtype=np.int64), path)
 
 
-def _read_oxts(files: list[Path]) -> Array:
-    """IMU poses (n, 4, 4) in a local east-north-up frame, by Mercator projection at the first latitude."""
+def _read_oxts(files: list[Path], times_us: NDArray[np.int64]) -> tuple[Array, bool]:
+    """IMU poses (n, 4, 4) in a local east-north-up frame, by Mercator projection at the first latitude.
+
+    The velocities that were measured are believed beside the positions, where the files tell how accurate both are, as
+    the second value says: positions wander by decimetres, and jitter that looks like acceleration.
+    """
     rows = np.stack([_read_numbers(file.read_text(errors="replace"), OXTS_FIELDS, str(file)) for file in files])
     latitude, longitude, altitude, roll, pitch, yaw = rows[:, :6].T
     scale = EARTH_RADIUS * np.cos(np.radians(latitude[0]))
     east = scale * np.radians(longitude)
     north = scale * np.log(np.tan(np.pi / 4 + np.radians(latitude) / 2))
     positions = np.stack([east, north, altitude], axis=-1)
+    positions -= positions[0]
+    position_sigma, velocity_sigma = rows[:, 23], rows[:, 24]
+    told = bool((position_sigma > 0.0).all() and (velocity_sigma > 0.0).all())
+    if told:
+        # Fields 8, 7 and 11 of 30 are the velocities east, north and up.
+        seconds = np.diff(times_us) * 1e-6
+        positions = _fuse(positions, rows[:, [7, 6, 10]], position_sigma, velocity_sigma, seconds)
     rotations = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1)).as_matrix()
-    return make_pose(rotations, positions - positions[0])
+    return make_pose(rotations, positions), told
 
 
-def _align_rig(T_world_imu: Array) -> Array:
-    """Pose (4, 4) of the IMU in the rig: above the origin, turned such that the vehicle travels along rig x."""
-    travel = usual_travel(T_world_imu)
-    yaw = pitch = 0.0
-    if travel is not None:
-        x, y, z = travel
-        yaw, pitch = np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y))
-    R_imu_rig = Rotation.from_euler("ZY", [yaw, pitch]).as_matrix()
-    return make_pose(R_imu_rig.T, [0.0, 0.0, IMU_HEIGHT])
+def _fuse(positions: Array, velocities: Array, position_sigma: Array, velocity_sigma: Array, seconds: Array) -> Array:
+    """Positions (n, 3) that agree best with those measured and, over steps of `seconds` (n - 1,), with the velocities.
+
+    Least squares with the standard deviations (n,) of both; velocities are taken as linear over a step.
+    """
+    steps = 0.5 * (velocities[1:] + velocities[:-1]) * seconds[:, None]
+    by_place = position_sigma**-2
+    by_step = (0.5 * (velocity_sigma[1:] + velocity_sigma[:-1]) * seconds) ** -2
+    normal = np.zeros((2, len(positions)))
+    normal[0, 1:] = -by_step
+    normal[1] = by_place
+    normal[1, :-1] += by_step
+    normal[1, 1:] += by_step
+    right = by_place[:, None] * positions
+    right[1:] += by_step[:, None] * steps
+    right[:-1] -= by_step[:, None] * steps
+    return np.asarray(solveh_banded(normal, right), dtype=np.float64)
+
+
+def _align_rig(T_world_imu: Array) -> tuple[Array, bool]:
+    """Pose (4, 4) of the IMU in the rig, above its origin, and whether the motion told how it is turned."""
+    level = make_pose(np.eye(3), [0.0, 0.0, IMU_HEIGHT])
+    aligned = align_mounting(T_world_imu, level)
+    return (level, False) if aligned is None else (aligned, True)
 
 
 def _extended(trajectory: Trajectory) -> Trajectory:

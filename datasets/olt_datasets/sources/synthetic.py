@@ -8,7 +8,23 @@ The folder holds one file, `synthetic.yaml`:
     duration: 14.0                      # seconds of each drive, up to 14; may be left out
     frame_rate: 10.0                    # images per second; may be left out
     split: train                        # train, val or test; may be left out
+    conditions:                         # light and weather; may be left out, as may each value
+        light: night                    # day, low_sun or night
+        rain: 0.6                       # 0 ... 1
+        street_lights: true
+    camera:                             # effects of the cameras; may be left out, as may each value
+        exposure_s: 0.012               # motion blur
+        readout_s: 0.02                 # rolling shutter
+        noise: 4.0                      # grey levels at mid grey
+        glow: 0.5                       # around lamps
+        kilobits_per_second: 1500.0     # of an encoder
+        bonnet: 0.15                    # this and what follows: of the front-wide camera alone
+        reflection: 0.3
+        drops: 0.5
+        wiper_seconds: 1.5
+        streaks: 0.6
 
+What the values mean: `olt_closed_loop.scenes.conditions`, `olt_closed_loop.sensors.shutter`, `imager`, `windscreen`.
 Equal files give equal images. Category, scene factors, motion and all views are known exactly.
 """
 
@@ -19,14 +35,19 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
+from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions, Light
 from olt_closed_loop.scenes.procedural import CATEGORIES, DURATION_US, generate_scene
 from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.sensors.camera_effects import CameraEffects
+from olt_closed_loop.sensors.imager import Imager
 from olt_closed_loop.sensors.recorder import frame_times, record_drive
+from olt_closed_loop.sensors.shutter import Shutter
+from olt_closed_loop.sensors.windscreen import Windscreen
 from olt_generator import InputError, Trajectory
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS
 from olt_toolkit.rigs.rig_files import pav_rig
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
 
@@ -36,7 +57,56 @@ LICENCE = Licence("Apache-2.0", "Made by the toolkit itself.", "None but those o
 # Shape of the images: that of the target rig's.
 _ASPECT = 9 / 16
 _MOST_DRIVES = 1_000_000
+Share = Annotated[float, Field(ge=0.0, le=1.0)]
 _generate_scene = lru_cache(maxsize=8)(generate_scene)
+
+
+class _Conditions(BaseModel):
+    """Light and weather."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    light: Light = "day"
+    rain: Share = 0.0
+    street_lights: bool = True
+
+    def build(self) -> Conditions:
+        """The conditions of the renderer."""
+        return Conditions(**self.model_dump())
+
+    def notes(self) -> tuple[str, ...]:
+        """A sentence where it is not a clear day."""
+        if self.build() == CLEAR_DAY:
+            return ()
+        return (f"The light is that of {self.light.replace('_', ' ')}, with rain {self.rain:g} of 1.",)
+
+
+class _Camera(BaseModel):
+    """Effects of the cameras."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    exposure_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
+    noise: Annotated[float, Field(ge=0.0, le=100.0)] = 0.0
+    glow: Share = 0.0
+    kilobits_per_second: Annotated[float, Field(gt=0.0)] | None = None
+    bonnet: Share = 0.0
+    reflection: Share = 0.0
+    drops: Share = 0.0
+    wiper_seconds: Annotated[float, Field(gt=0.0)] | None = None
+    streaks: Share = 0.0
+
+    def build(self, names: tuple[str, ...]) -> dict[str, CameraEffects]:
+        """Effects by camera: shutter, imager and encoder of all, the windscreen of the front-wide camera."""
+        if self == _Camera():
+            return {}
+        imager = Imager(self.noise, self.glow) if self.noise > 0.0 or self.glow > 0.0 else None
+        shutter = Shutter(self.exposure_s, self.readout_s)
+        common = CameraEffects(shutter, None, imager, self.kilobits_per_second)
+        glass = Windscreen(self.bonnet, self.reflection, self.drops, self.wiper_seconds, self.streaks)
+        behind_glass = replace(common, windscreen=None if glass == Windscreen() else glass)
+        return {**dict.fromkeys(names, common), FRONT_WIDE: behind_glass}
 
 
 class _Specification(BaseModel):
@@ -50,6 +120,8 @@ class _Specification(BaseModel):
     duration: Annotated[float, Field(gt=0.0, le=DURATION_US * 1e-6)] = DURATION_US * 1e-6
     frame_rate: Annotated[float, Field(gt=0.0, le=120.0)] = 10.0
     split: Split | None = None
+    conditions: _Conditions = _Conditions()
+    camera: _Camera = _Camera()
 
     @field_validator("categories")
     @classmethod
@@ -97,13 +169,24 @@ class Synthetic:
             category=scene.category,
             factors=scene.factors,
             split=self._asked.split,
-            notes=("The world is invented and its images are rendered, not filmed.",),
+            notes=(
+                "The world is invented and its images are rendered, not filmed.",
+                *self._asked.conditions.notes(),
+            ),
         )
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; lens and mounting are those of the nominal rig, whatever the options say."""
         size, scene = (options.width, round(options.width * _ASPECT)), self._scene(key)
-        return record_drive(scene, *size, self._asked.frame_rate, cameras=options.views, window_us=window_us)
+        return record_drive(
+            scene,
+            *size,
+            self._asked.frame_rate,
+            cameras=options.views,
+            window_us=window_us,
+            conditions=self._asked.conditions.build(),
+            effects=self._asked.camera.build(options.views),
+        )
 
     def _scene(self, key: str) -> Scene:
         if key not in self._drives:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pxr import Sdf
 
+from olt_closed_loop.scenes.hills import Wave, lay_hills, put_on_hills
 from olt_closed_loop.scenes.looks import generate_looks
 from olt_closed_loop.scenes.procedural import generate_scene
 from olt_closed_loop.scenes.scene import Scene
@@ -47,6 +48,16 @@ def test_round_trip_is_exact(scene: Scene, tmp_path: Path, suffix: str) -> None:
     assert_same_scene(scene, again)
     assert again.looks == str(path)
     assert read_looks(path) == generate_looks(scene)
+
+
+def test_hills_are_kept(scene: Scene, tmp_path: Path) -> None:
+    hilly = put_on_hills(scene, lay_hills(0.3, (Wave(4.0, 150.0, 1.0),)))
+    again = read_scene(write_scene(hilly, tmp_path / "scene.usda"))
+    assert_same_scene(hilly, again)
+    assert hilly.hills is not None and again.hills is not None
+    assert np.array_equal(again.hills.heights, hilly.hills.heights)
+    assert np.array_equal(again.hills.height(scene.route), hilly.hills.height(scene.route))
+    assert read_scene(write_scene(scene, tmp_path / "level.usda")).hills is None
 
 
 def test_odd_microseconds_far_coordinates_and_any_id_survive(scene: Scene, tmp_path: Path) -> None:

@@ -154,6 +154,21 @@ def test_filters_choose_clips(make_clip, make_table):
     assert chosen(factors_none=["night", "rain"]) == {1, 3}
 
 
+def test_clips_in_doubt_are_left_out_unless_asked_for(make_clip, make_table):
+    table = make_table(
+        make_clip(1),
+        make_clip(2, doubts=()),
+        make_clip(3, doubts=("speed", "direction")),
+        make_clip(4, doubts=("speed",)),
+    )
+    everything = {"name": "all", "share": 1.0}
+    assert clip_numbers(items(compose_mixture(make_recipe(everything), table, 0))) == {1, 2}
+    taken = make_recipe({**everything, "where": {"doubts": "any"}})
+    assert clip_numbers(items(compose_mixture(taken, table, 0))) == {1, 2, 3, 4}
+    with pytest.raises(InputError, match="2 more match and are in doubt, `doubts: any` takes them"):
+        compose_mixture(make_recipe({"name": "all", "count": 4}), table, 0)
+
+
 def test_countries_choose_clips_that_tell_theirs(make_clip, make_table):
     countries = ["US", "DE", None, "JP"]
     clips = [

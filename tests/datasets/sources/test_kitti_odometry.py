@@ -4,7 +4,9 @@ import cv2
 import numpy as np
 import pytest
 
+from olt_datasets.sources.kitti_odometry import CAMERA_POSITION
 from olt_generator.errors import InputError
+from olt_generator.poses import camera_pose_in_rig, invert, planar_pose
 from olt_toolkit import OpenOptions, open_recording
 from olt_toolkit.recordings.drives import open_dataset
 
@@ -27,6 +29,30 @@ def write_sequence(folder, times=True, names=False):
     return folder
 
 
+def write_poses(folder, T_world_camera):
+    """A sequence of black images with these camera poses (n, 4, 4), 0.1 s apart."""
+    folder.mkdir()
+    (folder / "image_0").mkdir()
+    black = cv2.imencode(".png", np.zeros((HEIGHT, WIDTH), np.uint8))[1].tobytes()
+    for index in range(len(T_world_camera)):
+        (folder / "image_0" / f"{index:06d}.png").write_bytes(black)
+    (folder / "calib.txt").write_text("70 0 60 0 0 70 20 0 0 0 1 0\n")
+    np.savetxt(folder / "poses.txt", (invert(T_world_camera[0]) @ T_world_camera)[:, :3].reshape(-1, 12))
+    np.savetxt(folder / "times.txt", 0.1 * np.arange(len(T_world_camera)))
+    return folder
+
+
+def drive_ramp(degrees=98.0, metres=51.0, frames=64):
+    """Poses (n, 4, 4) of the rear axle on a bend that tightens and opens again."""
+    along = np.linspace(0.0, metres, 100 * (frames - 1) + 1)
+    curvature = np.sin(np.pi * along / metres) ** 0.5
+    yaw = np.cumsum(curvature)
+    yaw *= np.radians(degrees) / yaw[-1]
+    step = metres / (len(along) - 1)
+    x, y = np.cumsum(step * np.cos(yaw)), np.cumsum(step * np.sin(yaw))
+    return planar_pose(x[::100], y[::100], yaw[::100])
+
+
 @pytest.mark.parametrize("names", [False, True])
 def test_a_sequence_is_read_whole(tmp_path, names):
     recording = open_recording(write_sequence(tmp_path / "06", names=names))
@@ -43,6 +69,25 @@ def test_the_vehicle_travels_along_rig_x(tmp_path):
     end = recording.reference.positions[-1]
     assert end == pytest.approx([np.hypot(5.0, 5 * DRIFT), 0.0, 0.0], abs=1e-9)
     assert recording.T_rig_camera[1, 2] == pytest.approx(np.sin(np.arctan(DRIFT)), abs=1e-9)
+
+
+@pytest.mark.parametrize("turn", [98.0, -98.0, 20.0])
+def test_in_a_bend_it_is_the_rear_axle_that_travels_along_rig_x(tmp_path, turn):
+    ramp = drive_ramp(turn)
+    mounting = camera_pose_in_rig(CAMERA_POSITION, 0.0, np.radians(1.2), np.radians(-0.12))
+    recording = open_recording(write_poses(tmp_path / "ramp", ramp @ mounting))
+    assert recording.T_rig_camera == pytest.approx(mounting, abs=np.radians(0.05))
+    assert recording.reference.path_length == pytest.approx(51.0, abs=0.02)
+    missed = recording.reference.positions - (invert(ramp[0]) @ ramp)[:, :3, 3]
+    assert np.abs(missed).max() < 0.03
+
+
+def test_a_mounting_that_no_motion_tells_is_said_to_be_unknown(tmp_path):
+    jitter = np.tile(np.eye(4), (30, 1, 1))
+    jitter[:, :3, 3] = 0.01 * np.random.default_rng(0).standard_normal((30, 3))
+    recording = open_recording(write_poses(tmp_path / "parked", jitter))
+    assert any("where it looks is not known" in assumption for assumption in recording.assumptions)
+    assert np.array_equal(recording.T_rig_camera, camera_pose_in_rig(CAMERA_POSITION, 0.0, 0.0, 0.0))
 
 
 def test_without_times_the_rate_is_said_to_be_assumed(tmp_path):

@@ -193,3 +193,32 @@ def test_describing_a_kitti_drive_notices_what_is_missing(tmp_path):
         dataset.drive(".")
     with pytest.raises(InputError, match="no KITTI drive 'other'"):
         dataset.drive("other")
+
+
+def test_a_drive_that_stands_does_not_tell_how_the_imu_is_turned(tmp_path):
+    drive = write_drive(tmp_path)
+    assert not any("not known" in assumption for assumption in open_recording(drive).assumptions)
+    parked = (drive / "oxts" / f"{0:010d}.txt").read_text()
+    for file in (drive / "oxts").iterdir():
+        file.write_text(parked)
+    recording = open_recording(drive)
+    assert any("how the IMU is turned against it is not known" in assumption for assumption in recording.assumptions)
+    assert np.abs(recording.reference.positions).max() < 1e-9
+
+
+def test_velocities_take_the_wander_out_of_positions(tmp_path):
+    drive = write_drive(tmp_path)
+    random = np.random.default_rng(0)
+    for index in range(FRAMES):
+        north = 1.0 * index + 0.2 * random.standard_normal()
+        values = [49.0 + np.degrees(north / 6378137.0), 8.0, 100.0, 0.0, np.radians(1.0), np.pi / 2] + [0.0] * 24
+        values[6], values[23], values[24] = 10.0, 0.2, 0.02
+        (drive / "oxts" / f"{index:010d}.txt").write_text(" ".join(repr(float(v)) for v in values))
+    recording = open_recording(drive)
+    assert np.diff(recording.reference.positions[:, 0]) == pytest.approx(np.full(FRAMES - 1, 1.0), abs=0.01)
+    assert not any("positions alone" in assumption for assumption in recording.assumptions)
+
+
+def test_positions_of_unknown_accuracy_are_taken_alone_and_said_to_be(tmp_path):
+    recording = open_recording(write_drive(tmp_path))
+    assert any("positions alone are the reference" in assumption for assumption in recording.assumptions)

@@ -62,6 +62,25 @@ def test_the_same_file_gives_the_same_images(open_world):
     assert not np.array_equal(first.frames, other.frames)
 
 
+def test_light_weather_and_cameras_are_those_asked_for(open_world):
+    plain = open_world().open("nominal_000007", (0, 100_000), SMALL)
+    text = SPECIFICATION + "conditions: {light: night, rain: 0.4}\ncamera: {noise: 5.0, drops: 0.5}\n"
+    dataset = open_world(text)
+    night = dataset.open("nominal_000007", (0, 100_000), SMALL)
+    assert night.frames.mean() < 0.5 * plain.frames.mean()
+    assert night.views[CROSS_LEFT].mean() < 0.5 * plain.views[CROSS_LEFT].mean()
+    assert np.array_equal(night.reference.T_world_rig, plain.reference.T_world_rig)
+    assert any("night" in note and "0.4" in note for note in dataset.drive("nominal_000007").notes)
+    later = dataset.open("nominal_000007", (100_000, 100_000), SMALL)
+    assert np.array_equal(later.frames[0], night.frames[1])
+
+
+def test_values_that_change_nothing_give_the_same_images(open_world):
+    plain = open_world().open("nominal_000007", (0, 0), SMALL)
+    text = SPECIFICATION + "conditions: {light: day}\ncamera: {noise: 0.0}\n"
+    assert np.array_equal(open_world(text).open("nominal_000007", (0, 0), SMALL).frames, plain.frames)
+
+
 def test_true_views_carry_their_cameras(open_world):
     recording = open_world().open("nominal_000007", (0, 0), SMALL)
     assert recording.frames.shape == (1, 36, 64, 3)
@@ -79,6 +98,9 @@ def test_true_views_carry_their_cameras(open_world):
         ("categories: [nominal]\nseed: 0\ncount: 1\ncolour: red", "colour: Extra inputs"),
         ("categories: [nominal]\nseed: 0\ncount: 1\nduration: 15", "duration: "),
         ("categories: [nominal]\nseed: 0\ncount: 1\nframe_rate: 0", "frame_rate: "),
+        ("categories: [nominal]\nseed: 0\ncount: 1\nconditions: {light: dusk}", "conditions.light: "),
+        ("categories: [nominal]\nseed: 0\ncount: 1\nconditions: {fog: 1}", "conditions.fog: Extra inputs"),
+        ("categories: [nominal]\nseed: 0\ncount: 1\ncamera: {drops: 2}", "camera.drops: "),
         ("[1, 2]", "is a mapping"),
         ("a: [", "not YAML"),
     ],

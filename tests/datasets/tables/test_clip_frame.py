@@ -56,8 +56,8 @@ def test_stores_and_indexed_tables_are_read_together(write_store, make_clip, tmp
     ("change", "message"),
     [
         (lambda table: table.drop_columns(["scene_id"]), "column scene_id is missing"),
-        (with_version("2"), "table_version is 2, this release reads 3; build the clips again"),
-        (with_version("4"), "table_version is 4, this release reads 3; install a newer release"),
+        (with_version("3"), "table_version is 3, this release reads 4; build the clips again"),
+        (with_version("5"), "table_version is 5, this release reads 4; install a newer release"),
         (lambda table: table.replace_schema_metadata(None), "table_version is None; this is no clip table"),
         (with_column("duration_us", pa.array([1.0, 2.0])), "column duration_us is Float64, not Int64"),
         (with_column("sample_t0_us", pa.array([["1"], ["2"]])), "column sample_t0_us is List(String)"),

@@ -4,14 +4,19 @@ import cv2
 import numpy as np
 import pytest
 
+from olt_generator.camera_spread import CameraSpread, Spread
 from olt_generator.cameras import PinholeCamera, pixel_rays
+from olt_generator.doubts import Doubt
 from olt_generator.errors import InputError
+from olt_generator.motion.pose_sources import PoseEstimate
+from olt_generator.motion.smoother import ODOMETRY_SETTINGS
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
 from olt_generator.views.view_plan import METHODS
 from olt_toolkit.clips.builder import BuildOptions, build_clip
 from olt_toolkit.clips.files import describe_clip
+from olt_toolkit.clips.summary import summarize_build
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.rig import (
     CROSS_LEFT,
@@ -219,6 +224,35 @@ def test_motion_is_measured_where_it_is_not_given(recording):
     assert shares == sorted(shares)
     assert shares[-1] == pytest.approx(1.0)
     assert built.seconds.keys() == set(stages)
+
+
+def test_doubts_and_uncertainty_reach_the_clip(recording):
+    true = recording.reference
+    doubt = Doubt("speed", "two ways of measuring it differ by 30 %")
+    found = PoseEstimate(
+        true,
+        recording.T_rig_camera,
+        0.03,
+        ODOMETRY_SETTINGS,
+        covariance=np.tile(1e-4 * np.eye(6), (len(true), 1, 1)),
+        doubts=(doubt,),
+    )
+    options = replace(OPTIONS, cameras=(FRONT_WIDE, FRONT_TELE), poses=lambda *_: found)
+    seen = Doubt("view direction", "the file is called rear")
+    spread = CameraSpread(Spread(0.04, "assumed"), Spread(0.0, "given"))
+    built = build_clip(replace(recording, doubts=(seen,), spread=spread), options)
+    assert built.doubts == (seen, doubt)
+    assert built.clip.doubts == ("view direction", "speed")
+    assert built.clip.scale_sigma == pytest.approx(0.05)
+    # At 18 m the scale alone is off by 0.9 m.
+    assert np.sqrt(built.motion.covariance[-1, 0, 0]) == pytest.approx(np.hypot(0.05 * 18.0, 0.01), rel=1e-3)
+    info = describe_clip(built.clip, "")
+    summary = summarize_build(built, info)
+    assert summary["doubts"] == [{"what": each.what, "why": each.why} for each in (seen, doubt)]
+    assert summary["scale_sigma_parts"]["height"] == {"relative": 0.04, "origin": "assumed"}
+    assert summary["clip"]["doubts"] == ["view direction", "speed"]
+    given = build_clip(replace(recording, doubts=(seen,)), replace(options, use_reference_motion=True))
+    assert (given.clip.doubts, given.clip.scale_sigma) == (("view direction",), None)
 
 
 def test_what_is_not_wanted_is_left_out_and_changes_nothing(built, recording):

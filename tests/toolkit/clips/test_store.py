@@ -69,6 +69,18 @@ def test_clip_table_comes_back(store, make_clip):
     assert info.no_sample_reason is None
 
 
+@pytest.mark.parametrize(
+    ("doubts", "scale_sigma", "noise"), [(None, None, None), ((), 0.02, 0.12), (("direction", "speed"), None, None)]
+)
+def test_what_is_known_of_a_motion_comes_back(tmp_path, make_clip, doubts, scale_sigma, noise):
+    clip = replace(make_clip(), doubts=doubts, scale_sigma=scale_sigma, acceleration_noise=noise)
+    store = ClipStore(tmp_path)
+    store.prepare(clip)
+    store.commit([clip.clip_id])
+    info = ClipStore(tmp_path).info(clip.clip_id)
+    assert (info.doubts, info.scale_sigma, info.acceleration_noise) == (doubts, scale_sigma, noise)
+
+
 def test_only_times_at_which_a_clip_may_be_sampled_are_told(tmp_path, make_clip):
     store = ClipStore(tmp_path)
     info = store.prepare(make_clip(sample_t0_us=(2_000_000, 2_100_000, 9_000_000)))

@@ -369,6 +369,19 @@ def test_inspect_shows_one_clip(store):
     assert "0.00 to 8.90 s" in text
 
 
+def test_inspect_tells_doubts_and_uncertainty(tmp_path, make_clip):
+    store = ClipStore(tmp_path / "clips")
+    known = replace(make_clip("bend"), doubts=("direction",), scale_sigma=0.051, acceleration_noise=0.31)
+    store.prepare(known)
+    store.commit([known.clip_id])
+    text = run("inspect", store.root, "bend").stdout
+    assert "in doubt: direction" in text
+    assert "scale, 1 sigma: 5.1 %" in text
+    assert "expected error of acceleration labels: 0.31 m/s2" in text
+    assert "direction" in run("inspect", store.root).stdout
+    assert json.loads(run("inspect", store.root, "--json").stdout)["clips"][0]["doubts"] == ["direction"]
+
+
 def test_inspect_draws_a_clip(store, tmp_path):
     result = run("inspect", store.root, "bend", "--pictures", tmp_path / "pictures")
     assert result.exit_code == 0, result.output

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import fit_camera
+from olt_generator.doubts import Doubt
 from olt_generator.errors import InputError
 from olt_generator.metrics.image_metrics import psnr
 from olt_generator.motion.smoother import smooth_trajectory
@@ -42,6 +43,7 @@ class BuiltClip:
     Attributes:
         plan, left_out: which views were made, and how; what was not, and why.
         motion: as it was measured and smoothed, with its errors; None where the reference was taken.
+        doubts: why the clip may not be what it seems.
         observed: (m, h, w) pixels taken from what the front camera saw, by synthesized view.
         distance_error: median relative error of the distances.
         view_errors: PSNR in dB of synthesized views against the true ones, mean over frames, by camera: "psnr" over all
@@ -54,6 +56,7 @@ class BuiltClip:
     plan: ViewPlan
     left_out: tuple[Omission, ...]
     motion: RecoveredMotion | None
+    doubts: tuple[Doubt, ...]
     observed: dict[str, NDArray[np.bool_]]
     distance_error: float | None
     view_errors: dict[str, dict[str, float]]
@@ -113,11 +116,13 @@ def build_clip(
         for done, name in enumerate(plan.methods):
             views[name] = maker.make(name, lambda part, done=done: on_part((done + part) / len(plan.methods)))
 
+    doubts = recording.doubts if motion is None else motion.doubts
     return BuiltClip(
-        clip=_assemble(shown, options, views, ego_motion),
+        clip=_assemble(shown, options, views, ego_motion, doubts, motion),
         plan=plan,
         left_out=(*plan.left_out, *_omissions(len(recording.frames), len(made), len(with_distance), views)),
         motion=motion,
+        doubts=doubts,
         observed={name: view.observed for name, view in views.items() if view.observed is not None},
         distance_error=distance_error,
         view_errors=_view_errors(views, shown),
@@ -152,7 +157,7 @@ def _measure_motion(
         measured = options.poses(recording.frames, times_us, recording.camera, recording.T_rig_camera, on_part)
     with steps.step("smoothing"):
         smoothed = smooth_trajectory(measured.trajectory, measured.noise)
-    recovered = RecoveredMotion(measured.trajectory, smoothed, measured.scale_sigma, reference)
+    recovered = RecoveredMotion(measured, smoothed, recording.spread, reference, recording.doubts)
     ego_motion = EgoMotion.anchored(smoothed.trajectory, smoothed.velocity, smoothed.acceleration, smoothed.curvature)
     return recovered, ego_motion, smoothed.trajectory, measured.T_rig_camera
 
@@ -175,7 +180,15 @@ def _choose_frames(recording: Recording, options: BuildOptions, plan: ViewPlan) 
     return made, drawn_on, np.unique(np.concatenate([made, drawn_on, np.array(looked_back_to, np.int64)]))
 
 
-def _assemble(recording: Recording, options: BuildOptions, views: dict[str, View], ego_motion: EgoMotion) -> Clip:
+def _assemble(
+    recording: Recording,
+    options: BuildOptions,
+    views: dict[str, View],
+    ego_motion: EgoMotion,
+    doubts: tuple[Doubt, ...],
+    motion: RecoveredMotion | None,
+) -> Clip:
+    noise = None if motion is None else motion.label_noise
     times_us, name, kind = recording.timestamps_us, options.name or recording.name, clip_kind(options)
     # Video files need one constant rate, and readers take times from the timestamp tables: it only has to be close.
     rate = float(max(1, round(1e6 / float(np.median(np.diff(times_us))))))
@@ -190,6 +203,9 @@ def _assemble(recording: Recording, options: BuildOptions, views: dict[str, View
         category=options.category,
         factors=options.factors,
         split=options.split,
+        doubts=tuple(dict.fromkeys(doubt.what for doubt in doubts)),
+        scale_sigma=None if motion is None else motion.scale.total,
+        acceleration_noise=None if noise is None else noise.expected.acceleration,
         streams={
             camera: CameraStream(view.images, times_us, rate, view.camera, view.T_rig_camera)
             for camera, view in wanted.items()

@@ -182,6 +182,12 @@ class ClipDescription:
         source: the reader of the recording.
         category, factors: long-tail category, "nominal", or `UNLABELLED`; the scene factors that hold.
         split: training split; None for a clip that is only indexed and that no rule has put into a split yet.
+        doubts: what of the clip is in doubt, by name (`Doubt.what`); None where it is only indexed, so that nobody
+            looked.
+        scale_sigma: relative standard deviation of the metric scale of a recovered motion; None where the motion was
+            given, or its scale is not known.
+        acceleration_noise: m/s2 by which the acceleration labels are expected to err, root mean square; None where the
+            motion was given, or is too short for a label.
     """
 
     clip_id: str
@@ -193,6 +199,9 @@ class ClipDescription:
     category: str
     factors: tuple[str, ...]
     split: Split | None
+    doubts: tuple[str, ...] | None = None
+    scale_sigma: float | None = None
+    acceleration_noise: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

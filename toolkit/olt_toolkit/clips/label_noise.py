@@ -3,11 +3,22 @@
 The policy's labels are accelerations and curvatures at 10 Hz, fitted to poses (`action_space`). Differencing twice over
 0.1 s magnifies jitter: positions that err independently by 1 m make the accelerations err by 41 m/s2 rms.
 
-What is expected follows from the smoother's covariance: the labels are the forward acceleration, and the turn rate over
-the speed, whose errors it knows; the fit itself smooths a little more. What is actual is the difference between the
-labels of two trajectories.
+What is expected has three parts:
+
+- the smoother's: true changes that it takes for jitter, and errors that it takes for changes. Both show in what another
+  smoothing would change: of white jerk, which `car_motion` takes true changes for, it changes 1/5.6 of what the first
+  one lost, and of white errors of speed, as odometry has them, 1/2.8 of what the first one left (integrals of the
+  smoother's response 1 / (1 + w^6)). `AGAIN`, their geometric mean, is right for either within 1.4. Where headings are
+  hardly smoothed, another smoothing shows nothing, and the smoother's covariance tells their jitter.
+- the estimator's, by the covariance of the poses that it found: the difference that it makes to the labels to have
+  measured something else that is as likely. This sees the same errors as the smoother from another side, and some that
+  smoothing again cannot show; the larger of the two counts.
+- that of the scale, which all poses share: accelerations err by its share, and so do curvatures.
+
+What is actual is the difference between the labels of two trajectories, and so holds the jitter of the reference too.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,9 +30,11 @@ from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.policy.action_space import physical_actions, trajectory_to_actions
-from olt_toolkit.policy.contract import STEP_US
+from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
 
+# How many times as much the labels err as smoothing once more changes them.
+AGAIN = 4.0
 # So many times t0 at most are looked at, spread evenly over the clip: their labels overlap for 6.4 s anyway.
 MOST_SAMPLES = 16
 
@@ -39,36 +52,61 @@ class LabelNoiseBudget:
     """Label noise of one clip, over so many times t0. What could not be measured is None.
 
     Attributes:
-        expected: after smoothing, by the smoother's own account.
+        expected: after smoothing: the larger of what smoother and estimator tell, and that of the scale with it.
+        smoother, estimator, scale: the parts; that of the estimator or the scale is None where they do not know it.
         taken_out: difference that the smoothing makes.
         actual, raw: after and before smoothing, against the reference.
     """
 
     samples: int
     expected: LabelNoise
+    smoother: LabelNoise
+    estimator: LabelNoise | None
+    scale: LabelNoise | None
     taken_out: LabelNoise
     actual: LabelNoise | None
     raw: LabelNoise | None
 
 
 def measure_label_noise(
-    measured: Trajectory, motion: SmoothedMotion, reference: Trajectory | None = None
+    measured: Trajectory,
+    motion: SmoothedMotion,
+    again: Trajectory,
+    reference: Trajectory | None = None,
+    scale_sigma: float | None = None,
+    as_likely: Sequence[Trajectory] = (),
 ) -> LabelNoiseBudget | None:
-    """What is wrong with the labels of a clip, by the trajectory before smoothing, after it, and the true one.
+    """What is wrong with the labels of a clip.
 
-    None where the trajectories have no 7.9 s in common, which one sample needs.
+    Args:
+        measured, motion, again: the trajectory before smoothing, after it, and after the same smoothing once more.
+        reference: the true one.
+        scale_sigma: relative standard deviation of the metric scale; None where it is not known.
+        as_likely: what smoothing makes of other measurements that are as likely as this one; none where it is not known
+            how likely they are.
+
+    Returns:
+        None where the trajectories have no 7.9 s in common, which one sample needs.
     """
-    trajectories = [measured, motion.trajectory] + ([reference] if reference else [])
+    trajectories = [measured, motion.trajectory, again, *as_likely, *([reference] if reference else [])]
     t0_us = _sample_times(trajectories)
     if len(t0_us) == 0:
         return None
-    raw, smooth, *true = (_find_labels(trajectory, t0_us) for trajectory in trajectories)
+    raw, smooth, twice, *others = (_find_labels(trajectory, t0_us) for trajectory in trajectories)
+    true = others.pop() if reference else None
+    changed = _compare(twice, smooth)
+    smoother = LabelNoise(AGAIN * changed.acceleration, max(AGAIN * changed.curvature, _heading_noise(motion, t0_us)))
+    estimator = None if not others else _root_mean_square([_compare(other, smooth) for other in others])
+    scale = None if scale_sigma is None else _share(smooth, scale_sigma)
     return LabelNoiseBudget(
         samples=len(t0_us),
-        expected=_expect_noise(motion, t0_us),
+        expected=_combine(smoother, estimator or smoother, scale or LabelNoise(0.0, 0.0)),
+        smoother=smoother,
+        estimator=estimator,
+        scale=scale,
         taken_out=_compare(raw, smooth),
-        actual=_compare(smooth, true[0]) if true else None,
-        raw=_compare(raw, true[0]) if true else None,
+        actual=_compare(smooth, true) if true else None,
+        raw=_compare(raw, true) if true else None,
     )
 
 
@@ -95,13 +133,37 @@ def _compare(labels: tuple[Array, Array], others: tuple[Array, Array]) -> LabelN
     return LabelNoise(*(float(np.sqrt(np.mean((a - b) ** 2))) for a, b in zip(labels, others, strict=True)))
 
 
-def _expect_noise(motion: SmoothedMotion, t0_us: NDArray[np.int64]) -> LabelNoise:
-    """Linearised: the curvature k = w / v of turn rate w and speed v errs by (dw - k dv) / v; at standstill k is 0."""
+def _combine(smoother: LabelNoise, estimator: LabelNoise, scale: LabelNoise) -> LabelNoise:
+    return LabelNoise(
+        _root(max(smoother.acceleration, estimator.acceleration), scale.acceleration),
+        _root(max(smoother.curvature, estimator.curvature), scale.curvature),
+    )
+
+
+def _share(labels: tuple[Array, Array], sigma: float) -> LabelNoise:
+    return LabelNoise(*(sigma * float(np.sqrt(np.mean(values**2))) for values in labels))
+
+
+def _root_mean_square(noises: Sequence[LabelNoise]) -> LabelNoise:
+    every = np.array([(noise.acceleration, noise.curvature) for noise in noises])
+    return LabelNoise(*np.sqrt(np.mean(every**2, axis=0)).tolist())
+
+
+def _root(*parts: float) -> float:
+    return float(np.sqrt(np.sum(np.square(parts))))
+
+
+def _heading_noise(motion: SmoothedMotion, t0_us: NDArray[np.int64]) -> float:
+    """What jitter of the headings does to curvatures k = w / v, in 1/m; at standstill k is 0.
+
+    Labels take the turn rate w from headings a step apart. Where headings are measured well that is better known than
+    the rate at one moment, since the rate may change in between; where they are smoothed much the rate is.
+    """
     times = motion.trajectory.timestamps_us
     labelled = (times >= t0_us[0]) & (times <= t0_us[-1] + FUTURE_OFFSETS_US[-1])
-    covariance, curvature = motion.rate_covariance[labelled], motion.curvature[labelled]
     forward = motion.trajectory.T_world_rig[labelled, :3, 0]
-    speed = np.sum(motion.velocity[labelled] * forward, axis=1)
-    by_speed = np.where(np.abs(speed) > STANDSTILL_SPEED, 1.0 / np.maximum(np.abs(speed), STANDSTILL_SPEED), 0.0)
-    variance = covariance[:, 5, 5] - 2.0 * curvature * covariance[:, 0, 5] + curvature**2 * covariance[:, 0, 0]
-    return LabelNoise(float(np.sqrt(np.mean(covariance[:, 6, 6]))), float(np.sqrt(np.mean(variance * by_speed**2))))
+    speed = np.abs(np.sum(motion.velocity[labelled] * forward, axis=1))
+    by_speed = np.where(speed > STANDSTILL_SPEED, 1.0 / np.maximum(speed, STANDSTILL_SPEED), 0.0)
+    headings_apart = 2.0 * motion.covariance[labelled, 5, 5] / STEP_SECONDS**2
+    turn_rate = np.minimum(motion.rate_covariance[labelled, 5, 5], headings_apart)
+    return float(np.sqrt(np.mean(turn_rate * by_speed**2)))

@@ -9,6 +9,8 @@ from olt_toolkit.clips.builder import BuiltClip
 from olt_toolkit.clips.clip import ClipInfo, EgoMotion
 from olt_toolkit.clips.store import ClipStore
 
+_UNCERTAINTY = ("scale_sigma", "scale_sigma_parts", "scale_error", "scale_z", "ate_sigma_m", "ate_z")
+
 
 def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
     """Numbers of a built clip: trajectory and its errors, views and theirs, what was left out, assumed and timed."""
@@ -16,11 +18,14 @@ def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
     return {
         "clip": summarize_info(info),
         "trajectory": summarize_motion(built.clip.ego_motion),
-        "scale_sigma": motion.get("scale_sigma"),
+        "doubts": [asdict(doubt) for doubt in built.doubts],
+        **{name: motion.get(name) for name in _UNCERTAINTY},
         "pose_errors_before_smoothing": motion.get("errors_before_smoothing"),
         "pose_errors": motion.get("errors"),
         "smoothness_before_smoothing": motion.get("smoothness_before_smoothing"),
         "smoothness": motion.get("smoothness"),
+        "smoothness_of_reference": motion.get("smoothness_of_reference"),
+        "smoothness_of_reference_smoothed": motion.get("smoothness_of_reference_smoothed"),
         "label_noise": motion.get("label_noise"),
         "distance_median_relative_error": built.distance_error,
         "view_errors": built.view_errors,
@@ -32,7 +37,11 @@ def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
 
 def summarize_info(info: ClipInfo) -> dict[str, Any]:
     """A row of the clip table."""
-    return asdict(info) | {"factors": list(info.factors), "sample_t0_us": list(info.sample_t0_us)}
+    return asdict(info) | {
+        "factors": list(info.factors),
+        "doubts": None if info.doubts is None else list(info.doubts),
+        "sample_t0_us": list(info.sample_t0_us),
+    }
 
 
 def summarize_motion(motion: EgoMotion) -> dict[str, float]:

@@ -18,7 +18,7 @@ from olt_toolkit.clips.clip import ClipInfo, ClipKind, ClipOrigin, Split, ViewKi
 from olt_toolkit.clips.pai_tables import read_table
 
 CLIP_TABLE = "clips.parquet"
-TABLE_VERSION = 3
+TABLE_VERSION = 4
 VERSION_KEY = b"table_version"
 
 _VIEW = pa.struct(
@@ -48,6 +48,9 @@ SCHEMA = pa.schema(
         ("category", pa.string()),
         ("factors", pa.list_(pa.string())),
         ("split", pa.string()),
+        ("doubts", pa.list_(pa.string())),
+        ("scale_sigma", pa.float64()),
+        ("acceleration_noise", pa.float64()),
         ("duration_us", pa.int64()),
         ("sample_t0_us", pa.list_(pa.int64())),
         ("no_sample_reason", pa.string()),
@@ -58,7 +61,9 @@ SCHEMA = pa.schema(
     ],
     metadata={VERSION_KEY: str(TABLE_VERSION).encode()},
 )
-OPTIONAL_COLUMNS = frozenset({"split", "no_sample_reason", "country", "licence", "fingerprint"})
+OPTIONAL_COLUMNS = frozenset(
+    {"split", "doubts", "scale_sigma", "acceleration_noise", "no_sample_reason", "country", "licence", "fingerprint"}
+)
 
 
 def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
@@ -102,6 +107,7 @@ def _info(row: dict[str, Any], where: str) -> ClipInfo:
             raise InputError(f"{where}: {name} is {word!r}; it must be one of {', '.join(get_args(words))}")
     row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
     row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
+    row["doubts"] = None if row["doubts"] is None else tuple(row["doubts"])
     row["fingerprint"] = None if row["fingerprint"] is None else tuple(row["fingerprint"])
     origin = ClipOrigin(**{field.name: row.pop(field.name) for field in fields(ClipOrigin)})
     return ClipInfo(**row, origin=origin)

@@ -1,7 +1,7 @@
 """How well the motion of a recording is recovered, over clips of equal length that are each estimated on their own."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.motion.odometry import estimate_odometry
-from olt_generator.motion.smoother import smooth_trajectory
+from olt_generator.motion.pose_sources import PoseEstimate
+from olt_generator.motion.smoother import SmootherSettings, smooth_trajectory
 from olt_generator.poses import invert, make_pose
 from olt_generator.progress import Progress, silent
 from olt_generator.seeds import make_generator
@@ -41,17 +42,21 @@ class Jitter:
 class ClipMotion(RecoveredMotion):
     """Motion of one clip of a recording: with the index of its first frame, and the number of its frames."""
 
-    first: int
-    frames: int
+    first: int = field(kw_only=True)
+    frames: int = field(kw_only=True)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values; keys carry the units."""
         found = super().to_dict()
-        before, after = found["smoothness_before_smoothing"], found["smoothness"]
-        jerk_ratio, variance_ratio = (
-            None if before[key] is None or not after[key] else before[key] / after[key]
-            for key in ("jerk_rms_m_s3", "acceleration_variance_m2_s4")
+        parts = (
+            "smoothness_before_smoothing",
+            "smoothness",
+            "smoothness_of_reference",
+            "smoothness_of_reference_smoothed",
         )
+        before, after, true, true_smoothed = (found[name] or {} for name in parts)
+        jerk, variance = "jerk_rms_m_s3", "acceleration_variance_m2_s4"
+        jerk_ratio = _ratio(before.get(jerk), after.get(jerk))
         return {
             "first_frame": self.first,
             "frames": self.frames,
@@ -59,8 +64,15 @@ class ClipMotion(RecoveredMotion):
             **found,
             # How many times lower the mean squared jerk is: the paper's jerk has the size of a square (`pose_metrics`).
             "jerk_factor": None if jerk_ratio is None else jerk_ratio**2,
-            "acceleration_variance_factor": variance_ratio,
+            "acceleration_variance_factor": _ratio(before.get(variance), after.get(variance)),
+            # 1 where the motion accelerates as the reference does, seen through the same smoothing and as it is.
+            "acceleration_variance_over_reference_smoothed": _ratio(after.get(variance), true_smoothed.get(variance)),
+            "acceleration_variance_over_reference": _ratio(after.get(variance), true.get(variance)),
         }
+
+
+def _ratio(value: float | None, other: float | None) -> float | None:
+    return None if value is None or not other else value / other
 
 
 def measure_clips(
@@ -90,13 +102,14 @@ def measure_clips(
         part = slice(start, start + length)
         times = recording.timestamps_us[part]
         if jitter is not None and reference is not None:
-            measured, scale_sigma = jitter.disturb(Trajectory(times, reference.interpolate(times))), None
-            smoothed = smooth_trajectory(measured)
+            disturbed = jitter.disturb(Trajectory(times, reference.interpolate(times)))
+            found = PoseEstimate(disturbed, recording.T_rig_camera, None, SmootherSettings())
         else:
             found = estimate_odometry(recording.frames[part], times, recording.camera, recording.T_rig_camera)
-            measured, scale_sigma = found.trajectory, found.scale_sigma
-            smoothed = smooth_trajectory(measured, found.noise)
-        motions.append(ClipMotion(measured, smoothed, scale_sigma, reference, start, length))
+        smoothed = smooth_trajectory(found.trajectory, found.noise)
+        motions.append(
+            ClipMotion(found, smoothed, recording.spread, reference, recording.doubts, first=start, frames=length)
+        )
         on_progress(len(motions) / len(starts))
     return motions
 

@@ -1,29 +1,70 @@
 """`olt bench`: error against run time of the registered components."""
 
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from typer.core import TyperGroup
 
-app = typer.Typer(add_completion=False)
+COMMANDS = "olt.benchmark_commands"
+"""Entry points of benchmarks that have options of their own: each is a Typer app with one command."""
 
 
-@app.command(help="Measure error against run time of a component, or of all.")
-def bench(
-    name: Annotated[str, typer.Argument(help="Name of a benchmark, or `all`; `list` names them.")],
-    out: Annotated[Path, typer.Option(help="Folder for the JSON report and the plot.")] = Path("runs/bench"),
-    repeats: Annotated[int, typer.Option(min=1, help="Timed runs per setting.")] = 7,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
-) -> None:
-    """Report per setting the error, median time and spread, peak memory, and draw the Pareto front."""
+class _BenchGroup(TyperGroup):
+    """A command for each benchmark: its own where it brings one, and the common one for all others."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Names of all benchmarks, and `all` and `list`."""
+        return [*_names(), "all", "list"]
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        """The command of a benchmark; the common one answers for names that there are not."""
+        own = entry_points(group=COMMANDS, name=cmd_name)
+        command = typer.main.get_command(next(iter(own)).load() if own else _common_app(cmd_name))
+        command.name = cmd_name
+        return command
+
+
+app = typer.Typer(add_completion=False, cls=_BenchGroup, no_args_is_help=True)
+
+
+@app.callback()
+def bench() -> None:
+    """Measure error against run time of a component, or of all."""
+
+
+def _names() -> list[str]:
+    from olt_toolkit.bench.runner import benchmark_names
+
+    return sorted({*benchmark_names(), *(entry.name for entry in entry_points(group=COMMANDS))})
+
+
+def _common_app(name: str) -> typer.Typer:
+    """The app of a benchmark without options of its own."""
+    common = typer.Typer(add_completion=False)
+
+    @common.command()
+    def measure(
+        out: Annotated[Path, typer.Option(help="Folder for the JSON report and the plot.")] = Path("runs/bench"),
+        repeats: Annotated[int, typer.Option(min=1, help="Timed runs per setting.")] = 7,
+        as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    ) -> None:
+        """Report per setting the error, median time and spread, peak memory, and draw the Pareto front."""
+        _measure(name, out, repeats, as_json)
+
+    return common
+
+
+def _measure(name: str, out: Path, repeats: int, as_json: bool) -> None:
     from olt_toolkit.bench.runner import benchmark_names
     from olt_toolkit.runtime.console import print_json, print_line
 
     if name == "list":
         if as_json:
-            print_json({"benchmarks": benchmark_names()})
+            print_json({"benchmarks": _names()})
         else:
-            print_line("\n".join(benchmark_names()))
+            print_line("\n".join(_names()))
         return
     reports = [_run_one(each, out, repeats) for each in (benchmark_names() if name == "all" else [name])]
     if as_json:

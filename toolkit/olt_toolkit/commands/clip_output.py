@@ -38,11 +38,17 @@ def print_build(summary: dict[str, Any]) -> None:
     jerk = (find_number(summary, part, "jerk_rms_m_s3") for part in ("smoothness_before_smoothing", "smoothness"))
     rows += [
         ("jerk, RMS (m/s3)", *jerk),
-        ("scale, 1 sigma relative", summary["scale_sigma"], ""),
+        ("scale, error relative", "", summary["scale_error"]),
+        ("scale, 1 sigma relative", "", _known(summary["scale_sigma"])),
+        ("position, 1 sigma RMS (m)", "", _known(summary["ate_sigma_m"])),
         ("distance, median relative error", "", summary["distance_median_relative_error"]),
     ]
     print_table("Errors against the reference, and jerk", ["quantity", "before smoothing", "after"], rows)
+    if summary["scale_sigma_parts"] is not None:
+        print_line(f"scale: {word_scale(summary['scale_sigma_parts'])}")
     _print_label_noise(summary["label_noise"])
+    for doubt in summary["doubts"]:
+        print_line(f"in doubt: {doubt['what']}: {doubt['why']}")
     rows = []
     for name, view in clip["views"].items():
         errors = summary["view_errors"].get(name, {}) if view["kind"] == "warped" else {"psnr": "", "psnr_observed": ""}
@@ -59,14 +65,27 @@ def print_results(results: Sequence[BuildResult], store: Path) -> None:
     rows = []
     for result in results:
         summary = result.summary
-        cells: tuple[object, ...] = ("", "", "", "")
+        cells: tuple[object, ...] = ("", "", "", "", "", "")
         if summary is not None:
             noise = find_number(summary, "label_noise", "expected", "acceleration")
             seconds = sum((summary["seconds"] | summary["store_seconds"]).values())
-            cells = summary["trajectory"]["length"], noise, seconds, len(summary["clip"]["sample_t0_us"])
+            doubts = ", ".join(summary["clip"]["doubts"]) or "nothing"
+            sigma = "given" if summary["scale_sigma_parts"] is None else _known(summary["scale_sigma"])
+            samples = len(summary["clip"]["sample_t0_us"])
+            cells = summary["trajectory"]["length"], sigma, noise, doubts, seconds, samples
         if result.state != "failed":
             rows.append((result.path.name, result.state, result.clip_id, *cells))
-    columns = ["recording", "state", "clip", "length m", "label noise m/s2", "seconds", "samples"]
+    columns = [
+        "recording",
+        "state",
+        "clip",
+        "length m",
+        "scale 1 sigma",
+        "label noise m/s2",
+        "in doubt",
+        "seconds",
+        "samples",
+    ]
     print_table(f"Clips in {store}", columns, rows)
     for result in results:
         if result.state == "failed":
@@ -87,10 +106,15 @@ def print_plan(plan: dict[str, Any], folder: Path) -> None:
 def print_clips(summary: dict[str, Any]) -> None:
     """Print the clip table of a store."""
     rows = [
-        (clip["clip_id"], clip["name"], clip["kind"], clip["category"], clip["split"], _sample_line(clip))
+        (
+            *(clip[key] for key in ("clip_id", "name", "kind", "category", "split")),
+            _word_doubts(clip),
+            _sample_line(clip),
+        )
         for clip in summary["clips"]
     ]
-    print_table(f"Clips in {summary['store']}", ["clip", "name", "kind", "category", "split", "samples"], rows)
+    columns = ["clip", "name", "kind", "category", "split", "in doubt", "samples"]
+    print_table(f"Clips in {summary['store']}", columns, rows)
 
 
 def print_clip(summary: dict[str, Any]) -> None:
@@ -98,6 +122,11 @@ def print_clip(summary: dict[str, Any]) -> None:
     clip, trajectory = summary["clip"], summary["trajectory"]
     print_line(f"clip {clip['name']} ({clip['kind']}, {clip['category']}, {clip['split']}) {clip['clip_id']}")
     print_line(f"trajectory: {trajectory['length']:.1f} m in {trajectory['duration']:.1f} s")
+    sigma, noise = clip["scale_sigma"], clip["acceleration_noise"]
+    given = "not known, or the motion was given"
+    print_line(f"scale, 1 sigma: {given if sigma is None else f'{100 * sigma:.1f} %'}")
+    print_line(f"expected error of acceleration labels: {given if noise is None else f'{noise:.2f} m/s2'}")
+    print_line(f"in doubt: {_word_doubts(clip)}")
     print_line(_sample_line(clip))
     rows = [
         (
@@ -152,12 +181,36 @@ def print_scores(summary: dict[str, Any]) -> None:
     print_line(f"LPIPS: {reference['lpips'] or 'not measured; give --lpips-weights'}")
 
 
+def word_scale(parts: dict[str, Any]) -> str:
+    """How well a metric scale is known: its standard deviation, and that of each part with where it comes from."""
+    total = "not known" if parts["total"] is None else f"1 sigma {100 * parts['total']:.2f} %"
+    worded = [
+        f"{name} " + ("not known" if part["relative"] is None else f"{100 * part['relative']:.2f} % ({part['origin']})")
+        for name, part in (
+            ("road", parts["road"]),
+            ("height", parts["height"]),
+            ("focal length", parts["focal_length"]),
+        )
+    ]
+    return f"{total}; {', '.join(worded)}"
+
+
 def find_number(numbers: Mapping[str, Any], *keys: str) -> Any:
     """A number in nested mappings; None where a level of them is None."""
     found: Any = numbers
     for key in keys:
         found = None if found is None else found[key]
     return found
+
+
+def _known(value: float | None) -> float | str:
+    return "not known" if value is None else value
+
+
+def _word_doubts(clip: dict[str, Any]) -> str:
+    if clip["doubts"] is None:
+        return "not looked at"
+    return ", ".join(clip["doubts"]) or "nothing"
 
 
 def _share_cells(view: dict[str, Any]) -> tuple[str, ...]:
@@ -174,15 +227,21 @@ def _print_label_noise(budget: dict[str, Any] | None) -> None:
     if budget is None:
         print_line("label noise: not measured; it needs a motion that is not the reference, over at least 7.9 s")
         return
+    columns = {
+        "before smoothing": "raw",
+        "after": "actual",
+        "after, expected": "expected",
+        "by the smoother": "smoother",
+        "by the estimator": "estimator",
+        "by the scale": "scale",
+        "taken out by smoothing": "taken_out",
+    }
     rows = [
-        (
-            f"{label} ({unit})",
-            *(find_number(budget, part, label) for part in ("raw", "actual", "expected", "taken_out")),
-        )
+        (f"{label} ({unit})", *(_known(find_number(budget, part, label)) for part in columns.values()))
         for label, unit in (("acceleration", "m/s2"), ("curvature", "1/m"))
     ]
-    columns = ["label", "before smoothing", "after", "after, by the smoother's account", "taken out by smoothing"]
-    print_table(f"Noise of the policy's labels, RMS over {budget['samples']} samples", columns, rows)
+    title = f"Noise of the policy's labels, RMS over {budget['samples']} samples"
+    print_table(title, ["label", *columns], rows)
 
 
 def _print_notes(summary: dict[str, Any]) -> None:

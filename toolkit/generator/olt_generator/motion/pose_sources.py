@@ -29,7 +29,8 @@ class PoseEstimate:
         scale_sigma: relative standard deviation of the metric scale; None where it is not known.
         noise: how noisy the poses are, for the smoother.
         covariance: (n, 6, 6) of the errors of position (x, y, z in metres) and rotation (rotation vector in radians),
-            both in the axes of the first pose, against which they are meant; None where it is not known.
+            both in the axes of the first pose, against which they are meant. It is that of the path at the scale as it
+            was found: what `scale_sigma` says is not in it. None where it is not known.
         doubts: why the motion may be another one.
     """
 

@@ -67,8 +67,9 @@ class SmootherSettings:
 
 
 # Visual odometry hardly jitters: it errs in speed, over tenths of a second, which looks like acceleration. Noise levels
-# cannot be told from such a trajectory; these make the smoother average speed over about a second.
-ODOMETRY_SETTINGS = SmootherSettings(position_sigma=0.2, rotation_sigma=1e-4, jerk_density=0.3)
+# cannot be told from such a trajectory. These make the smoother average speed over about half a second: with more of it
+# true braking is smoothed away, with less the odometry's errors stay, and either way accelerations get worse.
+ODOMETRY_SETTINGS = SmootherSettings(position_sigma=0.1, rotation_sigma=4e-5, jerk_density=0.3)
 
 
 @dataclass(frozen=True)
