@@ -134,7 +134,7 @@ def test_file_cut_off_behind_its_index_is_refused(tmp_path):
         target.close()
     content = (tmp_path / "index_first.mp4").read_bytes()
     (tmp_path / "cut.mp4").write_bytes(content[: content.find(b"mdat") + len(content) // 3])
-    with pytest.raises(InputError, match=r"of 60 frames|damaged|decoding fails"):
+    with pytest.raises(InputError, match="cut off"):
         read_video(tmp_path / "cut.mp4")
 
 

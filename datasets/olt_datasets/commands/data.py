@@ -62,10 +62,15 @@ def index(
     from olt_datasets.tables.cutting import Cutting
     from olt_datasets.tables.indexing import index_dataset
     from olt_generator.errors import InputError
+    from olt_generator.omissions import word_omission
     from olt_toolkit.recordings.drives import DatasetPlace
+    from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json, print_line, show_progress
     from olt_toolkit.runtime.workers import default_workers
 
+    if seconds is not None:
+        given = {"--frames": frames != PAPER_FRAMES, "--stride": stride != PAPER_STRIDE}
+        refuse_unused(given, "windows are cut by --seconds")
     cutting = Cutting(frames, stride, seconds, samples)
     place = DatasetPlace(root, cache.expanduser(), source)
     with show_progress("drives") as (on_progress, _):
@@ -80,6 +85,8 @@ def index(
         print_line(f"{summary.kept} rows were kept from the table as it was")
         example = "".join(f", as {key}" for key in summary.without_clips[:1])
         print_line(f"{len(summary.without_clips)} drives fill no window{example}")
+        for omission in summary.left_out:
+            print_line(f"left out: {word_omission(omission)}")
         for key, message in summary.failed.items():
             print_line(f"failed: {key}: {message}")
     if summary.failed:
@@ -127,8 +134,14 @@ def split(
     never trained on. own: the data set's own splits, which every clip must have.
     """
     from olt_datasets.tables.splits import Splitting, split_table
+    from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json, print_table
 
+    by_shares = rule in (SplitRule.SEEN, SplitRule.UNSEEN)
+    refuse_unused({"--gap": gap != 0.0 and rule is not SplitRule.SEEN}, "only rule seen splits a scene in time")
+    refuse_unused({"--seed": seed != 0 and rule is not SplitRule.UNSEEN}, "only rule unseen draws scenes by chance")
+    given = {"--val": val != 0.0 and not by_shares, "--test": test != 0.2 and not by_shares}
+    refuse_unused(given, f"rule {rule.value} leaves no share to choose")
     counts = split_table(table, Splitting(rule, tuple(source or ()), val, test, gap, seed), out)
     if as_json:
         print_json({"table": str(out), "rule": rule.value, "clips": counts})
@@ -180,7 +193,7 @@ def build(
     building: BuildingOptions,
     source: SourceOption = None,
     cache: CacheOption = DEFAULT_CACHE,
-    seed: Annotated[int, typer.Option(help="Seed of the clips.")] = 0,
+    seed: Annotated[int, typer.Option(help="Goes into the clips' ids; nothing is drawn by chance.")] = 0,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a window that fails.")] = False,

@@ -57,8 +57,14 @@ def align(
     from olt_datasets.mixtures.source_alignment import PAPER_COVERAGE, align_sources, measure_coverage
     from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_generator.errors import InputError
+    from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json
 
+    unused = {"--where": where != "{}", "--split": split != "train", "--by": by != "factors"}
+    unused |= {"TABLE": bool(tables), "--target": target is not None, "--target-weights": target_weights is not None}
+    refuse_unused(unused if example else {}, "--example shows the paper's counts")
+    if target is None:
+        refuse_unused({"--target-split": target_split != "test"}, "only --target is taken from a split")
     if example:
         found = align_sources(PAPER_COVERAGE, PAPER_COVERAGE["nv"], samples=samples, seed=seed)
     else:

@@ -73,8 +73,9 @@ class KittiDrives:
         )
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
-        """See `Dataset.open`; field of view and height are those of KITTI's car, whatever the options say."""
+        """See `Dataset.open`."""
         folder = self._folder(key)
+        options.refuse_camera(str(folder))
         drive = self._read(folder)
         recording = drive.record(images_within(drive.image_us, window_us, str(folder)), options.width)
         start_us = int(recording.timestamps_us[0])

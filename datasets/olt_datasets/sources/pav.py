@@ -109,7 +109,8 @@ class Pav:
         )
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
-        """See `Dataset.open`; lenses and mountings are the clip's own, whatever the options say."""
+        """See `Dataset.open`."""
+        options.refuse_camera(f"{self.root}: clip {key}")
         clip_us = self._timestamps(key, FRONT_WIDE)
         times_us = clip_us[images_within(clip_us - clip_us[0], window_us, f"{self.root}: clip {key}")]
         beside = [name for name in self._cameras_beside(key, options.views, times_us) if name != FRONT_WIDE]

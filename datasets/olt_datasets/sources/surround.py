@@ -113,7 +113,8 @@ class SurroundDrive:
         )
 
     def open(self, window_us: Span, options: OpenOptions) -> Recording:
-        """See `Dataset.open`; field of view and height come from the calibration, whatever the options say."""
+        """See `Dataset.open`."""
+        options.refuse_camera(f"{self.source}/{self.key}")
         front = self.cameras[self.front]
         indices = images_within(front.times_us, window_us, f"{self.source}/{self.key}")
         times_us = front.times_us[indices]

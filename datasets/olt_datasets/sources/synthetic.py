@@ -176,7 +176,8 @@ class Synthetic:
         )
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
-        """See `Dataset.open`; lens and mounting are those of the nominal rig, whatever the options say."""
+        """See `Dataset.open`; lens and mounting are those of the nominal rig."""
+        options.refuse_camera(f"{self._file}: drive {key}")
         size, scene = (options.width, round(options.width * _ASPECT)), self._scene(key)
         return record_drive(
             scene,

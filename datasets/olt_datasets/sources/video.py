@@ -7,14 +7,39 @@ the beginning of the video, and kept in the cache.
 import hashlib
 import json
 import math
-from dataclasses import asdict, dataclass
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from olt_generator import Camera, FthetaCamera, InputError, PinholeCamera, estimate_field_of_view
+from olt_datasets.sources.video_files import (
+    find_video_files,
+    has_video_suffix,
+    leave_out_elsewhere,
+    looks_elsewhere,
+    why_no_video,
+)
+from olt_datasets.sources.video_lens import (
+    CAMERA,
+    GIVEN_SPREAD,
+    RIG,
+    AssumedLens,
+    assume_camera,
+    describe_lens,
+    find_field_of_view,
+    height_spread,
+)
+from olt_generator import InputError
+from olt_generator.camera_spread import CameraSpread
+from olt_generator.decoding.orientation import turned
+from olt_generator.decoding.repeated_frames import find_repeated_frames
+from olt_generator.decoding.sky import find_sky_side
+from olt_generator.doubts import Doubt
 from olt_generator.files import write_whole
+from olt_generator.motion.odometry import MAX_STEP_SECONDS
+from olt_generator.omissions import Omission
 from olt_generator.video import Video, read_frame_times, read_video, read_video_window
 from olt_toolkit import OpenOptions, Recording, load_rig
 from olt_toolkit.policy.window import Span
@@ -27,18 +52,14 @@ LICENCE = Licence(
     "Files of the user's own; nobody told where they come from.",
     "Not told: ask whoever owns the videos before training on them or passing them on.",
 )
-SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm", ".ts", ".mpg", ".mpeg"})
-# The rig in which an unknown camera is taken to be, and its only camera.
-RIG, CAMERA = "dashcam", "front"
 UNKNOWN_CAMERA = (
     "Lens, mounting and vehicle are not known; they are assumed when the drive is opened, and said there.",
     "There is no measured motion; it is recovered from the images.",
 )
-# Wider lenses are built to keep angles rather than straight lines.
-WIDEST_PINHOLE = np.radians(100.0)
-FIELD_OF_VIEW_RANGE = (np.radians(10.0), np.radians(200.0))
 # The field of view is looked for in so many seconds from the start where windows of any duration are opened.
 LENS_SECONDS = 20.0
+# Clockwise turns that bring the sky from a side of the picture to its top.
+_TURN_FROM_SIDE = {"right": 270, "bottom": 180, "left": 90}
 
 
 class Videos:
@@ -49,7 +70,18 @@ class Videos:
 
     def __init__(self, path: Path, cache: Path) -> None:
         self._path, self._cache = path, cache / NAME
-        found = [path] if path.is_file() else [each for each in path.rglob("*") if is_video(each)]
+        self.left_out: tuple[Omission, ...] = ()
+        if path.is_file():
+            _check_front(path, [each for each in path.parent.iterdir() if has_video_suffix(each)])
+            found = [path]
+        else:
+            videos, others = find_video_files(path)
+            found, elsewhere = leave_out_elsewhere(videos)
+            reasons = Counter({**others, **elsewhere}.values())
+            total = len(videos) + len(others)
+            self.left_out = tuple(
+                Omission("files called videos", why, count, total) for why, count in sorted(reasons.items())
+            )
         self._videos = {each.relative_to(path).as_posix(): each for each in found}
 
     def keys(self) -> list[str]:
@@ -59,6 +91,7 @@ class Videos:
     def drive(self, key: str) -> Drive:
         """See `Dataset.drive`; reads the times of the frames and decodes none."""
         video = self._video(key)
+        _check_front(video, self._videos.values())
         folder = (video.parent if key == WHOLE else self._path).resolve()
         return Drive(
             source=NAME,
@@ -74,6 +107,7 @@ class Videos:
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""
         video = self._video(key)
+        _check_front(video, self._videos.values())
         return open_video_window(video, video.stem, NAME, window_us, options, self._cache)
 
     def _video(self, key: str) -> Path:
@@ -82,33 +116,26 @@ class Videos:
         return self._videos[key]
 
 
-def is_video(path: Path) -> bool:
-    """Whether a path is a video file, judged by its suffix."""
-    return path.suffix.lower() in SUFFIXES and path.is_file()
-
-
 def open_video_window(
     path: Path, name: str, source: str, window_us: Span, options: OpenOptions, cache: Path
 ) -> Recording:
     """Decode a window of a front video of which nothing is known, in the rig in which unknown cameras are taken to be.
 
     The options tell in how much from the start the field of view is looked for. It is kept in the cache for as long as
-    the file stays the same. InputError: the video is damaged, has no frame in the window, or one in all that is opened.
+    the file stays the same. Frames that repeat the one before them are left out.
+
+    Raises:
+        InputError: the video is damaged, its frames are too far apart or one picture is held for too long to recover
+            motion, it is a portrait of unknown field of view, or has no frame in the window, or one in all.
     """
-    first_us, last_us = window_us
     beginning_us = round(1e6 * (options.duration if math.isfinite(options.duration) else LENS_SECONDS))
-    if first_us > 0:
-        video = read_video_window(path, first_us, last_us, options.width)
-    else:
-        video = read_video(path, options.width, (last_us + 1) / 1e6)
-        if len(video.frames) < 2 and last_us >= beginning_us - 1:
-            raise InputError(f"{path}: holds a single frame; give a video of at least 2 frames")
+    _check_steps(path, window_us)
+    video, doubts = _drop_repeats(path, _read_window(path, window_us, beginning_us, options))
     is_beginning = window_us == (0, beginning_us - 1)
-    lens = (
-        _find_lens(path, video if is_beginning else None, beginning_us, options.width, cache)
-        if options.horizontal_fov is None
-        else describe_lens(options.horizontal_fov, "as given")
-    )
+    if options.horizontal_fov is not None:
+        lens = describe_lens(options.horizontal_fov, "as given", GIVEN_SPREAD)
+    else:
+        lens = _find_lens(path, video if is_beginning else None, beginning_us, options, cache)
     height, width = video.frames.shape[1:3]
     rig = load_rig(RIG)
     T_rig_camera = rig[CAMERA].T_rig_camera
@@ -128,69 +155,133 @@ def open_video_window(
             f"The camera is {up:.2f} m above ground ({told}), which fixes the metric scale.",
             f"The camera is {forward:.1f} m ahead of the rear axle, in the middle of the vehicle and not rolled.",
             "The vehicle has the size of the default passenger car.",
+            *_word_turn(options),
+            *video.notes,
         ),
+        spread=CameraSpread(height_spread("assumed" if options.camera_height is None else "given"), lens.spread),
+        doubts=(*doubts, *_doubt_sides(video)),
     )
 
 
-def _find_lens(path: Path, beginning: Video | None, beginning_us: int, width: int, cache: Path) -> "AssumedLens":
+def _check_front(path: Path, beside: Iterable[Path]) -> None:
+    elsewhere = looks_elsewhere(path, (each for each in beside if each.parent == path.parent))
+    if elsewhere is not None:
+        raise InputError(
+            f"{path}: {elsewhere.why}, and clips are made of front videos; give the front camera's file, or rename "
+            "this one if it is that"
+        )
+
+
+def _check_steps(path: Path, window_us: Span) -> None:
+    """Refuse frames too far apart to recover motion from before any is decoded."""
+    times_us = read_frame_times(path, (window_us[1] + 1) / 1e6)
+    times_us = times_us[times_us >= window_us[0]]
+    gaps = 1e-6 * np.diff(times_us)
+    if len(gaps) and gaps.max() > MAX_STEP_SECONDS:
+        first = int(np.argmax(gaps > MAX_STEP_SECONDS))
+        raise InputError(
+            f"{path}: the frames shown at {times_us[first] / 1e6:.2f} and {times_us[first + 1] / 1e6:.2f} s are "
+            f"{gaps[first]:.2f} s apart, the usual step is {np.median(gaps):.2f} s, and motion is recovered from steps "
+            f"of at most {MAX_STEP_SECONDS} s; give a video with more frames a second, or cut it there"
+        )
+
+
+def _read_window(path: Path, window_us: Span, beginning_us: int, options: OpenOptions) -> Video:
+    first_us, last_us = window_us
+    orientation = turned(options.rotate, options.mirror)
+    if first_us > 0:
+        return read_video_window(path, first_us, last_us, options.width, orientation)
+    video = read_video(path, options.width, (last_us + 1) / 1e6, orientation)
+    if len(video.frames) < 2 and last_us >= beginning_us - 1:
+        raise InputError(f"{path}: holds a single frame; give a video of at least 2 frames")
+    return video
+
+
+def _drop_repeats(path: Path, video: Video) -> tuple[Video, list[Doubt]]:
+    """The video without frames that repeat the one before them, which is noted, and doubts about freezes.
+
+    Raises:
+        InputError: a picture is held for longer than motion can be recovered over, but for the end of the video.
+    """
+    times_us = video.timestamps_us
+    found = find_repeated_frames(video.frames, times_us)
+    if not found.repeats.any():
+        return video, []
+    doubts = []
+    for freeze in found.freezes:
+        start, end = times_us[freeze.first] / 1e6, times_us[freeze.last] / 1e6
+        is_end = freeze.last == len(times_us) - 1
+        if end - start > MAX_STEP_SECONDS and not is_end:
+            raise InputError(
+                f"{path}: the picture freezes from {start:.2f} to {end:.2f} s while the vehicle drives, and motion is "
+                f"recovered from steps of at most {MAX_STEP_SECONDS} s; cut the video before or after"
+            )
+        doubts.append(
+            Doubt("frames", f"the picture freezes from {start:.2f} to {end:.2f} s, though nothing slowed down before")
+        )
+    keep = ~found.repeats
+    count, total = int(found.repeats.sum()), len(keep)
+    pattern = "in no regular pattern"
+    if found.showings is not None:
+        pattern = f"each picture is shown {' and '.join(map(str, found.showings))} times by turns"
+        if len(found.showings) == 1:
+            pattern = f"each picture is shown {found.showings[0]} times"
+    note = (
+        f"{count} of {total} frames repeat the one before them ({pattern}); they are left out, and the others keep "
+        "their times."
+    )
+    kept = replace(video, frames=video.frames[keep], timestamps_us=times_us[keep], notes=(*video.notes, note))
+    return kept, doubts
+
+
+def _doubt_sides(video: Video) -> list[Doubt]:
+    side = find_sky_side(video.frames)
+    if side is None or side == "top":
+        return []
+    where = {"bottom": "at the bottom", "left": "on the left", "right": "on the right"}[side]
+    return [
+        Doubt(
+            "view direction",
+            f"the sky seems to be {where} of the picture; if it is, open the video with --rotate "
+            f"{_TURN_FROM_SIDE[side]}",
+        )
+    ]
+
+
+def _word_turn(options: OpenOptions) -> list[str]:
+    words = [f"turned clockwise by {options.rotate} degrees"] if options.rotate else []
+    words += ["mirrored left to right"] if options.mirror else []
+    return [f"Pictures are {' and '.join(words)} as asked for."] if words else []
+
+
+def _find_lens(
+    path: Path, beginning: Video | None, beginning_us: int, options: OpenOptions, cache: Path
+) -> AssumedLens:
     """The lens that the beginning of a video tells, kept for as long as the file stays the same."""
     state = path.stat()
-    words = f"{path.name}\x1f{state.st_size}\x1f{state.st_mtime_ns}\x1f{beginning_us}\x1f{width}"
+    opened = f"{beginning_us}\x1f{options.width}\x1f{options.rotate}\x1f{options.mirror}"
+    words = f"{path.name}\x1f{state.st_size}\x1f{state.st_mtime_ns}\x1f{opened}"
     kept = cache / f"lens-{hashlib.blake2b(words.encode(), digest_size=16).hexdigest()}.json"
     if kept.is_file():
-        return AssumedLens(**json.loads(kept.read_text()))
-    beginning = beginning or read_video(path, width, beginning_us / 1e6)
-    lens = find_field_of_view(beginning.frames, beginning.timestamps_us)
+        return AssumedLens.from_dict(json.loads(kept.read_text()))
+    if beginning is None:
+        orientation = turned(options.rotate, options.mirror)
+        beginning = read_video(path, options.width, beginning_us / 1e6, orientation)
+        keep = ~find_repeated_frames(beginning.frames, beginning.timestamps_us).repeats
+        beginning = replace(beginning, frames=beginning.frames[keep], timestamps_us=beginning.timestamps_us[keep])
+    try:
+        lens = find_field_of_view(beginning.frames, beginning.timestamps_us)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
     with write_whole(kept) as temporary:
         temporary.write_text(json.dumps(asdict(lens)))
     return lens
 
 
-@dataclass(frozen=True)
-class AssumedLens:
-    """A horizontal field of view in radians, and the sentence that says where it comes from."""
-
-    field_of_view: float
-    sentence: str
+def _is_video_or_folder(path: Path) -> bool:
+    if path.is_dir():
+        return any(has_video_suffix(each) and why_no_video(each) is None for each in path.iterdir())
+    return has_video_suffix(path)
 
 
-def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64]) -> AssumedLens:
-    """The field of view as estimated from frames (n, H, W, 3) and their times (n,), else as assumed for dashcams."""
-    estimate = estimate_field_of_view(frames, timestamps_us, assume_camera)
-    if estimate.field_of_view is not None and estimate.interval is not None:
-        low, high = np.degrees(estimate.interval)
-        return describe_lens(
-            estimate.field_of_view, f"estimated from the turns in the video, likely between {low:.0f} and {high:.0f}"
-        )
-    dashcam = load_rig(RIG)[CAMERA].camera
-    edges = dashcam.rays(np.array([[-0.5, dashcam.cy], [dashcam.width - 0.5, dashcam.cy]]))
-    usual = float(np.arccos(edges[0] @ edges[1]))
-    return describe_lens(usual, f"the default for dashcams; the video does not tell: {estimate.reason}")
-
-
-def assume_camera(width: int, height: int, field_of_view: float) -> Camera:
-    """A centred camera, pinhole or f-theta, that sees so many radians across; InputError beyond 10 to 200 degrees."""
-    low, high = FIELD_OF_VIEW_RANGE
-    if not low <= field_of_view <= high:
-        raise InputError(
-            f"field of view {np.degrees(field_of_view):.1f} degrees: give one between {np.degrees(low):.0f} and "
-            f"{np.degrees(high):.0f} degrees"
-        )
-    if field_of_view <= WIDEST_PINHOLE:
-        return PinholeCamera.from_field_of_view(width, height, field_of_view)
-    return FthetaCamera.equidistant(width, height, 0.5 * (width - 1), 0.5 * (height - 1), width / field_of_view)
-
-
-def describe_lens(field_of_view: float, origin: str) -> AssumedLens:
-    """The lens that is assumed for a horizontal field of view in radians, which comes from `origin`."""
-    lens = "without distortion" if field_of_view <= WIDEST_PINHOLE else "with an equidistant fisheye lens"
-    return AssumedLens(
-        field_of_view,
-        f"The camera has a horizontal field of view of {np.degrees(field_of_view):.0f} degrees ({origin}), {lens}, and "
-        "its axis is in the middle of the image.",
-    )
-
-
-DATASET = DatasetReader(
-    NAME, LICENCE, lambda path: is_video(path) or (path.is_dir() and any(map(is_video, path.iterdir()))), Videos
-)
+DATASET = DatasetReader(NAME, LICENCE, _is_video_or_folder, Videos)

@@ -18,9 +18,11 @@ from olt_datasets.tables.clip_frame import TABLE_SUFFIX, check_table_name, scan_
 from olt_datasets.tables.cutting import Cutting, cut_drive
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
+from olt_generator.omissions import Omission
 from olt_generator.progress import Progress, silent
 from olt_toolkit import ClipInfo, DatasetPlace
 from olt_toolkit.clips.table import SCHEMA, write_clip_table
+from olt_toolkit.recordings.drives import list_left_out
 from olt_toolkit.runtime.threads import use_one_thread
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
@@ -35,7 +37,8 @@ class IndexSummary:
     """What an index holds: how many drives, clips (rows), clips with samples, and samples (times of all rows).
 
     `kept` rows were taken from the table that was there before, with their splits: they describe the same windows.
-    `without_clips` are keys of drives that fill no window, and `failed` tells why drives could not be described.
+    `without_clips` are keys of drives that fill no window, `failed` tells why drives could not be described, and
+    `left_out` what the data set passed over beside them.
     """
 
     source: str
@@ -46,6 +49,7 @@ class IndexSummary:
     kept: int
     without_clips: list[str] = field(default_factory=list)
     failed: dict[str, str] = field(default_factory=dict)
+    left_out: list[Omission] = field(default_factory=list)
 
 
 def index_dataset(
@@ -100,6 +104,7 @@ def index_dataset(
         kept=kept,
         without_clips=[key for each in without_clips for key in each],
         failed={key: message for each in failed for key, message in each.items()},
+        left_out=list(list_left_out(place.path, place.cache)) if place.source is None else [],
     )
 
 

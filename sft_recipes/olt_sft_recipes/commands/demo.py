@@ -33,9 +33,16 @@ def demo(
     from olt_toolkit.runtime.console import print_json, print_line, print_table
 
     if video is None and camera != CameraOptions():
-        raise InputError("olt demo: --fov and --camera-height tell of a --video; give one, or leave them out")
+        names = ", ".join(name for name, is_given in camera.given().items() if is_given)
+        raise InputError(f"olt demo: {names} tell of a --video; give one, or leave them out")
     opening = camera.opening()
-    settings = DemoSettings(seed=seed, video_fov=opening.horizontal_fov, video_camera_height=opening.camera_height)
+    settings = DemoSettings(
+        seed=seed,
+        video_fov=opening.horizontal_fov,
+        video_camera_height=opening.camera_height,
+        video_rotate=opening.rotate,
+        video_mirror=opening.mirror,
+    )
     summary = run_demo(out, settings.quick() if quick else settings, video, workers)
     if as_json:
         print_json(summary)

@@ -79,6 +79,7 @@ class DemoSettings:
         video_seconds: how much of a given video is used, from its start.
         video_fov: its horizontal field of view in radians, where it is not calibrated; None for its reader's default.
         video_camera_height: height in metres of its camera, where it is not known; None for its reader's default.
+        video_rotate, video_mirror: see `OpenOptions`.
         input_size: height and width of the synthetic input video and of the views made from the input.
         training_front_size: height and width of the front videos behind the training clips.
         training_size: height and width of the training clips.
@@ -95,6 +96,8 @@ class DemoSettings:
     video_seconds: float = 14.0
     video_fov: float | None = None
     video_camera_height: float | None = None
+    video_rotate: int = 0
+    video_mirror: bool = False
     input_size: tuple[int, int] = (270, 480)
     training_front_size: tuple[int, int] = (144, 256)
     training_size: tuple[int, int] = (64, 112)
@@ -231,8 +234,13 @@ def open_video(video: Path, settings: DemoSettings) -> Recording:
     Raises:
         InputError: the video cannot be used.
     """
-    fov, camera_height = settings.video_fov, settings.video_camera_height
-    options = OpenOptions(duration=settings.video_seconds, horizontal_fov=fov, camera_height=camera_height)
+    options = OpenOptions(
+        duration=settings.video_seconds,
+        horizontal_fov=settings.video_fov,
+        camera_height=settings.video_camera_height,
+        rotate=settings.video_rotate,
+        mirror=settings.video_mirror,
+    )
     return open_recording(video, options)
 
 

@@ -393,3 +393,11 @@ def test_inspect_draws_a_clip(store, tmp_path):
 def test_inspect_names_what_is_missing(store, tmp_path):
     assert "not a clip store" in str(run("inspect", tmp_path).exception)
     assert "no clip" in str(run("inspect", store.root, make_clip_id("other")).exception)
+
+
+def test_a_stored_clip_takes_nothing_that_is_said_of_recordings(tmp_path, drive):
+    assert build(drive, "--out", tmp_path / "clips").exit_code == 0
+    for option in (["--fov", 50], ["--mirror"], ["--duration", 3], ["--cache", tmp_path], ["--poses", "reference"]):
+        views = "views", tmp_path / "clips", "town", "--cameras", "rear_tele", "--out", tmp_path / "views"
+        result = run(*views, *option)
+        assert f"{option[0]}: a stored clip has its lens, motion and duration" in str(result.exception)

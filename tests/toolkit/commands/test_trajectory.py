@@ -119,8 +119,8 @@ def test_clips_have_a_file_each(drive, tmp_path):
     ("options", "message"),
     [
         (["--out", "poses.txt"], r"poses.txt: .txt tells no format of poses; use .tum, .kitti, .parquet, or --format"),
-        (["--of", "camera"], "give --out FILE too"),
-        (["--format", "tum"], "give --out FILE too"),
+        (["--of", "camera"], "no poses are written without --out"),
+        (["--format", "tum"], "no poses are written without --out"),
     ],
 )
 def test_poses_without_a_format_or_a_file_are_refused_before_any_work(tmp_path, options, message):

@@ -1,29 +1,34 @@
 """Reading and writing video files."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
-from itertools import pairwise
 from pathlib import Path
 
 import av
 import cv2
 import numpy as np
-from av.container import InputContainer
 from av.error import FFmpegError
+from av.video.reformatter import Colorspace
 from av.video.stream import VideoStream
 from numpy.typing import NDArray
 
+from olt_generator.decoding.coded_frames import (
+    MISSING_FRAMES_ALLOWED,
+    CodedFrame,
+    OpenVideo,
+    check_complete,
+    check_packet,
+    open_video,
+    read_coded_frames,
+)
+from olt_generator.decoding.orientation import AS_STORED, Orientation
+from olt_generator.decoding.pictures import PictureReader
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 
 KEY_FRAME_EVERY = 30
 QUALITY = "18"
 MAX_RATE_DENOMINATOR = 1001
-# How many frames a container may announce and not hold: some writers count one that is never shown.
-MISSING_FRAMES_ALLOWED = 1
-MISSING_SECONDS_ALLOWED = 0.5
 
 
 @dataclass(frozen=True)
@@ -31,63 +36,81 @@ class Video:
     """A decoded video.
 
     Attributes:
-        frames: (n, H, W, 3) uint8 RGB.
+        frames: (n, H, W, 3) uint8 RGB, as players show them.
         timestamps_us: (n,) int64 presentation times in microseconds, strictly increasing, the first is 0.
         frame_rate: mean frames per second over what was decoded; as declared for a single frame, 0 if unknown.
+        notes: a sentence for every way in which the file was read where another one was possible.
     """
 
     frames: NDArray[np.uint8]
     timestamps_us: NDArray[np.int64]
     frame_rate: float
+    notes: tuple[str, ...] = ()
 
 
-def read_video(path: Path, width: int = 832, duration: float = 20.0) -> Video:
-    """Decode the beginning of a video at working resolution.
+def read_video(path: Path, width: int = 832, duration: float = 20.0, turned: Orientation = AS_STORED) -> Video:
+    """Decode the beginning of a video at working resolution, each frame as players show it (docs/formats/video.md).
 
     Args:
         path: a file that FFmpeg can decode.
         width: width of the frames in pixels; smaller videos keep theirs. The height follows the aspect ratio.
-        duration: at most this many seconds from the first frame.
+        duration: at most this many seconds from the first frame that is shown.
+        turned: how pictures are turned and mirrored beyond what the file itself says.
 
     Raises:
-        InputError: the file is missing, empty, no video, damaged or cut off, or its times run backwards.
+        InputError: the file is missing, empty, no video, damaged or cut off, its times run backwards, or its pictures
+            cannot be shown as they are meant.
     """
-    with _opened(path) as (container, stream):
-        return _as_video(stream, *_decode(path, container, stream, width, duration))
+    with open_video(path) as video:
+        pictures = PictureReader(path, video.stream, width, turned)
+        if video.edits:
+            coded = read_coded_frames(video)
+            shown = _shown(coded)
+            inside = [number for number, frame in enumerate(shown) if frame.time - shown[0].time < duration]
+            frames, times = _decode_some(video, coded, inside, pictures), [shown[number].time for number in inside]
+        else:
+            frames, times = _decode(video, pictures, duration)
+        return _as_video(video.stream, frames, _microseconds(times), pictures)
 
 
-def read_frame_times(path: Path) -> NDArray[np.int64]:
+def read_frame_times(path: Path, duration: float | None = None) -> NDArray[np.int64]:
     """Times (n,) of all frames in microseconds since the first, as `read_video` gives them, without decoding any.
+
+    With a duration in seconds only those of the beginning, and only that is read.
 
     Raises:
         InputError: the file is missing, empty, no video or cut off, or two frames are shown at the same time.
     """
-    with _opened(path) as (container, stream):
-        return _microseconds([packet.pts * packet.time_base for packet in _coded_frames(path, container, stream)])
+    with open_video(path) as video:
+        times = [frame.time for frame in _shown(read_coded_frames(video, duration))]
+    return _microseconds([time for time in times if duration is None or time - times[0] < duration])
 
 
-def read_video_window(path: Path, first_us: int, last_us: int, width: int = 832) -> Video:
+def read_video_window(
+    path: Path, first_us: int, last_us: int, width: int = 832, turned: Orientation = AS_STORED
+) -> Video:
     """Decode the frames that are shown between two times, from the last key frame before them on.
 
     Args:
         path: a file that FFmpeg can decode.
         first_us, last_us: times in microseconds since the first frame of the video, both included.
-        width: see `read_video`.
+        width, turned: see `read_video`.
 
     Returns:
         The frames; their times are still those since the first frame of the video.
 
     Raises:
-        InputError: as `read_frame_times`; no frame is shown at these times, or one of them is damaged.
+        InputError: as `read_frame_times` and `read_video`; no frame is shown at these times, or one is damaged.
     """
-    with _opened(path) as (container, stream):
-        coded = _coded_frames(path, container, stream)
-        timestamps_us = _microseconds([packet.pts * packet.time_base for packet in coded])
+    with open_video(path) as video:
+        coded = read_coded_frames(video)
+        timestamps_us = _microseconds([frame.time for frame in _shown(coded)])
         inside = np.flatnonzero((timestamps_us >= first_us) & (timestamps_us <= last_us))
         if len(inside) == 0:
             raise InputError(f"{path}: no frame is shown between {first_us} and {last_us} us; give times of the video")
-        frames = _decode_some(path, container, stream, coded[: inside[-1] + 1], len(inside), width)
-        return _as_video(stream, frames, timestamps_us[inside])
+        pictures = PictureReader(path, video.stream, width, turned)
+        frames = _decode_some(video, coded, inside.tolist(), pictures)
+        return _as_video(video.stream, frames, timestamps_us[inside], pictures)
 
 
 def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fraction, grid: int = 1) -> None:
@@ -117,6 +140,8 @@ def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fract
     with write_whole(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         stream = container.add_stream("libx264", rate=rate)
         stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
+        # FFmpeg makes BT.601 of RGB, and players take large pictures that do not say so for BT.709.
+        stream.codec_context.colorspace = int(Colorspace.ITU601)
         stream.time_base = 1 / rate
         stream.thread_count = 1
         stream.gop_size = KEY_FRAME_EVERY
@@ -144,124 +169,81 @@ def shrink(image: NDArray[np.uint8], width: int) -> NDArray[np.uint8]:
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-@dataclass(frozen=True)
-class _CodedFrame:
-    """When a frame is shown and decoded, in units of `time_base` seconds, and whether it is a key frame."""
-
-    pts: int
-    dts: int
-    time_base: Fraction
-    is_key: bool
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
-    """The container and first video stream of a file; FFmpeg's errors inside become `InputError`."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such video file")
-    if path.stat().st_size == 0:
-        raise InputError(f"{path}: the file is empty; copy or download it again")
-    try:
-        with av.open(str(path), metadata_errors="replace") as container:
-            if not container.streams.video:
-                raise InputError(f"{path}: the file has no video stream; give a video file")
-            yield container, container.streams.video[0]
-    except FFmpegError as error:
-        raise InputError(f"{path}: not a readable video ({error.strerror}); copy or convert it again") from error
+def _as_video(
+    stream: VideoStream, frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64], pictures: PictureReader
+) -> Video:
+    rate = float(stream.average_rate or 0.0)
+    if len(frames) > 1:
+        rate = 1e6 * (len(frames) - 1) / float(timestamps_us[-1] - timestamps_us[0])
+    return Video(frames, timestamps_us, rate, tuple(pictures.notes))
 
 
-def _as_video(stream: VideoStream, frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64]) -> Video:
-    if len(frames) == 1:
-        return Video(frames, timestamps_us, float(stream.average_rate or 0.0))
-    return Video(frames, timestamps_us, 1e6 * (len(frames) - 1) / float(timestamps_us[-1] - timestamps_us[0]))
-
-
-def _coded_frames(path: Path, container: InputContainer, stream: VideoStream) -> list[_CodedFrame]:
-    """All frames that are shown, in the order in which they are; B-frames lie in another order in the file."""
-    coded = []
-    for packet in container.demux(stream):
-        if packet.size == 0 or packet.is_discard:
-            continue  # the end of the stream, or what an edit list hides
-        if packet.pts is None:
-            raise InputError(f"{path}: frame {len(coded)} has no presentation time; convert the video to mp4")
-        dts = packet.pts if packet.dts is None else packet.dts
-        coded.append(_CodedFrame(packet.pts, dts, Fraction(packet.time_base), packet.is_keyframe))
-    if not coded:
-        raise InputError(f"{path}: holds no frame; copy or convert the video again")
-    coded.sort(key=lambda frame: frame.pts)
-    twice = [number for number, (before, after) in enumerate(pairwise(coded), 1) if before.pts == after.pts]
-    if twice:
-        raise InputError(f"{path}: frame {twice[0]} is not later than the one before it; convert it to mp4")
-    _check_complete(path, stream, [frame.pts * frame.time_base for frame in coded])
-    return coded
+def _shown(coded: list[CodedFrame]) -> list[CodedFrame]:
+    return [frame for frame in coded if not frame.is_hidden]
 
 
 def _decode_some(
-    path: Path, container: InputContainer, stream: VideoStream, coded: list[_CodedFrame], count: int, width: int
+    video: OpenVideo, coded: list[CodedFrame], inside: list[int], pictures: PictureReader
 ) -> NDArray[np.uint8]:
-    """Decode the last `count` of some frames, which are known by their times and not by where a seek lands."""
+    """Decode the shown frames of these numbers; they are known by their times and not by where a seek lands."""
+    path, stream, shown = video.path, video.stream, _shown(coded)
     stream.thread_type = "AUTO"
-    wanted = [frame.pts for frame in coded[-count:]]
-    key_frames = [frame for frame in coded if frame.is_key and frame.pts <= wanted[0]]
-    container.seek(key_frames[-1].dts if key_frames else coded[0].dts, stream=stream)
+    numbers = {shown[number].pts: number for number in inside}
+    first, last = min(numbers), max(numbers)
+    # Frames that are decoded after a key frame but shown before it need the key frame before that.
+    keys = [frame for frame in coded if frame.is_key and frame.pts <= first]
+    start = max(keys, key=lambda frame: frame.pts) if keys else min(coded, key=lambda frame: frame.pts)
+    video.container.seek(start.dts, stream=stream)
     found: dict[int, NDArray[np.uint8]] = {}
-    for frame in container.decode(stream):
-        if frame.pts in wanted:
+    for frame in video.container.decode(stream):
+        if frame.pts in numbers:
             if frame.is_corrupt:
-                raise InputError(f"{path}: frame {len(coded) - count + len(found)} is damaged; copy the video again")
-            found[frame.pts] = shrink(_upright(frame), width)
-        if frame.pts is not None and frame.pts >= wanted[-1]:
+                raise InputError(f"{path}: frame {numbers[frame.pts]} is damaged; copy the video again")
+            found[frame.pts] = pictures.read(frame, numbers[frame.pts])
+        if frame.pts is not None and frame.pts >= last:
             break
-    if len(found) < count:
-        number = len(coded) - count + next(index for index, pts in enumerate(wanted) if pts not in found)
-        raise InputError(f"{path}: frame {number} cannot be decoded; copy or convert the video again")
-    return np.stack([found[pts] for pts in wanted])
+    missing = [number for pts, number in numbers.items() if pts not in found]
+    if missing:
+        raise InputError(f"{path}: frame {min(missing)} cannot be decoded; copy or convert the video again")
+    return np.stack([found[shown[number].pts] for number in inside])
 
 
-def _decode(
-    path: Path, container: InputContainer, stream: VideoStream, width: int, duration: float
-) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+def _decode(video: OpenVideo, pictures: PictureReader, duration: float) -> tuple[NDArray[np.uint8], list[Fraction]]:
+    path, stream = video.path, video.stream
     stream.thread_type = "AUTO"
     frames: list[NDArray[np.uint8]] = []
     times: list[Fraction] = []
+    stored = hidden = 0
+    end = Fraction(0)
     try:
-        for frame in container.decode(stream):
-            where = f"{path}: frame {len(frames)}"
-            if frame.is_corrupt:
-                raise InputError(f"{where} is damaged; copy the video again or cut it before this frame")
-            if frame.pts is None or frame.time_base is None:
-                raise InputError(f"{where} has no presentation time; convert the video to mp4")
-            time = frame.pts * frame.time_base
-            if times and time <= times[-1]:
-                raise InputError(f"{where} is not later than the one before it; convert it to mp4")
-            if times and time - times[0] >= duration:
-                return np.stack(frames), _microseconds(times)
-            times.append(time)
-            frames.append(shrink(_upright(frame), width))
+        for packet in video.container.demux(stream):
+            if packet.size:
+                check_packet(path, packet, stored)
+                stored, hidden = stored + 1, hidden + packet.is_discard
+            for frame in packet.decode():
+                where = f"{path}: frame {len(frames)}"
+                if frame.is_corrupt:
+                    raise InputError(f"{where} is damaged; copy the video again or cut it before this frame")
+                if frame.pts is None or frame.time_base is None:
+                    raise InputError(f"{where} has no presentation time; convert the video to mp4")
+                time = frame.pts * frame.time_base
+                if times and time <= times[-1]:
+                    raise InputError(f"{where} is not later than the one before it; convert it to mp4")
+                if times and time - times[0] >= duration:
+                    return np.stack(frames), times
+                times.append(time)
+                end = time + frame.duration * frame.time_base
+                frames.append(pictures.read(frame, len(frames)))
     except FFmpegError as error:
         raise InputError(
             f"{path}: decoding fails after frame {len(frames) - 1} ({error.strerror}); copy the video again"
         ) from error
     if not frames:
         raise InputError(f"{path}: no frame could be decoded; copy or convert the video again")
-    _check_complete(path, stream, times)
-    return np.stack(frames), _microseconds(times)
-
-
-def _check_complete(path: Path, stream: VideoStream, times: list[Fraction]) -> None:
-    """A file that was cut off can decode without any error: hold what came out against what the container declares."""
-    if stream.frames and len(times) < stream.frames - MISSING_FRAMES_ALLOWED:
-        raise InputError(f"{path}: holds {len(times)} of {stream.frames} frames; the file was cut off, copy it again")
-    if stream.duration and stream.time_base and len(times) > 1:
-        declared, found = float(stream.duration * stream.time_base), float(times[-1] - times[0])
-        if found < declared - MISSING_SECONDS_ALLOWED:
-            raise InputError(f"{path}: ends after {found:.1f} of {declared:.1f} s; the file was cut off, copy it again")
-
-
-def _upright(frame: av.VideoFrame) -> NDArray[np.uint8]:
-    image = np.asarray(frame.to_ndarray(format="rgb24"), dtype=np.uint8)
-    quarter_turns, rest = divmod(frame.rotation, 90)
-    return np.ascontiguousarray(np.rot90(image, quarter_turns)) if rest == 0 else image
+    check_complete(path, stream, stored, float(end - times[0]))
+    if stream.frames and len(frames) + hidden < stored - MISSING_FRAMES_ALLOWED:
+        raise InputError(f"{path}: only {len(frames)} of {stored - hidden} frames can be decoded; copy the video again")
+    return np.stack(frames), times
 
 
 def _microseconds(times: list[Fraction]) -> NDArray[np.int64]:

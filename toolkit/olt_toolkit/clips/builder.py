@@ -20,6 +20,7 @@ from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
 from olt_generator.views.moving_objects import find_moving
 from olt_generator.views.view_plan import ViewPlan, plan_views
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipKind, ClipOrigin, EgoMotion, make_clip_id
+from olt_toolkit.clips.feasibility import check_feasible
 from olt_toolkit.clips.images import fit_images
 from olt_toolkit.clips.recovered_motion import RecoveredMotion
 from olt_toolkit.clips.views import BuildOptions, View, ViewMaker
@@ -79,6 +80,7 @@ def build_clip(
     """
     options = options or BuildOptions()
     plan = plan_views(options.cameras)
+    check_feasible(recording, options, plan)
     steps = Steps(_SHARES, on_progress, on_step)
     motion, ego_motion, at_frames, T_rig_camera = _measure_motion(recording, options, steps)
     made, drawn_on, with_distance = _choose_frames(recording, options, plan)

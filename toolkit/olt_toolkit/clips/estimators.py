@@ -49,6 +49,9 @@ class Estimators:
         if (self.depth is DepthEstimator.GEOMETRIC) != (self.depth_weights is None):
             raise InputError("--depth-weights belongs to --depth depthanything or depthcrafter; give both or neither")
 
+        if self.device != "cpu" and self.mapanything_weights is None and self.depth_weights is None:
+            raise InputError(f"--device {self.device}: no learned model is run; leave it out, or give one's weights")
+
     def apply(self, options: "BuildOptions") -> "BuildOptions":
         """The options with these estimators; an `InputError` where weights are missing or those of another network."""
         from olt_generator.motion.map_anything import MapAnything

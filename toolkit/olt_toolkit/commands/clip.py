@@ -20,6 +20,9 @@ from olt_toolkit.commands.trajectory import trajectory
 from olt_toolkit.runtime.workers import Engine
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from olt_generator.omissions import Omission
     from olt_toolkit.clips.build_job import BuildJob
     from olt_toolkit.clips.store import ClipStore
 
@@ -40,7 +43,7 @@ def build(
     factor: Annotated[list[str] | None, typer.Option(help="A scene factor; repeat for more than one.")] = None,
     duration: DurationOption = 20.0,
     all_frames: AllFramesOption = False,
-    seed: Annotated[int, typer.Option(help="Seed of the clip.")] = 0,
+    seed: Annotated[int, typer.Option(help="Goes into the clip's id; nothing is drawn by chance.")] = 0,
     cache: CacheOption = None,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
@@ -52,7 +55,7 @@ def build(
     from olt_generator.files import make_folder
     from olt_toolkit.clips.build_job import BuildJob
     from olt_toolkit.clips.views import BuildOptions
-    from olt_toolkit.recordings.drives import WHOLE, find_drives
+    from olt_toolkit.recordings.drives import WHOLE, find_drives, list_left_out
     from olt_toolkit.recordings.labels import UNLABELLED
 
     if name is not None and Path(name).name != name:
@@ -77,7 +80,7 @@ def build(
     elif name is not None:
         raise InputError(f"--name {name!r}: clips of a folder take the names of their recordings; leave --name out")
     else:
-        build_all(jobs, workers, engine, as_json, "recordings")
+        build_all(jobs, workers, engine, as_json, "recordings", list_left_out(recording, cache))
 
 
 @app.command(help="Make single views of a recording, or further views of a stored clip, as video files.")
@@ -100,6 +103,7 @@ def views(
     from olt_toolkit.clips.views import BuildOptions
     from olt_toolkit.commands.clip_output import print_plan
     from olt_toolkit.recordings.drives import open_recording
+    from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json, show_progress
 
     wanted, estimators = parse_cameras(cameras), building.estimators()
@@ -113,6 +117,8 @@ def views(
     if clip is None:
         recording = open_recording(source, building.opening(duration), cache)
     else:
+        unused = building.given_of_recordings() | {"--duration": duration != 20.0, "--cache": cache is not None}
+        refuse_unused(unused, "a stored clip has its lens, motion and duration")
         store = ClipStore(source)
         recording = reopen_clip(store, store.find(clip))
     options = leave_out_motion(recording, estimators.apply(options))
@@ -173,10 +179,13 @@ def score(
     from olt_toolkit.clips.score import open_lpips, open_matcher, score_against, score_consistency
     from olt_toolkit.clips.store import ClipStore
     from olt_toolkit.commands.clip_output import print_scores
+    from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json, show_progress
 
     if reference is None and (reference_store is not None or lpips_weights is not None):
         raise InputError("--reference is missing: the true views are needed to compare with")
+    learned = loftr_weights is not None or lpips_weights is not None
+    refuse_unused({"--device": device != "cpu" and not learned}, "no learned model is run")
     opened, truth = ClipStore(store), ClipStore(reference_store or store)
     clip_id = opened.find(clip)
     reference_id = None if reference is None else truth.find(reference)
@@ -192,13 +201,16 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
     import time
 
     from olt_generator.errors import InputError
+    from olt_toolkit.clips.feasibility import why_no_sample
     from olt_toolkit.clips.store import ClipStore
     from olt_toolkit.commands.clip_output import print_build
-    from olt_toolkit.runtime.console import print_json, show_progress
+    from olt_toolkit.runtime.console import print_json, print_line, show_progress
 
     recording, store = job.open(), ClipStore(job.store)
     if job.clip_id in store:
         raise InputError(f"{store.root}: already holds the clip {job.name!r}; give another --name, --seed or --out")
+    if not as_json and (reason := why_no_sample(recording)):
+        print_line(f"the clip will give no policy sample: {reason}")
     with show_progress("clip") as (on_progress, on_step):
         summary = job.prepare(recording, on_progress, on_step)
         on_progress(1.0)
@@ -209,10 +221,18 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
     print_json(summary) if as_json else print_build(summary)
 
 
-def build_all(jobs: "list[BuildJob]", workers: int | None, engine: Engine, as_json: bool, what: str) -> None:
+def build_all(
+    jobs: "list[BuildJob]",
+    workers: int | None,
+    engine: Engine,
+    as_json: bool,
+    what: str,
+    left_out: "Sequence[Omission]" = (),
+) -> None:
     """Build the clips of all jobs, which have one store, and print what became of them.
 
-    `what` the jobs are made of, plural, is the key of the results in the JSON object.
+    `what` the jobs are made of, plural, is the key of the results in the JSON object; `left_out` is what was passed
+    over beside it.
 
     Raises:
         InputError: something could not be used.
@@ -220,18 +240,22 @@ def build_all(jobs: "list[BuildJob]", workers: int | None, engine: Engine, as_js
     from dataclasses import asdict
 
     from olt_generator.errors import InputError
+    from olt_generator.omissions import word_omission
     from olt_toolkit.clips.build_job import build_clips
     from olt_toolkit.commands.clip_output import print_results
-    from olt_toolkit.runtime.console import print_json, show_progress
+    from olt_toolkit.runtime.console import print_json, print_line, show_progress
     from olt_toolkit.runtime.workers import default_workers
 
     store = jobs[0].store
     with show_progress("clips", len(jobs)) as (on_progress, _):
         results = build_clips(jobs, workers or default_workers(), on_progress, engine)
     if as_json:
-        print_json({"store": str(store), what: [asdict(each) | {"path": str(each.path)} for each in results]})
+        found = [asdict(each) | {"path": str(each.path)} for each in results]
+        print_json({"store": str(store), what: found, "left_out": [each.to_dict() for each in left_out]})
     else:
         print_results(results, store)
+        for omission in left_out:
+            print_line(f"left out: {word_omission(omission)}")
     failed = sum(result.state == "failed" for result in results)
     if failed:
         raise InputError(f"{failed} of {len(results)} {what} could not be used; the others are in {store}")

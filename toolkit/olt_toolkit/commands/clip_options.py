@@ -31,15 +31,36 @@ class CameraOptions:
 
     fov: Annotated[float | None, typer.Option(help="Horizontal field of view in degrees, if not calibrated.")] = None
     camera_height: Annotated[float | None, typer.Option(help="Height of the camera in metres, if unknown.")] = None
+    rotate: Annotated[int, typer.Option(help="Turn a video clockwise by 0, 90, 180 or 270 degrees.")] = 0
+    mirror: Annotated[bool, typer.Option("--mirror", help="Mirror a video left to right, after it is turned.")] = False
+
+    def given(self) -> dict[str, bool]:
+        """Which of these options were given, by name."""
+        return {
+            "--fov": self.fov is not None,
+            "--camera-height": self.camera_height is not None,
+            "--rotate": self.rotate != 0,
+            "--mirror": self.mirror,
+        }
 
     def opening(self, duration: float = float("inf")) -> "OpenOptions":
-        """How a drive is opened, up to so many seconds where no window is asked for."""
+        """How a drive is opened, up to so many seconds where no window is asked for; InputError for odd values."""
         from math import radians
 
+        from olt_generator.errors import InputError
         from olt_toolkit.recordings.recording import OpenOptions
 
-        field_of_view = None if self.fov is None else radians(self.fov)
-        return OpenOptions(duration=duration, horizontal_fov=field_of_view, camera_height=self.camera_height)
+        if self.rotate not in (0, 90, 180, 270):
+            raise InputError(f"--rotate {self.rotate}: give 0, 90, 180 or 270 degrees")
+        if self.camera_height is not None and not self.camera_height > 0.0:
+            raise InputError(f"--camera-height {self.camera_height:g}: give metres above the road")
+        return OpenOptions(
+            duration=duration,
+            horizontal_fov=None if self.fov is None else radians(self.fov),
+            camera_height=self.camera_height,
+            rotate=self.rotate,
+            mirror=self.mirror,
+        )
 
 
 @dataclass(frozen=True)
@@ -55,6 +76,10 @@ class BuildingOptions(CameraOptions):
     depth: Annotated[DepthEstimator, typer.Option(help="Where the distances come from.")] = DepthEstimator.GEOMETRIC
     depth_weights: Annotated[Path | None, typer.Option(help="Folder with the files of the depth network.")] = None
     device: DeviceOption = "cpu"
+
+    def given_of_recordings(self) -> dict[str, bool]:
+        """Which options were given that tell how a recording is read, and where its motion comes from."""
+        return self.given() | {"--poses": self.poses is not PoseEstimator.ODOMETRY}
 
     def estimators(self) -> Estimators:
         """What measures motion and distances; an `InputError` where weights are given without their estimator."""

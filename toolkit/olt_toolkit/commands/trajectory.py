@@ -69,15 +69,21 @@ def trajectory(
     """Recover and smooth the motion, clip by clip, say how far it may be off, and hold it against the reference."""
     from math import radians
 
-    from olt_generator.errors import InputError
     from olt_toolkit.clips.pose_choices import choose_format, choose_poses
     from olt_toolkit.clips.trajectory_errors import Jitter, draw_motions, measure_clips, summarize_clips
     from olt_toolkit.recordings.drives import open_recording
+    from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json, show_progress
 
-    if out is None and (format_ is not None or of is not None):
-        raise InputError("--format and --of say how poses are written; give --out FILE too, or leave them out")
+    if out is None:
+        refuse_unused({"--format": format_ is not None, "--of": of is not None}, "no poses are written without --out")
     format_ = None if out is None else choose_format(out, format_)
+    if jitter_m is None:
+        refuse_unused(
+            {"--jitter-deg": jitter_deg != 0.0, "--seed": seed != 0}, "nothing is disturbed without --jitter-m"
+        )
+    if clip_frames is None:
+        refuse_unused({"--stride": stride is not None}, "the recording is one clip without --clip-frames")
     opened = open_recording(recording, camera.opening(duration), cache)
     jitter = None if jitter_m is None else Jitter(jitter_m, radians(jitter_deg), seed)
     with show_progress("trajectory") as (on_progress, _):

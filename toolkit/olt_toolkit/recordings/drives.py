@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder
+from olt_generator.omissions import Omission
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.labels import UNLABELLED, Split
@@ -218,7 +219,11 @@ def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlac
     keys = place.open().keys() if not inside or find_reader(path) else []
     if keys == [WHOLE]:
         return [(place, WHOLE)]
-    places = [DatasetPlace(each, cache) for each in inside if not each.name.startswith(".") and find_reader(each)]
+    shown = [(each, find_reader(each)) for each in inside if not each.name.startswith(".")]
+    # Files that the data set passes over, such as rear videos beside front ones, are no recordings of their own.
+    own = find_reader(path) if keys else None
+    passed_over = {each for each, reader in shown if own and reader == own and each.is_file() and each.name not in keys}
+    places = [DatasetPlace(each, cache) for each, reader in shown if reader and each not in passed_over]
     found = [(each, WHOLE) for each in places if each.open().keys() == [WHOLE]] or [(place, key) for key in keys]
     if not found:
         raise InputError(
@@ -228,6 +233,11 @@ def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlac
         if count > 1:
             raise InputError(f"{path}: {count} recordings are called {name!r}; rename them, clips are told by name")
     return found
+
+
+def list_left_out(path: Path, cache: Path | None = None) -> tuple[Omission, ...]:
+    """What the reader of a folder passed over beside its drives, where it tells; nothing where no reader knows it."""
+    return getattr(open_dataset(path, cache), "left_out", ()) if find_reader(path) else ()
 
 
 _make_own_cache = cache(lambda: tempfile.TemporaryDirectory(prefix="olt-"))

@@ -1,5 +1,6 @@
 """What a clip is built from: one front-camera recording."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -8,6 +9,7 @@ from numpy.typing import NDArray
 from olt_generator.camera_spread import CameraSpread
 from olt_generator.cameras import Camera
 from olt_generator.doubts import Doubt
+from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import POLICY_CAMERAS, MountedCamera, VehicleDimensions
@@ -52,6 +54,13 @@ class Recording:
     doubts: tuple[Doubt, ...] = ()
 
 
+def refuse_unused(given: Mapping[str, bool], why: str) -> None:
+    """Refuse (`InputError`) those options that were given although nothing takes them, by name, and why."""
+    names = [name for name, is_given in given.items() if is_given]
+    if names:
+        raise InputError(f"{', '.join(names)}: {why}; leave out what does nothing")
+
+
 @dataclass(frozen=True)
 class OpenOptions:
     """How to open a recording.
@@ -61,6 +70,9 @@ class OpenOptions:
         duration: at most this many seconds from the start, where no window is asked for.
         horizontal_fov: field of view in radians to assume where no calibration exists; None for the reader's default.
         camera_height: height in metres above ground to assume where no mounting is known; None for the default.
+        rotate: clockwise turn in degrees, 0, 90, 180 or 270, by which pictures are brought upright, after what the file
+            itself says.
+        mirror: whether they are then mirrored left to right.
         views: cameras whose true images are wanted beside the front ones, where the recording has them.
     """
 
@@ -68,4 +80,16 @@ class OpenOptions:
     duration: float = 20.0
     horizontal_fov: float | None = None
     camera_height: float | None = None
+    rotate: int = 0
+    mirror: bool = False
     views: tuple[str, ...] = POLICY_CAMERAS
+
+    def refuse_camera(self, where: str) -> None:
+        """Refuse (`InputError`) what is said of the camera, where a calibration says it better."""
+        given = {
+            "--fov": self.horizontal_fov is not None,
+            "--camera-height": self.camera_height is not None,
+            "--rotate": self.rotate != 0,
+            "--mirror": self.mirror,
+        }
+        refuse_unused(given, f"{where} has a calibrated camera, which they cannot change")
