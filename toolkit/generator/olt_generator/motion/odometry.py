@@ -28,6 +28,7 @@ from olt_generator.motion.road_grid import RoadGrid, road_frame
 from olt_generator.motion.road_plane import measure_scale
 from olt_generator.motion.road_speed import RoadSpeed
 from olt_generator.motion.road_structure import find_planes
+from olt_generator.motion.rolling_step import fit_rolling_step, rolling_direction
 from olt_generator.motion.smoother import ODOMETRY_SETTINGS
 from olt_generator.motion.static_mask import choose_moving, find_static_mask
 from olt_generator.motion.steps import TRACK_SIGMA_PIXELS, Step, estimate_step, radians_per_pixel, turn_between
@@ -47,6 +48,8 @@ DRIVING_SPEED = 1.0
 # Slow motion is measured over more than one step: over this distance, and so many keyframes at most.
 SLOW_METRES = 0.8
 MOST_STEPS = 8
+# A step whose direction is farther than this from that of a vehicle which rolls is found again as one of such a vehicle.
+LARGEST_SLIP = np.radians(1.5)
 # How far a step found on its own may be from the truth: radians of rotation, share of the distance driven along the
 # step, radians of its direction; and what is left of radians and metres at standstill.
 PRIOR_ROTATION = np.radians(0.1)
@@ -208,8 +211,13 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> _Path:
     times = clip.times[clip.keyframes]
     grays = [clip.grays[index] for index in clip.keyframes]
     road = _follow_road(clip, grays, np.diff(times))
-    clip = replace(clip, key_steps=[_settle(clip, *pair) for pair in zip(clip.key_steps, road.speed, strict=True)])
-    moves = np.array([step.moves for step in clip.key_steps])
+    speed = np.where(np.abs(road.speed) < STANDSTILL_SPEED, 0.0, road.speed)
+    usual = _turn_ahead(clip.T_rig_camera, usual_direction(clip.key_steps, clip.T_rig_camera[0, :3]))
+    settled = [
+        _settle(clip, step, driven, usual) for step, driven in zip(clip.key_steps, speed * np.diff(times), strict=True)
+    ]
+    clip = replace(clip, key_steps=settled)
+    moves = np.array([step.moves for step in settled])
     if not moves.any():
         standing = np.zeros((len(times), 6, 6)) + np.diag([STANDING_METRES**2] * 3 + [PRIOR_ROTATION**2] * 3)
         T_start_key = _chain(_expect(clip, np.zeros(len(moves))))
@@ -245,16 +253,22 @@ def _follow_road(clip: _Clip, grays: Sequence[Gray], seconds: Array) -> RoadSpee
     return follow_road(grays, seconds, clip.key_steps, grid, travel, clip.T_rig_camera[2, :3])
 
 
-def _settle(clip: _Clip, step: Step, speed: float) -> Step:
-    """The step with the sign of the speed, without the points that then would lie behind the camera."""
-    if not step.moves or abs(speed) < STANDSTILL_SPEED:
-        turn = turn_between(step.rays_key, step.rays_current) if step.moves else step.motion.R_b_a
-        return replace(step, moves=False, motion=TwoViewMotion(turn, np.zeros(3), step.motion.inliers))
-    direction = np.sign(speed) * ahead([step], clip.T_rig_camera[0, :3])[0]
-    motion = TwoViewMotion(step.motion.R_b_a, direction, step.motion.inliers)
-    noise = 2.0 * TRACK_SIGMA_PIXELS * radians_per_pixel(clip.camera)
-    possible = parallax_forward(motion, step.rays_key, step.rays_current) > -noise
-    points, rays_key, rays_current = step.points[possible], step.rays_key[possible], step.rays_current[possible]
+def _settle(clip: _Clip, step: Step, driven: float, mounting: Array) -> Step:
+    """The step once it is known how far it goes, with only those points that then can stand still."""
+    if not step.moves or driven == 0.0:
+        agrees = step.motion.inliers
+        turn = turn_between(step.rays_key[agrees], step.rays_current[agrees]) if step.moves else step.motion.R_b_a
+        return replace(step, moves=False, motion=TwoViewMotion(turn, np.zeros(3), agrees))
+    sigma = TRACK_SIGMA_PIXELS * radians_per_pixel(clip.camera)
+    direction = np.sign(driven) * ahead([step], mounting[0, :3])[0]
+    motion = replace(step.motion, direction_a=direction)
+    if direction @ rolling_direction(motion.R_b_a, driven, mounting) < np.cos(LARGEST_SLIP):
+        guesses = [motion.R_b_a, np.eye(3)]
+        motion = fit_rolling_step(step.rays_key, step.rays_current, driven, mounting, guesses, sigma)
+    # What then would lie behind the camera moves by itself.
+    stands = motion.inliers & (parallax_forward(motion, step.rays_key, step.rays_current) > -2.0 * sigma)
+    points, rays_key, rays_current = step.points[stands], step.rays_key[stands], step.rays_current[stands]
+    motion = replace(motion, inliers=np.ones(len(points), np.bool_))
     return replace(step, motion=motion, points=points, rays_key=rays_key, rays_current=rays_current)
 
 
@@ -319,8 +333,13 @@ def _align_mounting(T_key_next: Array, speed: Array, T_rig_camera: Array) -> Arr
     origin = invert(T_rig_camera)[:3, 3]
     moved = T_key_next[fast, :3, 3] + (T_key_next[fast, :3, :3] - np.eye(3)) @ origin
     moved *= np.sign(moved[:, 2:]) / np.linalg.norm(moved, axis=1, keepdims=True)
+    return _turn_ahead(T_rig_camera, np.median(moved, axis=0))
+
+
+def _turn_ahead(T_rig_camera: Array, forward: Array) -> Array:
+    """The mounting with its pitch and yaw such that `forward` (3,) in camera axes is rig x."""
     roll = Rotation.from_matrix(T_rig_camera[:3, :3] @ R_FORWARD_CAMERA.T).as_euler("ZYX")[2]
-    return aim_camera(T_rig_camera[:3, 3], float(roll), np.median(moved, axis=0))
+    return aim_camera(T_rig_camera[:3, 3], float(roll), forward)
 
 
 def _chain(T_key_next: Array) -> Array:

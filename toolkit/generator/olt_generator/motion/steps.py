@@ -31,7 +31,7 @@ class Step:
         key, current: indices of the two frames.
         moves: whether anything moves but by a turn on the spot; the direction is 0 if not.
         motion: rotation, and direction up to its sign.
-        points: (n,) identity of the points that agree with it.
+        points: (n,) identity of the points, of which `motion.inliers` agree with it.
         rays_key, rays_current: (n, 3) unit rays to them.
     """
 
@@ -59,13 +59,12 @@ def estimate_step(pair: TrackedPair, camera: Camera, up: Array) -> Step:
     flow = np.linalg.norm(pair.current_pixels.astype(np.float64) - pair.key_pixels, axis=1)
     turn = _turn_at_rest(flow[used], key, current, up, camera)
     if turn is not None:
-        rest = TwoViewMotion(turn, np.zeros(3), used)
+        rest = TwoViewMotion(turn, np.zeros(3), np.ones(len(points), np.bool_))
         return Step(pair.key, pair.current, False, rest, points, key, current)
     motion = estimate_motion(key, current, TRACK_SIGMA_PIXELS * radians_per_pixel(camera))
     if motion is None or np.count_nonzero(motion.inliers) < MIN_POINTS:
         raise _too_few(pair, 0 if motion is None else np.count_nonzero(motion.inliers))
-    agrees = motion.inliers
-    return Step(pair.key, pair.current, True, motion, points[agrees], key[agrees], current[agrees])
+    return Step(pair.key, pair.current, True, motion, points, key, current)
 
 
 def _too_few(pair: TrackedPair, count: np.integer | int) -> InputError:

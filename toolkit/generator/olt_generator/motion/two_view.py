@@ -17,6 +17,8 @@ MAX_GUESS_ANGLE = np.radians(60.0)
 GUESS_CONFIDENCE = 0.999
 MAX_REFINEMENTS = 10
 CONVERGED_RADIANS = 1e-5
+# A ray agrees with a motion within so many times its noise.
+INLIER_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
@@ -53,7 +55,7 @@ def estimate_motion(rays_a: Array, rays_b: Array, sigma: float) -> TwoViewMotion
         return None
     linearise = partial(_linearise, rays_a, rays_b)
     R, t = refine_motion(*guess, linearise, sigma, MAX_REFINEMENTS, CONVERGED_RADIANS)
-    inliers = np.abs(epipolar_sines(rays_a, rays_b, R, t)) < 4.0 * sigma
+    inliers = np.abs(epipolar_sines(rays_a, rays_b, R, t)) < INLIER_SIGMAS * sigma
     return TwoViewMotion(R, -R.T @ t, inliers)
 
 
