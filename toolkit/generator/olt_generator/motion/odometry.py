@@ -28,7 +28,7 @@ from olt_generator.motion.road_grid import RoadGrid, road_frame
 from olt_generator.motion.road_plane import measure_scale
 from olt_generator.motion.road_speed import RoadSpeed
 from olt_generator.motion.road_structure import find_planes
-from olt_generator.motion.rolling_step import fit_rolling_step, rolling_direction
+from olt_generator.motion.rolling_step import fit_rolling_step, rolling_direction, straighten
 from olt_generator.motion.smoother import ODOMETRY_SETTINGS
 from olt_generator.motion.static_mask import choose_moving, find_static_mask
 from olt_generator.motion.steps import TRACK_SIGMA_PIXELS, Step, estimate_step, radians_per_pixel, turn_between
@@ -212,10 +212,10 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> _Path:
     grays = [clip.grays[index] for index in clip.keyframes]
     road = _follow_road(clip, grays, np.diff(times))
     speed = np.where(np.abs(road.speed) < STANDSTILL_SPEED, 0.0, road.speed)
-    usual = _turn_ahead(clip.T_rig_camera, usual_direction(clip.key_steps, clip.T_rig_camera[0, :3]))
-    settled = [
-        _settle(clip, step, driven, usual) for step, driven in zip(clip.key_steps, speed * np.diff(times), strict=True)
-    ]
+    signed = list(zip(clip.key_steps, speed * np.diff(times), strict=True))
+    straight = [straighten(step, driven, clip.T_rig_camera) for step, driven in signed if driven != 0.0]
+    usual = _turn_ahead(clip.T_rig_camera, usual_direction(straight, clip.T_rig_camera[0, :3]))
+    settled = [_settle(clip, step, driven, usual) for step, driven in signed]
     clip = replace(clip, key_steps=settled)
     moves = np.array([step.moves for step in settled])
     if not moves.any():

@@ -6,11 +6,13 @@ win.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from olt_generator.motion.steps import Step
 from olt_generator.motion.two_view import INLIER_SIGMAS, TwoViewMotion, epipolar_sines
 from olt_generator.poses import Array
 
@@ -30,6 +32,14 @@ def rolling_direction(R_b_a: Array, driven: float, T_rig_camera: Array) -> Array
     half = 0.5 * float(np.arctan2(turn[1, 0], turn[0, 0]))
     moved = driven * np.array([np.cos(half), np.sin(half), 0.0]) + (turn - np.eye(3)) @ T_rig_camera[:3, 3]
     return R_rig_camera.T @ moved / np.linalg.norm(moved)
+
+
+def straighten(step: Step, driven: float, T_rig_camera: Array) -> Step:
+    """The step with the direction that it would have had if the vehicle, which drove so far, had not turned."""
+    forward = np.sign(driven) * T_rig_camera[0, :3]
+    turned = rolling_direction(step.motion.R_b_a, driven, T_rig_camera)
+    back, _ = Rotation.align_vectors(forward[None], turned[None])
+    return replace(step, motion=replace(step.motion, direction_a=back.apply(step.motion.direction_a)))
 
 
 def fit_rolling_step(
