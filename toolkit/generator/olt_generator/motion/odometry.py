@@ -21,14 +21,14 @@ from olt_generator.errors import InputError
 from olt_generator.motion.bundle_adjustment import AdjustedPoses, FeatureTracks, StepPriors, adjust_poses
 from olt_generator.motion.evidence import DOUBTFUL_LOG_SCALE, Evidence, find_doubts
 from olt_generator.motion.features import Gray, track_from_keyframes
-from olt_generator.motion.path_covariance import add_up_drift
+from olt_generator.motion.path_covariance import CORRELATED_TRACKS, add_up_drift, turning_drift
 from olt_generator.motion.pose_sources import PoseEstimate
 from olt_generator.motion.road_following import ahead, follow_road, usual_direction
 from olt_generator.motion.road_grid import RoadGrid, road_frame
 from olt_generator.motion.road_plane import measure_scale
 from olt_generator.motion.road_speed import RoadSpeed
 from olt_generator.motion.road_structure import find_planes
-from olt_generator.motion.rolling_step import fit_rolling_step, rolling_direction, straighten
+from olt_generator.motion.rolling_step import fit_rolling_step, slip_angle, straighten
 from olt_generator.motion.smoother import ODOMETRY_SETTINGS
 from olt_generator.motion.static_mask import choose_moving, find_static_mask
 from olt_generator.motion.steps import TRACK_SIGMA_PIXELS, Step, estimate_step, radians_per_pixel, turn_between
@@ -50,6 +50,8 @@ SLOW_METRES = 0.8
 MOST_STEPS = 8
 # A step whose direction is farther than this from that of a vehicle which rolls is found again as one of such a vehicle.
 LARGEST_SLIP = np.radians(1.5)
+# Shorter steps do not tell their direction, metres.
+LEAST_TO_SLIP = 0.3
 # How far a step found on its own may be from the truth: radians of rotation, share of the distance driven along the
 # step, radians of its direction; and what is left of radians and metres at standstill.
 PRIOR_ROTATION = np.radians(0.1)
@@ -215,6 +217,7 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> _Path:
     signed = list(zip(clip.key_steps, speed * np.diff(times), strict=True))
     straight = [straighten(step, driven, clip.T_rig_camera) for step, driven in signed if driven != 0.0]
     usual = _turn_ahead(clip.T_rig_camera, usual_direction(straight, clip.T_rig_camera[0, :3]))
+    slips = [slip_angle(step, driven, usual) for step, driven in signed if abs(driven) > LEAST_TO_SLIP]
     settled = [_settle(clip, step, driven, usual) for step, driven in signed]
     clip = replace(clip, key_steps=settled)
     moves = np.array([step.moves for step in settled])
@@ -238,7 +241,9 @@ def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> _Path:
     doubts = tuple(find_doubts(evidence))
     log_scale_covariance = scale.covariance + (DOUBTFUL_LOG_SCALE**2 if doubts else 0.0)
     T_start_key, share = _chain(T_key_next), driven / driven.sum()
-    covariance = add_up_drift(T_start_key[:, :3, 3], adjusted.rotation_covariance, log_scale_covariance)
+    turning = CORRELATED_TRACKS**2 * adjusted.rotation_covariance
+    turning += turning_drift(float(np.median(slips)) if slips else 0.0, moves, mounting[2, :3])
+    covariance = add_up_drift(T_start_key[:, :3, 3], turning, log_scale_covariance)
     sigma = float(np.sqrt(share @ log_scale_covariance @ share))
     return _Path(T_start_key, covariance, mounting, moves, sigma, doubts)
 
@@ -262,7 +267,7 @@ def _settle(clip: _Clip, step: Step, driven: float, mounting: Array) -> Step:
     sigma = TRACK_SIGMA_PIXELS * radians_per_pixel(clip.camera)
     direction = np.sign(driven) * ahead([step], mounting[0, :3])[0]
     motion = replace(step.motion, direction_a=direction)
-    if direction @ rolling_direction(motion.R_b_a, driven, mounting) < np.cos(LARGEST_SLIP):
+    if slip_angle(step, driven, mounting) > LARGEST_SLIP:
         guesses = [motion.R_b_a, np.eye(3)]
         motion = fit_rolling_step(step.rays_key, step.rays_current, driven, mounting, guesses, sigma)
     # What then would lie behind the camera moves by itself.

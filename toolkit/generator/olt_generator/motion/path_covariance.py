@@ -5,12 +5,30 @@ logarithm of scale e_i, the position after step j errs by the sum over i <= j of
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_generator.poses import Array
 from olt_generator.twists import cross_matrix
 
 # Errors of following last over several keyframes, so that rotations err by more than independent ones would.
 CORRELATED_TRACKS = 3.0
+# What turns a step as no vehicle turns turns all steps alike: a share of how far its directions are beyond what noise
+# makes of them, radians.
+USUAL_SLIP = np.radians(0.25)
+TURN_SHARE = 0.4
+
+
+def turning_drift(slip: float, moved: NDArray[np.bool_], up: Array) -> Array:
+    """Covariance (3 n, 3 n) of rotations that all err alike from step to step, for steps that slip by `slip` radians.
+
+    Args:
+        slip: usual angle between the direction of a step and that of a vehicle which rolls.
+        moved: (n - 1,) steps in which the vehicle moves.
+        up: (3,) axis about which vehicles turn.
+    """
+    turned = TURN_SHARE * max(0.0, slip - USUAL_SLIP) * np.concatenate([[0.0], np.cumsum(moved)])
+    each = np.kron(turned, up)
+    return np.outer(each, each)
 
 
 def add_up_drift(positions: Array, rotation_covariance: Array, log_scale_covariance: Array) -> Array:
@@ -18,11 +36,11 @@ def add_up_drift(positions: Array, rotation_covariance: Array, log_scale_covaria
 
     Args:
         positions: (n, 3) metres.
-        rotation_covariance: (3 n, 3 n) of all rotations together, for tracks with independent errors.
+        rotation_covariance: (3 n, 3 n) of all rotations together.
         log_scale_covariance: (n - 1, n - 1) of the logarithm of the length of every step.
     """
     poses = len(positions)
-    turns = CORRELATED_TRACKS**2 * rotation_covariance.reshape(poses, 3, poses, 3)
+    turns = rotation_covariance.reshape(poses, 3, poses, 3)
     moved = np.diff(positions, axis=0)
     lever = -cross_matrix(moved)
     by_turn = np.einsum("iab,ibjc,jdc->iajd", lever, turns[:-1, :, :-1], lever)

@@ -34,6 +34,12 @@ def rolling_direction(R_b_a: Array, driven: float, T_rig_camera: Array) -> Array
     return R_rig_camera.T @ moved / np.linalg.norm(moved)
 
 
+def slip_angle(step: Step, driven: float, T_rig_camera: Array) -> float:
+    """Angle in radians between the direction of a step, which holds up to its sign, and that of a vehicle which rolls."""
+    direction = rolling_direction(step.motion.R_b_a, driven, T_rig_camera)
+    return float(np.arccos(min(abs(step.motion.direction_a @ direction), 1.0)))
+
+
 def straighten(step: Step, driven: float, T_rig_camera: Array) -> Step:
     """The step with the direction that it would have had if the vehicle, which drove so far, had not turned."""
     forward = np.sign(driven) * T_rig_camera[0, :3]
