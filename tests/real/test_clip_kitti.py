@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.commands.clip import app
 from olt_toolkit.policy.sample import SampleKey
 from olt_toolkit.rigs.rig import FRONT_WIDE
+from olt_toolkit.rigs.rig_files import pav_rig
 
 
 @pytest.mark.slow
@@ -39,5 +41,16 @@ def test_clip_from_a_real_drive(shared_real, tmp_path):
     speed = np.linalg.norm(np.diff(sample.ego_future_xyz[0], axis=0), axis=1) / 0.1
     assert ((speed > 9.0) & (speed < 14.0)).all()
     times = store.read_timestamps(info.clip_id, FRONT_WIDE)
+    # Its camera is 81 degrees across and 29 high: the rest of the front-wide view is black, and said to be.
+    front = info.views[FRONT_WIDE]
+    assert front.observed_share == pytest.approx(0.29, abs=0.02)
+    assert (front.invented_share, front.unseen_share) == (0.0, pytest.approx(1.0 - front.observed_share))
+    lens, named = store.read_camera(info.clip_id, FRONT_WIDE).camera, pav_rig().fitted(576, 320)[FRONT_WIDE].camera
+    assert lens.pixels_per_radian == pytest.approx(named.pixels_per_radian)
+    assert (lens.cx, lens.cy) == pytest.approx((named.cx, named.cy))
+    for name, view in info.views.items():
+        origin = store.read_origin(info.clip_id, name, times)
+        assert view.invented_share == pytest.approx((origin == PixelOrigin.INVENTED).mean())
+        assert view.unseen_share == pytest.approx((origin == PixelOrigin.UNSEEN).mean())
     assert len(times) == 120
     assert np.diff(times) == pytest.approx(103_400, abs=2_000)

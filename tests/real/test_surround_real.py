@@ -14,7 +14,15 @@ from olt_generator.lenses.remap import Remapper
 from olt_generator.poses import make_pose, pose_from_quaternion
 from olt_toolkit.recordings.drives import open_dataset
 from olt_toolkit.recordings.recording import OpenOptions
-from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera
+from olt_toolkit.rigs.rig import (
+    CAMERA_INDEX,
+    CROSS_LEFT,
+    CROSS_RIGHT,
+    FRONT_TELE,
+    FRONT_WIDE,
+    POLICY_CAMERAS,
+    MountedCamera,
+)
 from olt_toolkit.rigs.rig_files import pav_rig
 
 FOLDER = "nuscenes_scene_0061_six_cameras"
@@ -76,7 +84,7 @@ def _wxyz(pose):
 def recording(tree, tmp_path_factory):
     dataset = open_dataset(tree, tmp_path_factory.mktemp("cache"))
     drive = dataset.drive("scene-0061")
-    assert set(drive.true_views) == set(POLICY_CAMERAS)
+    assert set(drive.true_views) == set(CAMERA_INDEX)
     assert drive.front_us.tolist() == [0, STEP_US]
     return dataset.open("scene-0061", (0, STEP_US), OpenOptions(width=832))
 

@@ -11,6 +11,7 @@ from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, BuiltKind, S
 from olt_toolkit.commands.clip import build_all
 from olt_toolkit.commands.clip_options import BuildingOptions, JsonOption, unpack_options
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
+from olt_toolkit.rigs.names import ContractName
 from olt_toolkit.runtime.workers import Engine
 
 app = typer.Typer(
@@ -46,6 +47,9 @@ def index(
     samples: Annotated[
         SampleChoice, typer.Option("--t0", help="Every 0.1 s, the moment nearest to 5.1 s, or the data set's events.")
     ] = SampleChoice.EVERY,
+    rig: Annotated[
+        ContractName, typer.Option(help="The policy of whose cameras GT clips have true views.")
+    ] = ContractName.ALPAMAYO_R1,
     cache: CacheOption = DEFAULT_CACHE,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged drives and list them.")] = False,
     workers: WorkersOption = None,
@@ -65,13 +69,14 @@ def index(
     from olt_generator.omissions import word_omission
     from olt_toolkit.recordings.drives import DatasetPlace
     from olt_toolkit.recordings.recording import refuse_unused
+    from olt_toolkit.rigs.contracts import find_contract
     from olt_toolkit.runtime.console import print_json, print_line, show_progress
     from olt_toolkit.runtime.workers import default_workers
 
     if seconds is not None:
         given = {"--frames": frames != PAPER_FRAMES, "--stride": stride != PAPER_STRIDE}
         refuse_unused(given, "windows are cut by --seconds")
-    cutting = Cutting(frames, stride, seconds, samples)
+    cutting = Cutting(frames, stride, seconds, samples, find_contract(rig.value))
     place = DatasetPlace(root, cache.expanduser(), source)
     with show_progress("drives") as (on_progress, _):
         summary = index_dataset(place, out, cutting, workers or default_workers(), on_progress, keep_going, engine)
@@ -215,7 +220,9 @@ def build(
         key="",
         store=out,
         opening=building.opening(),
-        options=BuildOptions(width=building.width, height=building.height, seed=seed),
+        options=BuildOptions(
+            width=building.width, height=building.height, cameras=building.cameras, front=building.front, seed=seed
+        ),
         estimators=building.estimators(),
         keep_going=keep_going,
     )

@@ -9,6 +9,7 @@ import typer
 from olt_toolkit.commands.clip_options import JsonOption
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.recordings.labels import Split
+from olt_toolkit.rigs.names import ContractName
 from olt_toolkit.runtime.workers import Engine
 
 
@@ -26,6 +27,9 @@ def export(
     out: Annotated[Path, typer.Option(help="Folder that is made; it appears when it is complete.")],
     layout: Annotated[Format, typer.Option("--format", help="Layout of the export.")] = Format.PAI,
     split: Annotated[Split, typer.Option(help="Which split of clip stores; a mixture has its own.")] = "train",
+    rig: Annotated[
+        ContractName, typer.Option(help="The policy whose cameras every clip must have.")
+    ] = ContractName.ALPAMAYO_R1,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged clips and list them.")] = False,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
@@ -33,21 +37,23 @@ def export(
 ) -> None:
     """Write a mixture, or whole clip stores, for the public devkit and Alpamayo recipes, or as a LeRobot data set.
 
-    Clips of other splits, and clips that give no policy sample, are left out. Chunks whose clips are all taken are
-    linked, not copied. Given again, an interrupted export goes on. Exit status 1 if clips failed with --keep-going.
+    Clips of other splits, and clips that give no sample of the rig's policy, are left out. Masks of invented pixels go
+    with their views. Chunks whose clips are all taken are linked, not copied. Given again, an interrupted export goes
+    on. Exit status 1 if clips failed with --keep-going.
     """
     from olt_datasets import contents_of_mixture, contents_of_stores, export_lerobot, export_pai
     from olt_datasets.mixtures.mixture_file import MIXTURE_SUFFIXES, read_mixture
     from olt_generator.errors import InputError
+    from olt_toolkit.rigs.contracts import find_contract
     from olt_toolkit.runtime.console import make_progress, print_json
     from olt_toolkit.runtime.workers import default_workers
 
     if inputs[0].suffix not in MIXTURE_SUFFIXES:
-        contents = contents_of_stores(inputs, split)
+        contents = contents_of_stores(inputs, split, find_contract(rig.value))
     elif len(inputs) > 1:
         raise InputError(f"{inputs[1]}: a mixture is exported alone; compose one mixture of everything")
     else:
-        contents = contents_of_mixture(read_mixture(inputs[0]))
+        contents = contents_of_mixture(read_mixture(inputs[0]), find_contract(rig.value))
     with make_progress() as progress:
         task = progress.add_task(f"export to {layout.value}", total=100)
         summary = (export_pai if layout is Format.PAI else export_lerobot)(
@@ -70,7 +76,7 @@ def _show(summary: dict[str, Any]) -> None:
     from olt_generator.omissions import Omission, word_omission
     from olt_toolkit.runtime.console import print_line, print_table
 
-    title = f"{summary['out']}: {summary['clips']} clips of split {summary['split']}"
+    title = f"{summary['out']}: {summary['clips']} clips of split {summary['split']} for {summary['rig']}"
     if summary["format"] == Format.PAI.value:
         columns = ("component", "kind", "source", "clips", "chunk_ids")
         print_table(title, columns, [[group[column] for column in columns] for group in summary["groups"]])

@@ -17,7 +17,7 @@ from olt_datasets.export.contents import ExportGroup, ExportItem
 from olt_datasets.export.writing import finished_part, link_or_copy, naming, note_finished, write_file
 from olt_generator.errors import InputError
 from olt_toolkit.clips.files import add_member, has_feature
-from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES
+from olt_toolkit.clips.pai_layout import CALIBRATIONS, STORED
 from olt_toolkit.clips.store import CLIPS_PER_CHUNK, ClipStore
 
 
@@ -65,7 +65,7 @@ def write_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> dict[str, A
         how, failures = _link_chunk(root, chunk, keep_going), {}
         if how is None:
             how, failures = "packed", _pack_chunk(root, chunk, keep_going)
-        files = [feature.chunk_file(root, chunk.number) for feature in FEATURES.values()]
+        files = [feature.chunk_file(root, chunk.number) for feature in STORED.values()]
         size = sum(file.stat().st_size for file in files if file.exists())
         result = {"how": how, "size": size, "failures": failures}
         note_finished(root, name, result)
@@ -86,8 +86,7 @@ def _link_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> str | None:
             raise
         return None
     files = [
-        (feature.chunk_file(store_root, number), feature.chunk_file(root, chunk.number))
-        for feature in FEATURES.values()
+        (feature.chunk_file(store_root, number), feature.chunk_file(root, chunk.number)) for feature in STORED.values()
     ]
     linked = [link_or_copy(source, target) for source, target in files if source.exists()]
     return "linked" if all(linked) else "copied"
@@ -109,7 +108,7 @@ def _pack_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> dict[str, s
                 failures[item.listed_as] = str(error)
                 continue
             for feature, name, data in members:
-                path = FEATURES[feature].chunk_file(root, chunk.number)
+                path = STORED[feature].chunk_file(root, chunk.number)
                 if feature not in archives:
                     temporary = stack.enter_context(write_file(path))
                     archives[feature] = stack.enter_context(zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED))
@@ -119,7 +118,7 @@ def _pack_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> dict[str, s
                 calibrations[feature].append(table)
     for feature, tables in calibrations.items():
         if tables:
-            with write_file(FEATURES[feature].chunk_file(root, chunk.number)) as temporary:
+            with write_file(STORED[feature].chunk_file(root, chunk.number)) as temporary:
                 pd.concat(tables).to_parquet(temporary)
     return failures
 
@@ -130,8 +129,8 @@ def _read_clip(store: ClipStore, item: ExportItem) -> tuple[list[tuple[str, str,
     info = store.info(item.clip_id)
     members = [
         (feature.name, feature.member(alias, item.listed_as), store.read_member(item.clip_id, feature.name, alias))
-        for feature in FEATURES.values()
-        if has_feature(info, feature.name)
+        for feature in STORED.values()
+        if has_feature(info, feature)
         for alias in feature.members
     ]
     renamed = {item.clip_id: item.listed_as}

@@ -17,6 +17,7 @@ from olt_generator.omissions import Omission
 from olt_toolkit.clips.clip import Split, make_clip_id
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.policy.sample import KEYFRAME_US
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
 
 
 @dataclass(frozen=True)
@@ -49,12 +50,13 @@ class ExportGroup:
 class Contents:
     """Everything that is to be exported, all of one split; groups of one component follow each other.
 
-    Clips that the stores hold and the export does not are left out. Notes tell what the public readers cannot do as
-    the mixture asks, a sentence each.
+    All clips have the cameras of the contract. Clips that the stores hold and the export does not are left out. Notes
+    tell what the public readers cannot do as the mixture asks, a sentence each.
     """
 
     groups: tuple[ExportGroup, ...]
     split: Split
+    contract: CameraContract = DEFAULT_CONTRACT
     left_out: tuple[Omission, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -75,11 +77,11 @@ class Contents:
         return replace(self, groups=tuple(groups))
 
 
-def contents_of_mixture(mixture: Mixture) -> Contents:
+def contents_of_mixture(mixture: Mixture, contract: CameraContract = DEFAULT_CONTRACT) -> Contents:
     """One item for every sample that the mixture draws from.
 
     Raises:
-        InputError: two stores hold the same clip, or clips are indexed but not built.
+        InputError: two stores hold the same clip, clips are indexed but not built, or lack cameras of the contract.
     """
     stores = {store for part in mixture.components for store in part.samples["store"].unique()}
     table = next((store for store in sorted(stores) if Path(store).is_file()), None)
@@ -95,11 +97,12 @@ def contents_of_mixture(mixture: Mixture) -> Contents:
                 for use, (*_, t0_us) in enumerate(uses)
             ]
             groups.append(ExportGroup(part.component.name, kind, source, tuple(items)))
-    return Contents(_check(groups), mixture.recipe.split, notes=tuple(_notes(mixture)))
+    _check_cameras(groups, contract)
+    return Contents(_check(groups), mixture.recipe.split, contract, notes=tuple(_notes(mixture)))
 
 
-def contents_of_stores(stores: Sequence[Path], split: Split) -> Contents:
-    """One item for every clip of the split that gives a policy sample, with all its sample times.
+def contents_of_stores(stores: Sequence[Path], split: Split, contract: CameraContract = DEFAULT_CONTRACT) -> Contents:
+    """One item for every clip of the split that gives a policy sample of the contract, with all its sample times.
 
     The time that the public recipes take by default stands first where the clip has it.
 
@@ -119,7 +122,11 @@ def contents_of_stores(stores: Sequence[Path], split: Split) -> Contents:
         left_out.update(("clips", f"of split {info.split}") for info in clips if info.split != split)
         of_split = [info for info in clips if info.split == split]
         left_out.update((f"{info.kind} clips", "no policy sample") for info in of_split if not info.sample_t0_us)
-        taken = sorted((info for info in of_split if info.sample_t0_us), key=kind_and_source)
+        for info in of_split:
+            if info.sample_t0_us and contract.lacking(info.views):
+                left_out[f"{info.kind} clips", f"not all cameras of {contract.name}"] += 1
+        usable = [info for info in of_split if info.sample_t0_us and not contract.lacking(info.views)]
+        taken = sorted(usable, key=kind_and_source)
         for (kind, source), infos in groupby(taken, kind_and_source):
             items = []
             for info in infos:
@@ -127,7 +134,7 @@ def contents_of_stores(stores: Sequence[Path], split: Split) -> Contents:
                 items.append(ExportItem(store, info.clip_id, info.clip_id, tuple(times)))
             groups.append(ExportGroup(store.name, kind, source, tuple(items)))
     omissions = [Omission(what, why, count, total) for (what, why), count in left_out.items()]
-    return Contents(_check(groups), split, tuple(omissions))
+    return Contents(_check(groups), split, contract, tuple(omissions))
 
 
 def _notes(mixture: Mixture) -> Iterator[str]:
@@ -142,6 +149,19 @@ def _notes(mixture: Mixture) -> Iterator[str]:
                 f"share is {samples / distinct:.4g} and not {items / len(mixture):.4g}; `MixtureDataset` keeps the "
                 "share"
             )
+
+
+def _check_cameras(groups: Sequence[ExportGroup], contract: CameraContract) -> None:
+    """A mixture has its shares, so no clip of it is left out without a word."""
+    stores = {item.store: ClipStore(item.store) for group in groups for item in group.items}
+    for group in groups:
+        for item in group.items:
+            lacking = contract.lacking(stores[item.store].info(item.clip_id).views)
+            if lacking:
+                raise InputError(
+                    f"{item.store}: clip {item.clip_id} has no {', '.join(lacking)}, which {contract.name} needs; "
+                    f"build the clips with --rig {contract.name}, or export for another --rig"
+                )
 
 
 def _check(groups: Sequence[ExportGroup]) -> tuple[ExportGroup, ...]:

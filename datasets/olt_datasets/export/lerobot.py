@@ -1,10 +1,13 @@
 """Export as a LeRobot data set, version 3.0 of its format: tables, one video per clip and camera, and statistics.
 
-A frame of the data set is a moment of the 0.1 s grid with one image of each policy camera, the past 16 poses as state
-and the next 64 as action, all in the rig frame of that moment, without roll and pitch. A policy that looks back takes
-images of earlier frames, so three frames stand before each sample time, where the ego motion reaches back far enough to
-give their state. An episode is a stretch of one clip on the grid. Its task is the category of the clip: no instruction
-is invented.
+A frame of the data set is a moment of the 0.1 s grid with one image of each camera of a policy, the past 16 poses as
+state and the next 64 as action, all in the rig frame of that moment, without roll and pitch. A policy that looks back
+takes images of earlier frames, so three frames stand before each sample time, where the ego motion reaches back far
+enough to give their state. An episode is a stretch of one clip on the grid. Its task is the category of the clip: no
+instruction is invented.
+
+The masks of videos that were not seen whole lie beside them in `masks/`, by the same names and frame by frame
+(`olt_toolkit.clips.origin_files`); readers of the format do not look there.
 """
 
 import json
@@ -28,10 +31,11 @@ from olt_generator import InputError, write_video
 from olt_generator.poses import Array, invert, yaw_of
 from olt_generator.progress import Progress, silent
 from olt_toolkit import ClipInfo, ClipStore, EgoMotion
-from olt_toolkit.clips.images import resize_images
+from olt_toolkit.clips.images import resize_images, resize_masks
+from olt_toolkit.clips.origin_files import encode_origin
 from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, IMAGE_OFFSETS_US
-from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.rigs.contracts import CameraContract
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
 VERSION = "v3.0"
@@ -88,14 +92,18 @@ def numbered_file(folder: Path, number: int, suffix: str) -> Path:
 
 
 def write_clip(
-    root: Path, image_size: tuple[int, int], keep_going: bool, job: tuple[int, ExportItem]
+    root: Path,
+    image_size: tuple[int, int],
+    keep_going: bool,
+    contract: CameraContract,
+    job: tuple[int, ExportItem],
 ) -> ClipFrames | str:
     """Write the videos of one clip, unless an earlier run has, and work out its frames.
 
     What is wrong with it is returned, or an InputError where `keep_going` is off or a file cannot be written.
     """
     number, item = job
-    videos = {camera: numbered_file(root / "videos" / video_key(camera), number, "mp4") for camera in POLICY_CAMERAS}
+    videos = {camera: numbered_file(root / "videos" / video_key(camera), number, "mp4") for camera in contract.cameras}
     try:
         store = ClipStore(item.store)
         store.check(item.clip_id, item.t0s_us)
@@ -113,9 +121,15 @@ def write_clip(
     except InputError as error:
         for video in videos.values():
             video.unlink(missing_ok=True)
+        for camera in contract.cameras:
+            _mask_file(root, camera, number).unlink(missing_ok=True)
         if not keep_going:
             raise
         return str(error)
+
+
+def _mask_file(root: Path, camera: str, number: int) -> Path:
+    return numbered_file(root / "masks" / video_key(camera), number, "parquet")
 
 
 def frame_times(t0s_us: Sequence[int], ego_start_us: int) -> NDArray[np.int64]:
@@ -157,6 +171,10 @@ def _write_videos(
         frames = resize_images(frames, size[1], size[0])[np.argsort(order)]
         with naming(path):
             write_video(path, frames, FRAME_RATE)
+        if not store.info(clip_id).views[camera].is_seen_whole:
+            masks = resize_masks(store.read_origin(clip_id, camera, times_us[order]), size[1], size[0])
+            with write_file(_mask_file(root, camera, number)) as temporary:
+                temporary.write_bytes(encode_origin(times_us, masks[np.argsort(order)]))
         levels[camera] = np.stack([np.bincount(frames[..., colour].ravel(), minlength=256) for colour in range(3)])
     note_finished(root, name, {camera: counts.tolist() for camera, counts in levels.items()})
     return levels
@@ -199,7 +217,7 @@ def export_lerobot(
     contents = contents.with_one_item_per_clip()
 
     def write(root: Path) -> dict[str, Any]:
-        write_one = partial(write_clip, root, image_size, keep_going)
+        write_one = partial(write_clip, root, image_size, keep_going, contents.contract)
         clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_progress, engine)
         components = [group.component for group in contents.groups for _ in group.items]
         stores = {item.store: ClipStore(item.store) for item in contents.items}
@@ -262,7 +280,7 @@ def _write_meta(
     with write_file(meta / "tasks.parquet") as temporary:
         pd.DataFrame({"task_index": range(len(tasks))}, index=pd.Index(tasks)).to_parquet(temporary)
     with write_file(numbered_file(meta / "episodes", 0, "parquet")) as temporary:
-        pq.write_table(pa.Table.from_pylist(_episode_rows(episodes)), temporary)
+        pq.write_table(pa.Table.from_pylist(_episode_rows(episodes, contents.contract)), temporary)
     info = {
         "codebase_version": VERSION,
         "robot_type": None,
@@ -276,7 +294,7 @@ def _write_meta(
         "splits": {contents.split: f"0:{len(episodes)}"},
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
-        "features": _features(image_size),
+        "features": _features(image_size, contents.contract),
     }
     stats = {}
     for name, values in columns.items():
@@ -285,13 +303,13 @@ def _write_meta(
             stats[name] = {each: getattr(np, each)(rows, axis=0).tolist() for each in ("min", "max", "mean", "std")}
             quantiles = np.quantile(rows, list(QUANTILES.values()), axis=0).tolist()
             stats[name] |= {"count": [len(rows)]} | dict(zip(QUANTILES, quantiles, strict=True))
-    stats |= {video_key(camera): _image_stats(episodes, camera) for camera in POLICY_CAMERAS}
+    stats |= {video_key(camera): _image_stats(episodes, camera) for camera in contents.contract.cameras}
     for name, content in {"info": info, "stats": stats}.items():
         with write_file(meta / f"{name}.json") as temporary:
             temporary.write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
 
 
-def _features(image_size: tuple[int, int]) -> dict[str, dict[str, Any]]:
+def _features(image_size: tuple[int, int], contract: CameraContract) -> dict[str, dict[str, Any]]:
     height, width = image_size
     video = {
         "dtype": "video",
@@ -311,7 +329,7 @@ def _features(image_size: tuple[int, int]) -> dict[str, dict[str, Any]]:
     scalars = dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
     scalars |= {"timestamp": "float32", "is_sample": "bool"}
     return {
-        **{video_key(camera): video for camera in POLICY_CAMERAS},
+        **{video_key(camera): video for camera in contract.cameras},
         "observation.state": _pose_feature(HISTORY_OFFSETS_US),
         "action": _pose_feature(FUTURE_OFFSETS_US),
         **{name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()},
@@ -323,7 +341,7 @@ def _pose_feature(offsets_us: NDArray[np.int64]) -> dict[str, Any]:
     return {"dtype": "float32", "shape": [len(names)], "names": names}
 
 
-def _episode_rows(episodes: Sequence[_Episode]) -> list[dict[str, Any]]:
+def _episode_rows(episodes: Sequence[_Episode], contract: CameraContract) -> list[dict[str, Any]]:
     def place(name: str, number: int) -> dict[str, int]:
         chunk, file = divmod(number, FILES_PER_CHUNK)
         return {f"{name}/chunk_index": chunk, f"{name}/file_index": file}
@@ -345,7 +363,7 @@ def _episode_rows(episodes: Sequence[_Episode]) -> list[dict[str, Any]]:
             "source": episode.info.source,
             "start_us": int(episode.clip.times_us[episode.first]),
         }
-        for camera in POLICY_CAMERAS:
+        for camera in contract.cameras:
             video = f"videos/{video_key(camera)}"
             row |= place(video, episode.clip.number)
             row[f"{video}/from_timestamp"] = episode.first / FRAME_RATE

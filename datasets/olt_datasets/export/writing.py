@@ -73,7 +73,7 @@ def write_export(
     make_folder(marker.parent)
     with write_file(marker) as temporary:
         temporary.write_text(fingerprint)
-    about = {"format": layout, "split": contents.split}
+    about = {"format": layout, "split": contents.split, "rig": contents.contract.name}
     left_out = [omission.to_dict() for omission in contents.left_out]
     summary = about | write(folder) | {"left_out": left_out, "out": str(out), "fingerprint": fingerprint}
     with write_file(folder / EXPORT_FILE) as temporary:

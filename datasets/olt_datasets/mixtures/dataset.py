@@ -15,6 +15,7 @@ from torch.utils.data import Dataset, Sampler
 from olt_datasets.mixtures.mixture import Mixture
 from olt_generator.errors import InputError
 from olt_toolkit import ClipStore, PolicySample, SampleKey
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
 
 
 class MixtureDataset(Dataset[dict[str, Any]]):
@@ -25,6 +26,8 @@ class MixtureDataset(Dataset[dict[str, Any]]):
 
     Args:
         image_size: height and width of the images that the policy takes; None for those of the clips.
+        contract: the cameras that it takes.
+        with_origin: whether samples tell where the pixels of their images come from (`PolicySample.image_origin`).
         open_store: opens the clip store in a folder.
     """
 
@@ -33,8 +36,11 @@ class MixtureDataset(Dataset[dict[str, Any]]):
         mixture: Mixture,
         image_size: tuple[int, int] | None,
         open_store: Callable[[Path], ClipStore] = ClipStore,
+        contract: CameraContract = DEFAULT_CONTRACT,
+        with_origin: bool = False,
     ) -> None:
         self.image_size = image_size
+        self._contract, self._with_origin = contract, with_origin
         self._items = len(mixture)
         self._open_store = open_store
         self._stores: dict[str, ClipStore] = {}
@@ -52,6 +58,7 @@ class MixtureDataset(Dataset[dict[str, Any]]):
             {
                 name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
                 for name, value in vars(sample).items()
+                if value is not None
             }
             for sample in self.load_batch(keys)
         ]
@@ -63,7 +70,8 @@ class MixtureDataset(Dataset[dict[str, Any]]):
             if store not in self._stores:
                 self._stores[store] = self._open_store(Path(store))
             wanted = [key for key in keys if key.store == store]
-            loaded |= zip(wanted, self._stores[store].load_samples(wanted, self.image_size), strict=True)
+            samples = self._stores[store].load_samples(wanted, self.image_size, self._contract, self._with_origin)
+            loaded |= zip(wanted, samples, strict=True)
         return [loaded[key] for key in keys]
 
 

@@ -32,7 +32,7 @@ from olt_toolkit.clips.pai_tables import read_egomotion, read_mounted_camera, re
 from olt_toolkit.clips.table import CLIP_TABLE
 from olt_toolkit.clips.video import decode_frames
 from olt_toolkit.policy.window import Span
-from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, POLICY_CAMERAS, MountedCamera, short_name
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, MountedCamera, short_name
 
 SOURCE = "pav"
 LICENCE = Licence(
@@ -100,7 +100,7 @@ class Pav:
             front_us=clip_us - start_us,
             cameras=cameras,
             ego_span_us=ego_span_us,
-            true_views=self._cameras_beside(key, POLICY_CAMERAS, clip_us),
+            true_views=self._cameras_beside(key, tuple(CAMERA_INDEX), clip_us),
             category=events.category,
             country=self._countries().get(key),
             split=clip.split,

@@ -22,7 +22,7 @@ from olt_generator.video import shrink
 from olt_toolkit import Drive, OpenOptions, Recording
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.labels import Split
-from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS, MountedCamera, VehicleDimensions, short_name
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, MountedCamera, VehicleDimensions, short_name
 from olt_toolkit.rigs.rig_files import pav_rig
 
 Image = NDArray[np.uint8]
@@ -73,9 +73,9 @@ class SurroundDrive:
 
     @cached_property
     def mosaics(self) -> dict[str, float]:
-        """The target rig's policy cameras whose view can be put together, and the share of each that is seen."""
+        """The target rig's cameras whose view can be put together, and the share of each that is seen."""
         rig, sources = pav_rig(), self._steady_cameras
-        shares = {name: coverage(rig[name], sources) for name in POLICY_CAMERAS}
+        shares = {name: coverage(rig[name], sources) for name in CAMERA_INDEX}
         return {name: share for name, share in shares.items() if share >= LEAST_COVERAGE}
 
     @cached_property
@@ -106,7 +106,7 @@ class SurroundDrive:
             front_us=self.cameras[self.front].times_us,
             cameras=tuple(self.cameras),
             ego_span_us=(int(self.ego.timestamps_us[0]), int(self.ego.timestamps_us[-1])),
-            true_views=tuple(name for name in POLICY_CAMERAS if name == FRONT_WIDE or name in self.mosaics),
+            true_views=tuple(name for name in CAMERA_INDEX if name == FRONT_WIDE or name in self.mosaics),
             country=country,
             split=split,
             notes=(*notes, *mosaics, *unsteady, *self.assumptions),

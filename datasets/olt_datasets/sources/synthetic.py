@@ -47,7 +47,7 @@ from olt_generator import InputError, Trajectory
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
-from olt_toolkit.rigs.rig import FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE
 from olt_toolkit.rigs.rig_files import pav_rig
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
 
@@ -165,7 +165,7 @@ class Synthetic:
             front_us=times_us,
             cameras=tuple(pav_rig().cameras),
             ego_span_us=(0, int(times_us[-1])),
-            true_views=POLICY_CAMERAS,
+            true_views=tuple(CAMERA_INDEX),
             category=scene.category,
             factors=scene.factors,
             split=self._asked.split,

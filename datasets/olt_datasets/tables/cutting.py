@@ -17,7 +17,7 @@ from olt_toolkit.clips.clip import ClipInfo, ClipOrigin, make_clip_id
 from olt_toolkit.policy.sample import KEYFRAME_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, STEP_US, Coverage, Span, sample_times
 from olt_toolkit.recordings.drives import Drive
-from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
 from olt_toolkit.runtime.version import code_version
 
 
@@ -30,6 +30,7 @@ class Cutting:
         stride: images from the start of a window to the start of the next.
         seconds: duration of windows that follow one another, in place of `frames` and `stride`; None for those.
         samples: every t0 on the 0.1 s grid, the one nearest to 5.1 s, or the events that the data set marks.
+        contract: the cameras of which a drive must have true images for its clips to be of kind GT.
 
     Raises:
         InputError: a window would be empty, or would not move on.
@@ -39,6 +40,7 @@ class Cutting:
     stride: int = PAPER_STRIDE
     seconds: float | None = None
     samples: SampleChoice = SampleChoice.EVERY
+    contract: CameraContract = DEFAULT_CONTRACT
 
     def __post_init__(self) -> None:
         if self.frames < 2 or self.stride < 1:
@@ -52,15 +54,15 @@ class Cutting:
 def cut_drive(drive: Drive, cutting: Cutting, licence: str | None) -> list[ClipInfo]:
     """The clips that the windows of a drive would be, as rows of a clip table.
 
-    Such a clip is not built yet. It is of kind GT where the data set has true images for all policy cameras, and front
-    only elsewhere; its sample times are those that it will give once its other views are made. Times of its front
-    images are counted from the start of the drive. Its split is that of the data set, None where that has none. The
-    same drive and cutting give the same ids everywhere, and a GT clip keeps its id when it is built.
+    Such a clip is not built yet. It is of kind GT where the data set has true images for all cameras of the contract,
+    and front only elsewhere; its sample times are those that it will give once its other views are made. Times of its
+    front images are counted from the start of the drive. Its split is that of the data set, None where that has none.
+    The same drive and cutting give the same ids everywhere, and a GT clip keeps its id when it is built.
     """
     told = asdict(drive)
     front_us = told.pop("front_us").astype("<i8").tobytes()
     description = _hash_of(json.dumps(told, sort_keys=True).encode() + front_us)
-    kind = "GT" if set(POLICY_CAMERAS) <= set(drive.true_views) else "front_only"
+    kind = "front_only" if cutting.contract.lacking(drive.true_views) else "GT"
     # The key may be the same in two folders; the scene is not.
     scene = drive.scene_id.removeprefix(f"{drive.source}/").replace("/", "-")
     clips = []
@@ -113,7 +115,7 @@ def find_samples(drive: Drive, window: Span, choice: SampleChoice) -> tuple[tupl
     """
     start, end = window
     ego = window if drive.ego_span_us is None else drive.ego_span_us
-    coverage = Coverage((ego[0] - start, ego[1] - start), dict.fromkeys(POLICY_CAMERAS, (0, end - start)))
+    coverage = Coverage((ego[0] - start, ego[1] - start), dict.fromkeys(DEFAULT_CONTRACT.cameras, (0, end - start)))
     times, reason = sample_times(coverage)
     if times and drive.usable_us is not None:
         first, last = drive.usable_us

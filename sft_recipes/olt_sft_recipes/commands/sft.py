@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from olt_toolkit.rigs.names import ContractName
+
 if TYPE_CHECKING:
     from olt_datasets import Mixture
 
@@ -22,10 +24,12 @@ def train(
     stores: Stores = [],  # noqa: B006 - typer reads the default, nobody changes it
     stage1: Annotated[Path | None, typer.Option(help="YAML of Stage 1; that of the toy by default.")] = None,
     stage2: Annotated[Path | None, typer.Option(help="YAML of Stage 2; that of the toy by default.")] = None,
+    rig: Annotated[ContractName, typer.Option(help="Whose cameras the policy takes.")] = ContractName.ALPAMAYO_R1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the mixture and of both stages.")] = 0,
     as_json: JsonOption = False,
 ) -> None:
     """Train, and print the losses."""
+    from olt_sft_recipes.toy.config import ToyPolicyConfig
     from olt_sft_recipes.training.stage_config import builtin_stage_config, read_stage_config
     from olt_sft_recipes.training.two_stages import train_on_mixture
     from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
@@ -40,7 +44,12 @@ def train(
     with make_progress() as progress:
         task = progress.add_task("training", total=100)
         results = train_on_mixture(
-            chosen, stages, seed, out, lambda share: progress.update(task, completed=round(100 * share))
+            chosen,
+            stages,
+            seed,
+            out,
+            lambda share: progress.update(task, completed=round(100 * share)),
+            ToyPolicyConfig(rig=rig.value),
         )
     if as_json:
         print_json({"policy": str(out / "policy"), "stages": [vars(result) for result in results]})
@@ -64,11 +73,15 @@ def evaluate(
     from olt_generator.errors import InputError
     from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
     from olt_toolkit import ClipStore
+    from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
     from olt_toolkit.runtime.console import print_json, print_table
 
     chosen = make_policy(policy)
     opened = [ClipStore(store) for store in stores]
-    loaded = [sample for store in opened for sample in store.load_samples(spread_keys(store, split, samples))]
+    # A policy without cameras is shown those of the usual contract, and does not look.
+    contract = CameraContract(policy, chosen.cameras) if chosen.cameras else DEFAULT_CONTRACT
+    keys = {store: spread_keys(store, split, samples) for store in opened}
+    loaded = [sample for store in opened for sample in store.load_samples(keys[store], contract=contract)]
     if not loaded:
         raise InputError(
             f"{', '.join(map(str, stores))}: no clip of split {split!r} gives a sample; choose another split"

@@ -46,7 +46,8 @@ from olt_toolkit.clips.clip import Clip, Split
 from olt_toolkit.clips.pictures import contact_sheet, write_picture
 from olt_toolkit.clips.summary import summarize_build
 from olt_toolkit.clips.trajectory_errors import draw_motions
-from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
 from olt_toolkit.runtime.console import make_progress
 from olt_toolkit.runtime.environment import describe_machine
 from olt_toolkit.runtime.threads import use_one_thread
@@ -282,7 +283,7 @@ def build_training_clip(
     """Film a drive and prepare its clip, with those frames alone that its samples use; returns its numbers."""
     scene = read_scene(scene_path(out, scene_name))
     size = settings.training_size if real_views else settings.training_front_size
-    cameras = POLICY_CAMERAS if real_views else (FRONT_WIDE,)
+    cameras = DEFAULT_CONTRACT.cameras if real_views else (FRONT_WIDE,)
     recording = record_drive(scene, size[1], size[0], settings.frame_rate, cameras)
     options = BuildOptions(
         width=settings.training_size[1],
@@ -323,10 +324,9 @@ def store_clips(out: Path, made: list[dict[str, Any]]) -> dict[str, Any]:
 
 def draw_clip(pictures: Path, recording: Recording, built: BuiltClip) -> None:
     """Draw what the report shows of the input: its views, the true ones and its trajectory, where they are known."""
-    images = {camera: stream.frames for camera, stream in built.clip.streams.items()}
     # Fewer times than the recording's: frames that no sample uses are not made.
     times_us = built.clip.streams[FRONT_WIDE].timestamps_us
-    write_picture(pictures / CONTACT_SHEET, contact_sheet(images, built.observed, times_us))
+    write_picture(pictures / CONTACT_SHEET, contact_sheet(built.clip.images, built.clip.origins, times_us))
     if recording.views:
         write_picture(pictures / TRUE_SHEET, contact_sheet(recording.views, {}, recording.timestamps_us))
     if built.motion is not None:

@@ -109,13 +109,14 @@ def _input_sections(pictures: Path, clip: dict[str, Any]) -> list[Section]:
             view["kind"],
             view["observed_share"],
             view["invented_share"],
+            view["unseen_share"],
             *(clip["view_errors"].get(camera, {}).get(measure) for measure in ("psnr", "psnr_observed")),
         )
         for camera, view in clip["clip"]["views"].items()
     ]
     tables = [
         Table(("quantity", "before smoothing", "after"), quantities),
-        Table(("view", "kind", "observed", "invented", "PSNR (dB)", "PSNR observed (dB)"), views),
+        Table(("view", "kind", "observed", "invented", "not seen", "PSNR (dB)", "PSNR observed (dB)"), views),
     ]
     assumed = [Text("What was assumed, not measured:"), Bullets(clip["assumptions"])]
     return [

@@ -70,10 +70,10 @@ class ActionExpert(nn.Module):
         return self.action_out(self.norm(x)) + guess + linear_guess(time)[:, None, None] * noisy
 
     def loss(self, actions: Tensor, time: Tensor, noise: Tensor, cache: list[KeysValues]) -> Tensor:
-        """Mean squared error of the velocity between noise and normalised actions, each (batch, 64, 2)."""
+        """Mean squared errors (batch,) of the velocity between noise and normalised actions, each (batch, 64, 2)."""
         share = time[:, None, None]
         noisy = share * actions + (1.0 - share) * noise
-        return functional.mse_loss(self(noisy, time, cache), actions - noise)
+        return (self(noisy, time, cache) - (actions - noise)).square().mean(dim=(1, 2))
 
     def sample(self, noise: Tensor, cache: list[KeysValues]) -> Tensor:
         """Integrate noise (batch, 64, 2) to normalised actions by equal Euler steps."""

@@ -2,18 +2,18 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, model_validator
+from pydantic import BaseModel, ConfigDict, Field, PositiveInt, field_validator, model_validator
 
+from olt_generator.errors import InputError
 from olt_toolkit.policy.contract import IMAGE_FRAMES
-from olt_toolkit.rigs.rig import POLICY_CAMERAS
-
-CAMERAS = len(POLICY_CAMERAS)
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract, find_contract
 
 
 class ToyPolicyConfig(BaseModel):
     """Sizes of the toy policy; saved as `config.json` beside its weights.
 
     Attributes:
+        rig: camera contract whose cameras it takes (`olt_toolkit.rigs.contracts`).
         image_height, image_width: pixels, multiples of 16.
         image_channels: channels after the first convolution; they double twice.
         image_frames: newest frames of each camera that are used, of the four that are given. The history tells
@@ -28,6 +28,7 @@ class ToyPolicyConfig(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
+    rig: str = DEFAULT_CONTRACT.name
     image_height: PositiveInt = 64
     image_width: PositiveInt = 112
     image_channels: PositiveInt = 16
@@ -39,6 +40,14 @@ class ToyPolicyConfig(BaseModel):
     expert_width: PositiveInt = 64
     integration_steps: PositiveInt = 10
 
+    @field_validator("rig")
+    @classmethod
+    def _is_known(cls, rig: str) -> str:
+        try:
+            return find_contract(rig).name
+        except InputError as error:
+            raise ValueError(str(error)) from error
+
     @model_validator(mode="after")
     def _fits(self) -> "ToyPolicyConfig":
         if self.width % self.heads:
@@ -48,9 +57,14 @@ class ToyPolicyConfig(BaseModel):
         return self
 
     @property
+    def contract(self) -> CameraContract:
+        """The cameras that it takes."""
+        return find_contract(self.rig)
+
+    @property
     def image_tokens(self) -> int:
         """Tokens of all images together."""
-        return CAMERAS * self.image_frames * self.tokens_per_image
+        return len(self.contract.cameras) * self.image_frames * self.tokens_per_image
 
     @property
     def head_width(self) -> int:

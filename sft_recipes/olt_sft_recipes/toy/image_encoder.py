@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from olt_sft_recipes.toy.config import CAMERAS, ToyPolicyConfig
+from olt_sft_recipes.toy.config import ToyPolicyConfig
 
 
 class ImageEncoder(nn.Module):
@@ -26,7 +26,7 @@ class ImageEncoder(nn.Module):
         )
         cells = (config.image_height // 16) * (config.image_width // 16)
         self.summary = nn.Linear(4 * channels * cells, config.tokens_per_image * config.width)
-        self.camera_embedding = nn.Parameter(0.02 * torch.randn(CAMERAS, 1, 1, config.width))
+        self.camera_embedding = nn.Parameter(0.02 * torch.randn(len(config.contract.cameras), 1, 1, config.width))
         self.time_embedding = nn.Parameter(0.02 * torch.randn(config.image_frames, 1, config.width))
 
     def forward(self, images: Tensor) -> Tensor:

@@ -23,7 +23,7 @@ LEAST_SPEED = 1.0
 
 @dataclass(frozen=True)
 class PolicyInputs:
-    """What the prefix is made of: images (n, 4, frames, 3, H, W) uint8, history tokens (n, 48), motion (n, 7)."""
+    """What the prefix is made of: images (n, cameras, frames, 3, H, W) uint8, history tokens (n, 48), motion (n, 7)."""
 
     images: Tensor
     history_tokens: Tensor
@@ -31,11 +31,11 @@ class PolicyInputs:
 
 
 def encode_inputs(images: NDArray[np.uint8], history: Array) -> PolicyInputs:
-    """Tensors of images (n, 4, frames, 3, H, W) and histories (n, 16, 3) of x, y (m), yaw (rad) in the rig frame at t0.
+    """Tensors of images (n, cameras, frames, 3, H, W) and histories (n, 16, 3).
 
-    The motion is the speed now, and the mean acceleration and curvature over the older half, the newer half and the
-    last three steps, all of about unit size. History tokens cut off what is fast and do not hold the heading; the toy
-    is too small to make up for it.
+    Histories are x, y in metres and yaw in radians, in the rig frame at t0. The motion is the speed now, and the mean
+    acceleration and curvature over the older half, the newer half and the last three steps, all of about unit size.
+    History tokens cut off what is fast and do not hold the heading; the toy is too small to make up for it.
     """
     flat = np.concatenate([history[..., :2], np.zeros_like(history[..., :1])], axis=-1)
     rates = np.diff(history, axis=-2) / STEP_SECONDS

@@ -10,17 +10,16 @@ from olt_sft_recipes.toy.checkpoint import ToyModel, read_model
 from olt_sft_recipes.toy.inputs import encode_inputs, planar_poses, select_images
 from olt_toolkit.policy.action_space import actions_to_trajectory, estimate_initial_speed
 from olt_toolkit.policy.contract import FUTURE_STEPS, Observation, PlannedTrajectory
-from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 
 class ToyPolicy:
     """Drives with the toy model."""
 
     name = "toy"
-    cameras = POLICY_CAMERAS
 
     def __init__(self, model: ToyModel) -> None:
         self.model = model.eval().requires_grad_(False)
+        self.cameras = model.config.contract.cameras
         self.image_size = (model.config.image_height, model.config.image_width)
 
     def plan(self, observation: Observation) -> PlannedTrajectory:

@@ -13,15 +13,18 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import pixel_rays
 from olt_generator.poses import Array, invert, planar_pose, transform
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.toy.inputs import planar_poses, select_images
 from olt_toolkit.policy.action_space import trajectory_to_actions
 from olt_toolkit.policy.sample import PolicySample
-from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, REAR_LEFT, REAR_RIGHT
 from olt_toolkit.rigs.rig_files import pav_rig
 
-# Left and right change places in a mirror: cross-left, front, cross-right, tele.
-MIRRORED_CAMERAS = [2, 1, 0, 3]
+# Cameras that change places in a mirror.
+_MIRRORED = {CROSS_LEFT: CROSS_RIGHT, REAR_LEFT: REAR_RIGHT}
+_MIRRORED |= {right: left for left, right in _MIRRORED.items()}
 # Distance in metres over which a vehicle that is off its path has returned to it.
 RETURN_METRES = 8.0
 # Above the horizon the scene is taken to be this far away.
@@ -33,21 +36,35 @@ class DrivingSamples:
     """Samples of one size.
 
     Attributes:
-        images: (n, 4, frames, 3, H, W) uint8.
+        images: (n, cameras, frames, 3, H, W) uint8.
         history, future: (n, 16, 3) and (n, 64, 3) of x, y in metres and yaw in radians, in the rig frame at t0.
+        invented: (n,) share of the pixels of the images that is invented, at the size of the clip; None for nothing.
+        contract: which cameras these are.
     """
 
     images: NDArray[np.uint8]
     history: Array
     future: Array
+    invented: Array | None = None
+    contract: CameraContract = DEFAULT_CONTRACT
 
     @classmethod
     def gather(cls, samples: list[PolicySample], config: ToyPolicyConfig) -> "DrivingSamples":
-        """Take what the toy uses of loaded samples; its world is flat."""
+        """Take what the toy uses of loaded samples; its world is flat.
+
+        Where samples do not tell where their pixels come from, nothing is taken to be invented.
+        """
+        origins = [sample.image_origin for sample in samples]
+        invented = [
+            0.0 if origin is None else float((origin[:, -config.image_frames :] == PixelOrigin.INVENTED).mean())
+            for origin in origins
+        ]
         return cls(
             np.stack([select_images(sample.image_frames, config) for sample in samples]),
             np.stack([planar_poses(sample.ego_history_xyz[0], sample.ego_history_rot[0]) for sample in samples]),
             np.stack([planar_poses(sample.ego_future_xyz[0], sample.ego_future_rot[0]) for sample in samples]),
+            np.array(invented),
+            config.contract,
         )
 
     def __len__(self) -> int:
@@ -55,13 +72,25 @@ class DrivingSamples:
 
     def take(self, rows: list[int]) -> "DrivingSamples":
         """Some of the samples."""
-        return DrivingSamples(self.images[rows], self.history[rows], self.future[rows])
+        invented = None if self.invented is None else self.invented[rows]
+        parts = {"images": self.images[rows], "history": self.history[rows], "future": self.future[rows]}
+        return replace(self, invented=invented, **parts)
+
+    def weights(self, invented_pixel_weight: float) -> Array:
+        """Weights (n,) of the samples where an invented pixel counts for so much of a seen one.
+
+        w = 1 - (1 - `invented_pixel_weight`) * share of invented pixels.
+        """
+        invented = np.zeros(len(self)) if self.invented is None else self.invented
+        return 1.0 - (1.0 - invented_pixel_weight) * invented
 
     def mirrored(self) -> "DrivingSamples":
         """The same drives in a world where left is right."""
         flip = np.array([1.0, -1.0, -1.0])
-        images = self.images[:, MIRRORED_CAMERAS][..., ::-1]
-        return DrivingSamples(np.ascontiguousarray(images), self.history * flip, self.future * flip)
+        cameras = self.contract.cameras
+        order = [cameras.index(_MIRRORED.get(name, name)) for name in cameras]
+        images = np.ascontiguousarray(self.images[:, order][..., ::-1])
+        return replace(self, images=images, history=self.history * flip, future=self.future * flip)
 
     def perturbed(self, offsets: Array, angles: Array) -> "DrivingSamples":
         """The same moments with the vehicle off its path, to which it then returns.
@@ -82,7 +111,12 @@ class DrivingSamples:
         x, y = x - off * np.sin(yaw), y + off * np.cos(yaw) - offsets[:, None]
         cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
         future = np.stack([cos * x + sin * y, cos * y - sin * x, yaw + heading - angles[:, None]], axis=-1)
-        images = np.stack([_perturb_images(*sample) for sample in zip(self.images, offsets, angles, strict=True)])
+        images = np.stack(
+            [
+                _perturb_images(self.contract.cameras, *sample)
+                for sample in zip(self.images, offsets, angles, strict=True)
+            ]
+        )
         return replace(self, images=images, future=future)
 
     def actions(self) -> Array:
@@ -91,11 +125,13 @@ class DrivingSamples:
         return trajectory_to_actions(history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3])
 
 
-def _perturb_images(images: NDArray[np.uint8], offset: float, angle: float) -> NDArray[np.uint8]:
-    """Images (4, frames, 3, H, W) of one moment as the perturbed vehicle would see its road and sky."""
+def _perturb_images(
+    cameras: tuple[str, ...], images: NDArray[np.uint8], offset: float, angle: float
+) -> NDArray[np.uint8]:
+    """Images (cameras, frames, 3, H, W) of one moment as the perturbed vehicle would see its road and sky."""
     height, width = images.shape[-2:]
     perturbed = np.empty_like(images)
-    for camera, name in enumerate(POLICY_CAMERAS):
+    for camera, name in enumerate(cameras):
         u, v = _road_tables(name, width, height, offset, angle)
         for frame in range(images.shape[1]):
             picture = cv2.remap(

@@ -40,6 +40,10 @@ class StageConfig(BaseModel):
         regression_warmup_epochs: of the epochs of Stage 1, the first so many train the regression head alone. They
             stand in for the pre-training that the real model brings along, and cost a fraction. Toy only.
         hidden_token_probability: share of future tokens that are hidden from later ones in Stage 1. Toy only.
+        invented_pixel_weight: how much an invented pixel of a sample's images counts, between nothing and as much as
+            one that a camera saw. A sample counts in the loss by the mean over its pixels (`DrivingSamples.weights`),
+            and the weights of an optimizer step are divided by their sum. 1, the default: all samples alike, as in the
+            real recipe. Toy only.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -59,6 +63,7 @@ class StageConfig(BaseModel):
     turn_degrees: NonNegativeFloat = 0.0
     regression_warmup_epochs: NonNegativeInt = 0
     hidden_token_probability: float = Field(default=0.0, ge=0.0, le=1.0)
+    invented_pixel_weight: float = Field(default=1.0, ge=0.0, le=1.0)
 
     @model_validator(mode="after")
     def _consistent(self) -> "StageConfig":

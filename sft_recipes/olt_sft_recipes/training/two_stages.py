@@ -70,16 +70,25 @@ class StageResult:
 
 
 def train_on_mixture(
-    mixture: Mixture, stages: tuple[StageConfig, StageConfig], seed: int, out: Path, on_progress: Progress = silent
+    mixture: Mixture,
+    stages: tuple[StageConfig, StageConfig],
+    seed: int,
+    out: Path,
+    on_progress: Progress = silent,
+    model_config: ToyPolicyConfig | None = None,
 ) -> list[StageResult]:
     """Train both stages on a mixture, as `train_two_stages` does; `seed` replaces that of the stages.
+
+    The samples have the cameras of the model's contract.
 
     Raises:
         InputError: as `train_two_stages`, or a sample of the mixture cannot be loaded.
     """
     first, second = (stage.model_copy(update={"seed": seed}) for stage in stages)
-    load_samples = MixtureDataset(mixture, image_size=None).load_batch
-    return train_two_stages((first, second), mixture.epoch, load_samples, out, on_progress=on_progress)
+    config = model_config or ToyPolicyConfig()
+    weighted = any(stage.invented_pixel_weight < 1.0 for stage in stages)
+    dataset = MixtureDataset(mixture, image_size=None, contract=config.contract, with_origin=weighted)
+    return train_two_stages((first, second), mixture.epoch, dataset.load_batch, out, config, on_progress)
 
 
 def train_two_stages(
@@ -147,7 +156,8 @@ def train_stage(
     keys = sorted({key for epoch in epochs for batch in epoch for key in batch})
     samples_seed = derive_seed(*(f"{key.clip_id} {key.t0_us}" for key in keys))
     before = "" if checkpoint_in is None else json.loads((checkpoint_in / LOG_FILE).read_text())["identity"]
-    identity = f"{derive_seed(code_version(), stage.model_dump_json(), samples_seed, before):x}"
+    sizes = "" if model_config is None else model_config.model_dump_json()
+    identity = f"{derive_seed(code_version(), stage.model_dump_json(), sizes, samples_seed, before):x}"
     if (out / LOG_FILE).exists():
         log = json.loads((out / LOG_FILE).read_text())
         if log.pop("identity") == identity:
@@ -241,10 +251,12 @@ def _augment(batch: DrivingSamples, stage: StageConfig, draw: np.random.Generato
 def _accumulate_gradient(
     model: ToyModel, stage: StageConfig, batch: DrivingSamples, warmup: bool, noise: torch.Generator
 ) -> float:
-    """Add the gradient of the batch, part by part; returns the loss."""
-    total = 0.0
+    """Add the gradient of the batch, part by part; returns the loss: the weighted mean over the samples."""
+    total, weights = 0.0, batch.weights(stage.invented_pixel_weight)
+    weights /= weights.sum()
     for rows in np.array_split(np.arange(len(batch)), min(stage.gradient_accumulation_steps, len(batch))):
-        loss = _loss(model, stage, batch.take(rows.tolist()), warmup, noise) * (len(rows) / len(batch))
+        losses = _losses(model, stage, batch.take(rows.tolist()), warmup, noise)
+        loss = losses @ torch.from_numpy(weights[rows].astype(np.float32))
         loss.backward()
         total += loss.item()
     if not math.isfinite(total):
@@ -252,14 +264,17 @@ def _accumulate_gradient(
     return total
 
 
-def _loss(
+def _losses(
     model: ToyModel, stage: StageConfig, batch: DrivingSamples, warmup: bool, generator: torch.Generator
 ) -> Tensor:
-    """Of the regression head alone (warm-up), of tokens and regression head (Stage 1), or flow matching (Stage 2)."""
+    """Loss (batch,) of each sample.
+
+    Of the regression head alone (warm-up), of tokens and regression head (Stage 1), or flow matching (Stage 2).
+    """
     inputs, actions = encode_inputs(batch.images, batch.history), batch.actions()
     wanted = torch.from_numpy(actions.astype(np.float32))
     if warmup:
-        return functional.mse_loss(model.vlm.regress(inputs), wanted)
+        return _squared_errors(model.vlm.regress(inputs), wanted)
     if stage.stage == 2:
         times = draw_training_times(len(wanted), generator)
         noise = torch.randn(wanted.shape, generator=generator)
@@ -269,5 +284,10 @@ def _loss(
     states, regressed = model.vlm(inputs, tokens, hidden)
     chosen = torch.randperm(FUTURE_TOKENS, generator=generator)[:LOSS_TOKENS]
     logits = model.vlm.logits(states[:, chosen])
-    token_loss = functional.cross_entropy(logits.flatten(0, 1), tokens[:, chosen].flatten())
-    return token_loss + functional.mse_loss(regressed, wanted)
+    token_losses = functional.cross_entropy(logits.transpose(1, 2), tokens[:, chosen], reduction="none").mean(dim=1)
+    return token_losses + _squared_errors(regressed, wanted)
+
+
+def _squared_errors(actions: Tensor, wanted: Tensor) -> Tensor:
+    """Mean squared error (batch,) of the actions (batch, 64, 2) of each sample."""
+    return (actions - wanted).square().mean(dim=(1, 2))

@@ -4,6 +4,7 @@ import io
 import json
 import zipfile
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
 from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, POLICY_CAMERAS, REAR_LEFT, REAR_RIGHT
 from olt_toolkit.rigs.rig_files import pav_rig
 
 WIDTH, HEIGHT = 64, 36
@@ -72,6 +73,27 @@ def stores(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     )
     made = _write_store(folder / "made", [_make_clip("d", kind="Syn", grey=80), _make_clip("e", kind="Syn", grey=100)])
     return real, made
+
+
+@pytest.fixture(scope="session")
+def masked_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A store of two Syn clips in one chunk: `four` of four cameras, and `six` with the rear ones of Alpamayo 2 too.
+
+    The left cross view of both is invented but for as many columns as the number of the frame, from 0 to 7.
+    """
+    clips = []
+    for name in ("four", "six"):
+        clip = _make_clip(name, kind="Syn")
+        left = clip.streams[CROSS_LEFT]
+        columns = np.arange(WIDTH) < np.arange(len(left.frames))[:, None]
+        origin = np.repeat(np.where(columns, 1, 0).astype(np.uint8)[:, None], HEIGHT, axis=1)
+        streams = clip.streams | {CROSS_LEFT: replace(left, origin=origin)}
+        provenance = clip.provenance | {CROSS_LEFT: clip.provenance[CROSS_LEFT].with_shares(origin)}
+        if name == "six":
+            streams |= {REAR_LEFT: streams[CROSS_LEFT], REAR_RIGHT: streams[CROSS_RIGHT]}
+            provenance |= {REAR_LEFT: provenance[CROSS_LEFT], REAR_RIGHT: provenance[CROSS_RIGHT]}
+        clips.append(replace(clip, streams=streams, provenance=provenance))
+    return _write_store(tmp_path_factory.mktemp("masked") / "masked", clips)
 
 
 class RecipeReader:

@@ -23,7 +23,7 @@ class StubStore:
     def __init__(self, root):
         self.root = root
 
-    def load_samples(self, keys, image_size=None):
+    def load_samples(self, keys, image_size=None, *rest):
         return [self._make(key, image_size) for key in keys]
 
     def _make(self, key, image_size):
@@ -70,9 +70,9 @@ def test_a_data_loader_asks_for_a_batch_at_once_so_that_clips_are_decoded_once(m
     asked = []
 
     class CountingStore(StubStore):
-        def load_samples(self, keys, image_size=None):
+        def load_samples(self, keys, image_size=None, *rest):
             asked.append(list(keys))
-            return super().load_samples(keys, image_size)
+            return super().load_samples(keys, image_size, *rest)
 
     dataset = MixtureDataset(mixture, IMAGE_SIZE, CountingStore)
     next(iter(DataLoader(dataset, batch_sampler=MixtureBatchSampler(mixture, batch_size=16))))

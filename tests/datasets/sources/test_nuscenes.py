@@ -15,7 +15,14 @@ from olt_generator.poses import yaw_of
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.recordings.drives import open_dataset
 from olt_toolkit.recordings.recording import OpenOptions
-from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, MountedCamera
+from olt_toolkit.rigs.rig import (
+    CAMERA_INDEX,
+    CROSS_LEFT,
+    CROSS_RIGHT,
+    FRONT_TELE,
+    FRONT_WIDE,
+    MountedCamera,
+)
 from olt_toolkit.rigs.rig_files import load_rig
 
 KEY = "scene-0007"
@@ -42,7 +49,7 @@ def test_drives_are_told_from_the_tables(write_nuscenes, tmp_path):
     assert drive.front_us.tolist() == [83_333 * k for k in range(109)]
     assert drive.ego_span_us == (0, 83_333 * 108 + 20_000)
     assert set(drive.cameras) == set(load_rig("nuscenes").cameras)
-    assert set(drive.true_views) == set(POLICY_CAMERAS)
+    assert set(drive.true_views) == set(CAMERA_INDEX)
     assert (drive.country, drive.split) == ("SG", None)
     assert any("Wait, turn left" in note for note in drive.notes)
     assert any("cross_left view is a mosaic of several cameras, which shows 61% of it" in note for note in drive.notes)
@@ -80,12 +87,12 @@ def test_images_that_are_not_on_disk_are_left_out(write_nuscenes, tmp_path):
     tree = write_nuscenes(seconds=4.0)
     shutil.rmtree(tree / "sweeps" / "CAM_BACK_LEFT")
     drive = DATASET.open(tree, tmp_path / "cache").drive(KEY)
-    assert set(drive.true_views) == {FRONT_WIDE, FRONT_TELE, CROSS_RIGHT}
+    assert set(drive.true_views) == set(CAMERA_INDEX) - {CROSS_LEFT}
     assert any("CAM_BACK_LEFT lacks images" in note for note in drive.notes)
     shutil.rmtree(tree / "sweeps" / "CAM_FRONT")
     drive = DATASET.open(tree, tmp_path / "cache").drive(KEY)
     assert drive.front_us.tolist() == [6 * 83_333 * k for k in range(9)]
-    assert set(drive.true_views) == set(POLICY_CAMERAS)
+    assert set(drive.true_views) == set(CAMERA_INDEX)
     assert any("2.0 images a second" in note for note in drive.notes)
     assert drive.ego_span_us == (0, 83_333 * 48 + 20_000)
     shutil.rmtree(tree / "samples" / "CAM_FRONT")

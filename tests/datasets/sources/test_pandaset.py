@@ -103,7 +103,8 @@ def test_the_clip_of_a_window_tells_what_was_seen(pandaset_tree, tmp_path):
     assert built.clip.kind == "GT"
     assert {view.kind for view in provenance.values()} == {"mosaic"}
     assert provenance[CROSS_LEFT].observed_share == pytest.approx(0.80, abs=0.01)
-    assert provenance[CROSS_LEFT].invented_share == pytest.approx(0.20, abs=0.01)
+    assert provenance[CROSS_LEFT].unseen_share == pytest.approx(0.20, abs=0.01)
+    assert provenance[CROSS_LEFT].invented_share == 0.0
     assert provenance[FRONT_TELE].observed_share == 1.0
     stream = built.clip.streams[FRONT_WIDE]
     np.testing.assert_array_equal(stream.T_rig_camera, recording.mounted[FRONT_WIDE].T_rig_camera)

@@ -12,7 +12,8 @@ from olt_datasets.tables.choices import SampleChoice
 from olt_datasets.tables.cutting import Cutting, cut_drive, find_samples, find_windows
 from olt_generator.errors import InputError
 from olt_toolkit.recordings.labels import UNLABELLED
-from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.rigs.contracts import find_contract
+from olt_toolkit.rigs.rig import CAMERA_INDEX, POLICY_CAMERAS
 
 from ..toy_drives import make_drive
 
@@ -114,8 +115,11 @@ def test_rows_say_what_the_data_set_says():
     plain = make_drive()
     (clip, *_) = cut_drive(plain, Cutting(), None)
     assert (clip.split, clip.category) == (None, UNLABELLED)
-    (surround, *_) = cut_drive(replace(plain, true_views=POLICY_CAMERAS), Cutting(), None)
-    assert surround.kind == "GT"
+    surround = replace(plain, true_views=POLICY_CAMERAS)
+    assert cut_drive(surround, Cutting(), None)[0].kind == "GT"
+    six = Cutting(contract=find_contract("alpamayo-2"))
+    assert cut_drive(surround, six, None)[0].kind == "front_only"
+    assert cut_drive(replace(plain, true_views=tuple(CAMERA_INDEX)), six, None)[0].kind == "GT"
 
 
 def test_ids_are_told_by_the_window_and_checksums_by_everything_told():

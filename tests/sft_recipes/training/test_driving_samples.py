@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -16,6 +18,26 @@ def test_mirror_twice_is_the_same(samples):
     twice = samples.mirrored().mirrored()
     assert np.array_equal(twice.images, samples.images)
     assert np.allclose(twice.future, samples.future) and np.allclose(twice.history, samples.history)
+
+
+def test_mirror_swaps_left_and_right_cameras(drives, tiny_config):
+    config = tiny_config.model_copy(update={"rig": "alpamayo-2"})
+    images = np.zeros((6, 4, 3, 16, 32), np.uint8)
+    images[:] = np.arange(6, dtype=np.uint8)[:, None, None, None, None]
+    sample = replace(next(iter(drives.values())), image_frames=images)
+    mirrored = DrivingSamples.gather([sample], config).mirrored()
+    # Cross-left, front, cross-right, rear-left, rear-right, tele.
+    assert mirrored.images[0, :, 0, 0, 0, 0].tolist() == [2, 1, 0, 4, 3, 5]
+
+
+@pytest.mark.parametrize(("weight", "expected"), [(1.0, 1.0), (0.0, 0.25), (0.5, 0.625)])
+def test_weights_follow_the_invented_share_of_the_images_used(drives, tiny_config, weight, expected):
+    origin = np.zeros((4, 4, 8, 8), np.uint8)
+    origin[:, -1, 4:, 4:] = 1  # of the newest frame, the only one used, a quarter is seen
+    sample = next(iter(drives.values()))
+    samples = DrivingSamples.gather([replace(sample, image_origin=origin), sample], tiny_config)
+    assert samples.weights(weight).tolist() == [expected, 1.0]
+    assert samples.take([0]).weights(weight).tolist() == [expected]
 
 
 def test_mirror_turns_curvature_around(samples):

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from olt_sft_recipes.toy.checkpoint import read_model, read_tensors, save_model
 from olt_sft_recipes.toy.policy import ToyPolicy
 from olt_sft_recipes.training.stage_config import StageConfig
 from olt_sft_recipes.training.two_stages import train_stage, train_two_stages
+from olt_toolkit.rigs.contracts import find_contract
 
 STAGE_1 = StageConfig(
     stage=1, num_train_epochs=4, per_device_train_batch_size=4, learning_rate=3e-3, warmup_steps=2, seed=5
@@ -59,6 +61,62 @@ def test_accumulated_batches_make_one_step(train):
     halves = {"per_device_train_batch_size": 2, "gradient_accumulation_steps": 2}
     (results, _) = train(STAGE_1.model_copy(update=halves), STAGE_2, name="halves")
     assert [result.steps for result in results] == [12, 12]
+
+
+def invented(sample, share):
+    """The sample with so large a part of all its images invented, from the left."""
+    origin = np.ones((*sample.image_frames.shape[:2], *sample.image_frames.shape[-2:]), np.uint8)
+    origin[..., : round(share * origin.shape[-1])] = 0
+    return replace(sample, image_origin=origin)
+
+
+@pytest.mark.parametrize("parts", [1, 3])
+def test_samples_count_by_what_of_them_was_seen(drives, tiny_config, tmp_path, parts):
+    """Of half of the samples everything is invented: at weight 0 the loss is that of the other half alone."""
+    keys = sorted(drives)
+    half = keys[: len(keys) // 2]
+    marked = {key: invented(drives[key], 1.0 if key in half else 0.0) for key in keys}
+    seen = [key for key in keys if key not in half]
+
+    def first_loss(name, chosen, weight):
+        update = {"warmup_steps": 0, "invented_pixel_weight": weight}
+        update |= {"per_device_train_batch_size": len(chosen), "gradient_accumulation_steps": parts}
+        # The regression head alone: its loss draws nothing at random, so that it is the same in any company.
+        update |= {"num_train_epochs": 2, "regression_warmup_epochs": 1}
+        stage = STAGE_1.model_copy(update=update)
+        result = train_stage(
+            stage, lambda *_: [chosen], lambda asked: [marked[key] for key in asked], None, tmp_path / name, tiny_config
+        )
+        return result.regression_warmup_losses[0]
+
+    alike, weighted, alone = first_loss("a", keys, 1.0), first_loss("b", keys, 0.0), first_loss("c", seen, 1.0)
+    others = first_loss("d", half, 1.0)
+    assert weighted == pytest.approx(alone, abs=2e-6)
+    assert alike == pytest.approx(0.5 * (alone + others), abs=2e-6)
+    assert abs(alike - weighted) > 1e-3
+    quarter = first_loss("e", keys, 0.25)
+    assert quarter == pytest.approx((alone + 0.25 * others) / 1.25, abs=2e-6)
+
+
+def test_weights_change_nothing_where_all_samples_are_alike(train, drives):
+    (plain, _), (weighted, _) = (
+        train(*(stage.model_copy(update={"invented_pixel_weight": weight}) for stage in (STAGE_1, STAGE_2)), name=name)
+        for name, weight in (("one", 1.0), ("half", 0.5))
+    )
+    for one, other in zip(plain, weighted, strict=True):
+        np.testing.assert_allclose(one.losses, other.losses, atol=1e-5)
+
+
+def test_six_cameras_are_trained_and_driven(drives, tiny_config, tmp_path):
+    keys = sorted(drives)
+    six = {key: replace(sample, image_frames=sample.image_frames[[0, 1, 2, 0, 2, 3]]) for key, sample in drives.items()}
+    config = tiny_config.model_copy(update={"rig": "alpamayo-2"})
+    augmented = {"mirror_probability": 0.5, "turn_degrees": 4.0, "move_metres": 0.5, "num_train_epochs": 1}
+    stages = tuple(stage.model_copy(update=augmented) for stage in (STAGE_1, STAGE_2))
+    train_two_stages(stages, lambda *_: [keys], lambda asked: [six[key] for key in asked], tmp_path, config)
+    policy = ToyPolicy(read_model(tmp_path / "policy"))
+    assert policy.cameras == find_contract("alpamayo-2").cameras
+    assert evaluate_open_loop(policy, six.values())["ade"] > 0.0
 
 
 def test_training_overfits_a_handful_of_drives(train, drives):

@@ -13,6 +13,7 @@ from olt_generator.motion.smoother import ODOMETRY_SETTINGS
 from olt_generator.poses import camera_pose_in_rig, planar_pose
 from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_generator.views.view_plan import METHODS
 from olt_toolkit.clips.builder import BuildOptions, build_clip
 from olt_toolkit.clips.files import describe_clip
@@ -128,10 +129,13 @@ def test_provenance_says_what_was_seen(built):
     }
     for name in SIDES:
         view = built.clip.provenance[name]
-        assert view.observed_share == pytest.approx(built.observed[name].mean())
+        origin = built.clip.streams[name].origin
+        assert view.observed_share == pytest.approx((origin != PixelOrigin.INVENTED).mean())
+        assert view.other_times_share == pytest.approx((origin == PixelOrigin.OTHER_FRAME).mean())
         assert view.observed_share + view.invented_share == pytest.approx(1.0)
+        assert view.unseen_share == 0.0
         assert 0.02 < view.observed_share < 0.7
-    assert built.observed.keys() == set(SIDES)
+    assert built.clip.origins.keys() == {*SIDES, FRONT_WIDE}
 
 
 def test_what_was_seen_is_closer_to_the_truth_than_what_was_invented(built):
@@ -156,7 +160,7 @@ def test_true_views_are_taken_as_they_are(recording):
     for name in (*SIDES, FRONT_TELE):
         np.testing.assert_array_equal(built.clip.streams[name].frames, recording.views[name])
     assert left_out_of(built)["distances of front frames"] == (31, 31)
-    assert built.observed == {}
+    assert built.clip.origins == {}
     assert built.seconds.keys() == {"views"}
     np.testing.assert_allclose(built.clip.ego_motion.velocity, [[6.0, 0.0, 0.0]] * 31, atol=1e-9)
 
@@ -172,7 +176,10 @@ def test_true_views_may_have_lenses_of_their_own_and_be_mosaics(recording):
     partly = replace(recording, mounted={CROSS_RIGHT: own}, observed={CROSS_LEFT: mask})
     clip = build_clip(partly, replace(OPTIONS, use_reference_views=True)).clip
     provenance = clip.provenance[CROSS_LEFT]
-    assert (provenance.kind, provenance.observed_share, provenance.invented_share) == ("mosaic", 0.5, 0.5)
+    assert (provenance.kind, provenance.observed_share, provenance.unseen_share) == ("mosaic", 0.5, 0.5)
+    assert provenance.invented_share == 0.0
+    expected = np.where(mask, PixelOrigin.SAME_FRAME, PixelOrigin.UNSEEN)
+    np.testing.assert_array_equal(clip.streams[CROSS_LEFT].origin, np.broadcast_to(expected, (31, 72, 128)))
     assert clip.provenance[CROSS_RIGHT].kind == "observed"
     assert clip.streams[CROSS_RIGHT].camera == own.camera
     np.testing.assert_array_equal(clip.streams[CROSS_RIGHT].T_rig_camera, own.T_rig_camera)
@@ -365,6 +372,8 @@ def test_rear_views_are_made_by_looking_back(recording):
     }
     view = built.clip.provenance[rear]
     assert view.observed_share == view.other_times_share > 0.02
-    assert not built.observed[rear][0].any()  # at first there is nothing to look back to
+    assert (
+        built.clip.streams[rear].origin[0] == PixelOrigin.INVENTED
+    ).all()  # at first there is nothing to look back to
     drawn_on, count = left_out_of(built)["other front frames of the synthesized images"]
     assert 0 < drawn_on < count

@@ -1,5 +1,7 @@
 """The public PhysicalAI-AV devkit reads what the clip store writes, and reads the same."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,7 +19,17 @@ T0_US = 2_010_000  # between frames and between poses
 
 @pytest.fixture(scope="module")
 def clip(make_clip):
-    return make_clip("devkit")
+    """A clip of which one view is partly invented, so that its masks lie beside what the devkit knows."""
+    clip = make_clip("devkit")
+    stream = clip.streams[POLICY_CAMERAS[0]]
+    origin = np.zeros(stream.frames.shape[:3], np.uint8)
+    origin[:, :9] = 1
+    view = clip.provenance[POLICY_CAMERAS[0]].with_shares(origin)
+    return replace(
+        clip,
+        streams=clip.streams | {POLICY_CAMERAS[0]: replace(stream, origin=origin)},
+        provenance=clip.provenance | {POLICY_CAMERAS[0]: view},
+    )
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +56,8 @@ def devkit(store, tmp_path_factory):
         yield PhysicalAIAVDatasetInterface(REVISION, cache_dir=cache, token=False)
 
 
-def test_index_and_presence(devkit, clip):
+def test_index_and_presence(devkit, clip, store):
+    assert (store.root / "pixel_origin").is_dir()
     assert devkit.clip_index.index.tolist() == [clip.clip_id]
     assert devkit.get_clip_chunk(clip.clip_id) == 0
     assert devkit.chunk_feature_presence.loc[0, [*POLICY_CAMERAS, "egomotion", "camera_intrinsics"]].all()

@@ -3,9 +3,12 @@ import numpy as np
 import pytest
 from PIL import Image, ImageSequence
 
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips.pictures import (
     INVENTED_TINT,
+    UNSEEN_LINES,
     contact_sheet,
+    hatch,
     preview,
     tint_invented,
     write_animation,
@@ -19,17 +22,27 @@ TIMES_US = 100_000 * np.arange(6)
 
 
 def test_only_invented_pixels_are_tinted():
-    observed = np.ones((20, 40), bool)
-    observed[:, :10] = False
-    tinted = tint_invented(GREY[0], observed)
+    origin = np.full((20, 40), PixelOrigin.SAME_FRAME, np.uint8)
+    origin[:, :10], origin[:, 10:20] = PixelOrigin.INVENTED, PixelOrigin.OTHER_FRAME
+    tinted = tint_invented(GREY[0], origin)
     np.testing.assert_array_equal(tinted[:, 10:], 100)
-    assert (np.sign(tinted[0, 0].astype(int) - 100) == np.sign(np.array(INVENTED_TINT) - 100)).all()
-    np.testing.assert_array_equal(tint_invented(GREY[0], None), GREY[0])
+    assert (np.sign(tinted[:, :10].astype(int) - 100) == np.sign(np.array(INVENTED_TINT) - 100)).all()
+
+
+def test_what_is_invented_or_not_seen_is_hatched_and_can_still_be_looked_at():
+    origin = np.full((20, 40), PixelOrigin.SAME_FRAME, np.uint8)
+    origin[:, :10], origin[:, 30:] = PixelOrigin.INVENTED, PixelOrigin.UNSEEN
+    marked = hatch(GREY[0], origin)
+    np.testing.assert_array_equal(marked[:, 10:30], 100)
+    for part, colour in ((marked[:, :10], INVENTED_TINT), (marked[:, 30:], UNSEEN_LINES)):
+        lines = (part == colour).all(axis=-1)
+        assert 0.05 < lines.mean() < 0.3
+        np.testing.assert_array_equal(part[~lines], 100)
 
 
 def test_sheet_has_a_row_for_each_view_and_a_column_for_each_time():
-    observed = {"b": np.zeros((6, 20, 40), bool)}
-    sheet = contact_sheet({"a": GREY, "b": GREY}, observed, TIMES_US, columns=3, tile_width=80)
+    origins = {"b": np.full((6, 20, 40), PixelOrigin.INVENTED, np.uint8)}
+    sheet = contact_sheet({"a": GREY, "b": GREY}, origins, TIMES_US, columns=3, tile_width=80)
     assert sheet.dtype == np.uint8
     assert sheet.shape[1:] == (240, 3)
     only_a = contact_sheet({"a": GREY}, {}, TIMES_US, columns=3, tile_width=80)
@@ -61,7 +74,7 @@ def test_preview_puts_views_where_their_cameras_look_at_the_speed_of_the_clip():
         name: np.full((21, 20, 40, 3), level, np.uint8)
         for name, level in ((FRONT_WIDE, 100), (CROSS_LEFT, 50), (CROSS_RIGHT, 150), (FRONT_TELE, 200))
     }
-    frames, rate = preview(images, times_us, tile_width=40)
+    frames, rate = preview(images, {}, times_us, tile_width=40)
     assert rate == pytest.approx(5.0, rel=0.1)
     assert (len(frames) - 1) / rate == pytest.approx(2.0)
     height = frames.shape[1] // 2
@@ -70,8 +83,15 @@ def test_preview_puts_views_where_their_cameras_look_at_the_speed_of_the_clip():
     assert [int(lower[place, 0]) for place in (10, 50, 110)] == [0, 200, 0]
 
 
+def test_preview_shows_what_is_invented():
+    origins = {FRONT_WIDE: np.full((6, 20, 40), PixelOrigin.INVENTED, np.uint8)}
+    plain, marked = (preview({FRONT_WIDE: GREY}, each, TIMES_US)[0] for each in ({}, origins))
+    assert plain.shape == marked.shape
+    assert (plain != marked).any()
+
+
 def test_preview_of_one_frame(tmp_path):
-    frames, rate = preview({FRONT_WIDE: GREY[:1]}, TIMES_US[:1])
+    frames, rate = preview({FRONT_WIDE: GREY[:1]}, {}, TIMES_US[:1])
     assert len(frames) == 1
     write_animation(tmp_path / "one.webp", frames, rate)
     assert Image.open(tmp_path / "one.webp").size == frames.shape[2:0:-1]

@@ -14,10 +14,12 @@ from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import read_video
 from olt_toolkit.clips.clip import make_clip_id
+from olt_toolkit.clips.origin_files import decode_origin
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.commands.clip import app
 from olt_toolkit.recordings.drives import WHOLE
 from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.rigs.contracts import find_contract
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS
 
 FRAMES = 10
@@ -331,6 +333,44 @@ def test_further_views_are_made_of_a_stored_clip(tmp_path, drive):
     assert np.abs(stored.astype(int) - written).mean() < 6.0
 
 
+def test_the_rig_and_the_front_lens_are_chosen_by_name(tmp_path, drive):
+    store = tmp_path / "clips"
+    result = build(drive, "--out", store, "--rig", "alpamayo-2", "--json")
+    assert result.exit_code == 0, result.output
+    summary = json.loads(result.stdout)
+    assert list(summary["clip"]["views"]) == list(find_contract("alpamayo-2").cameras)
+    assert summary["clip"]["contracts"] == ["alpamayo-r1", "alpamayo-1.5", "alpamayo-2"]
+    named = summary["clip"]["views"][FRONT_WIDE]
+    assert 0.1 < named["unseen_share"] < 0.9
+    assert any("driven past" in note for note in summary["assumptions"])
+
+    result = build(drive, "--out", store, "--front", "as-is", "--name", "own", "--json")
+    summary = json.loads(result.stdout)
+    assert summary["clip"]["views"][FRONT_WIDE]["unseen_share"] == 0.0
+    assert any("keeps the recording's lens, 60 degrees" in note for note in summary["assumptions"])
+    result = build(drive, "--out", store, "--rig", "alpamayo-3")
+    assert result.exit_code == 2
+
+    shown = run("inspect", store, "town")
+    assert "cameras of: alpamayo-r1, alpamayo-1.5, alpamayo-2" in shown.stdout
+    assert "not seen" in shown.stdout
+    result = run(
+        "views", drive, "--rig", "alpamayo-2", "--out", tmp_path / "v", "--width", 96, "--height", 54, "--json"
+    )
+    plan = json.loads(result.stdout)
+    assert set(plan["views"]) == set(find_contract("alpamayo-2").cameras)
+    runs = decode_origin((tmp_path / "v" / f"{CROSS_LEFT}.pixel_origin.parquet").read_bytes(), "here")
+    assert runs.shares["invented_share"] == plan["views"][CROSS_LEFT]["invented_share"]
+
+
+def test_a_folder_is_not_built_for_another_rig_into_the_same_store(drives):
+    assert build(drives, "--out", drives / "clips", "--workers", 1).exit_code == 0
+    result = build(drives, "--out", drives / "clips", "--workers", 1, "--rig", "alpamayo-2")
+    assert isinstance(result.exception, InputError)
+    assert "already holds the clip" in str(result.exception)
+    assert "rear_left" in str(result.exception)
+
+
 def test_unknown_cameras_are_refused(tmp_path, drive):
     for text in ("roof", "", "cross_left,roof"):
         result = run("views", drive, "--cameras", text, "--out", tmp_path / "views")
@@ -363,6 +403,7 @@ def test_inspect_shows_one_clip(store):
         "frames": 90,
         "first_us": 81_000,
         "last_us": 8_981_000,
+        "frames_not_seen": 0,
     }
     text = run("inspect", store.root, clip_id).stdout
     assert "clip bend (GT, nominal, train)" in text

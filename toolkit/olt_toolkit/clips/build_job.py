@@ -13,7 +13,7 @@ from typing import Any, Literal
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.builder import build_clip, clip_kind
-from olt_toolkit.clips.clip import make_clip_id
+from olt_toolkit.clips.clip import ClipInfo, make_clip_id
 from olt_toolkit.clips.estimators import Estimators
 from olt_toolkit.clips.pictures import animation_path, write_clip_pictures
 from olt_toolkit.clips.store import ClipStore
@@ -22,6 +22,7 @@ from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import DatasetPlace, open_start
 from olt_toolkit.recordings.recording import OpenOptions, Recording
+from olt_toolkit.rigs.rig import short_name
 from olt_toolkit.runtime.steps import OnStep, unnoticed
 from olt_toolkit.runtime.threads import use_one_thread
 from olt_toolkit.runtime.workers import Engine, map_parallel
@@ -99,13 +100,12 @@ class BuildJob:
         if self.measured_motion and recording.reference is not None:
             options = replace(options, use_reference_motion=True)
         built = build_clip(recording, self.estimators.apply(options), on_progress, on_step)
-        streams = built.clip.streams
         start = time.perf_counter()
         info = ClipStore(self.store).prepare(built.clip)
         prepared = time.perf_counter()
-        images = {name: stream.frames for name, stream in streams.items()}
-        times_us = next(iter(streams.values())).timestamps_us
-        pictures = write_clip_pictures(self.store / PREVIEWS, self.name, images, built.observed, times_us)
+        images, origins = built.clip.images, built.clip.origins
+        times_us = next(iter(built.clip.streams.values())).timestamps_us
+        pictures = write_clip_pictures(self.store / PREVIEWS, self.name, images, origins, times_us)
         seconds = {"prepare": prepared - start, "pictures": time.perf_counter() - prepared}
         sources = {"poses": str(self.estimators.poses), "depth": str(self.estimators.depth)}
         return summarize_build(built, info) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
@@ -115,15 +115,30 @@ class BuildJob:
         use_one_thread()
         path, store = Path(self.options.name or self.place.path / self.key), ClipStore(self.store)
         try:
-            # Of the pictures of a prepared clip the animation is written last.
-            drawn = animation_path(self.store / PREVIEWS, self.name).is_file()
-            if self.clip_id in store or (drawn and store.is_prepared(self.clip_id)):
+            found = self._find(store)
+            if found is not None:
+                self._check_cameras(found)
                 return BuildResult(path, "found", self.clip_id)
             return BuildResult(path, "built", self.clip_id, self.prepare(self.open()))
         except InputError as error:
             if not self.keep_going:
                 raise
             return BuildResult(path, "failed", message=str(error))
+
+    def _find(self, store: ClipStore) -> ClipInfo | None:
+        """The clip in the store, or as an earlier run prepared it."""
+        if self.clip_id in store:
+            return store.info(self.clip_id)
+        # Of the pictures of a prepared clip the animation is written last.
+        drawn = animation_path(self.store / PREVIEWS, self.name).is_file()
+        return store.prepared(self.clip_id) if drawn else None
+
+    def _check_cameras(self, found: ClipInfo) -> None:
+        if found.views.keys() != set(self.options.cameras):
+            have, wanted = (", ".join(map(short_name, names)) for names in (found.views, self.options.cameras))
+            raise InputError(
+                f"{self.store}: already holds the clip {self.name!r} with {have}; for {wanted} give another folder"
+            )
 
 
 def build_clips(

@@ -18,6 +18,7 @@ from olt_generator.trajectory import Trajectory
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
 from olt_generator.views.moving_objects import find_moving
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_generator.views.view_plan import ViewPlan, plan_views
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipKind, ClipOrigin, EgoMotion, make_clip_id
 from olt_toolkit.clips.feasibility import check_feasible
@@ -45,7 +46,6 @@ class BuiltClip:
         plan, left_out: which views were made, and how; what was not, and why.
         motion: as it was measured and smoothed, with its errors; None where the reference was taken.
         doubts: why the clip may not be what it seems.
-        observed: (m, h, w) pixels taken from what the front camera saw, by synthesized view.
         distance_error: median relative error of the distances.
         view_errors: PSNR in dB of synthesized views against the true ones, mean over frames, by camera: "psnr" over all
             pixels, "psnr_observed" over those observed.
@@ -58,7 +58,6 @@ class BuiltClip:
     left_out: tuple[Omission, ...]
     motion: RecoveredMotion | None
     doubts: tuple[Doubt, ...]
-    observed: dict[str, NDArray[np.bool_]]
     distance_error: float | None
     view_errors: dict[str, dict[str, float]]
     seconds: dict[str, float]
@@ -125,11 +124,11 @@ def build_clip(
         left_out=(*plan.left_out, *_omissions(len(recording.frames), len(made), len(with_distance), views)),
         motion=motion,
         doubts=doubts,
-        observed={name: view.observed for name, view in views.items() if view.observed is not None},
         distance_error=distance_error,
         view_errors=_view_errors(views, shown),
         seconds=steps.seconds,
         assumptions=recording.assumptions
+        + tuple(note for view in views.values() for note in view.notes)
         + tuple(
             f"{name}: the f-theta polynomials of the clip's tables miss its lens by up to {error:.2f} px"
             for name, view in views.items()
@@ -209,7 +208,7 @@ def _assemble(
         scale_sigma=None if motion is None else motion.scale.total,
         acceleration_noise=None if noise is None else noise.expected.acceleration,
         streams={
-            camera: CameraStream(view.images, times_us, rate, view.camera, view.T_rig_camera)
+            camera: CameraStream(view.images, times_us, rate, view.camera, view.T_rig_camera, view.origin)
             for camera, view in wanted.items()
         },
         ego_motion=ego_motion,
@@ -252,7 +251,7 @@ def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, dict
     """Errors of the synthesized views whose true images are known: whole, by the same lens, from the same place."""
     errors = {}
     for name, view in views.items():
-        if view.observed is None or name not in recording.views or name in recording.observed:
+        if view.drawn_on is None or view.origin is None or name not in recording.views or name in recording.observed:
             continue
         _, height, width, _ = view.images.shape
         true = recording.mounted.get(name)
@@ -262,7 +261,7 @@ def _view_errors(views: dict[str, View], recording: Recording) -> dict[str, dict
         ):
             continue
         truth = fit_images(recording.views[name], width, height)
-        triples = list(zip(view.images, truth, view.observed, strict=True))
+        triples = list(zip(view.images, truth, view.origin != PixelOrigin.INVENTED, strict=True))
         all_pixels = [psnr(image, true_image) for image, true_image, _ in triples]
         observed = [psnr(image, true_image, seen) for image, true_image, seen in triples if seen.any()]
         errors[name] = {"psnr": float(np.mean(all_pixels)), "psnr_observed": float(np.mean(observed))}

@@ -6,7 +6,7 @@ roll and pitch taken out: origin there, yaw 0 there, z up. It is the frame of Ph
 """
 
 import uuid
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -18,6 +18,7 @@ from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, make_pose, planar_pose, yaw_of
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.policy.contract import HISTORY_STEPS
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
 from olt_toolkit.recordings.labels import Split
@@ -45,6 +46,7 @@ class CameraStream:
         frame_rate: nominal frames per second, written into the video file; times come from `timestamps_us` alone.
         camera: lens model at the size of `frames`; the store holds it as f-theta polynomials.
         T_rig_camera: (4, 4) mounting.
+        origin: (n, H, W) uint8, a `PixelOrigin` per pixel; None where a camera saw all of them in their own frame.
     """
 
     frames: NDArray[np.uint8]
@@ -52,6 +54,7 @@ class CameraStream:
     frame_rate: float
     camera: Camera
     T_rig_camera: Array
+    origin: NDArray[np.uint8] | None = None
 
 
 @dataclass(frozen=True)
@@ -141,7 +144,7 @@ class ViewProvenance:
     Attributes:
         engine, version: what made the images.
         seed: of whatever was random; None where nothing was.
-        observed_share, invented_share: shares of pixels, 0 to 1, that the vehicle's cameras saw, and that none saw.
+        observed_share, invented_share: shares of pixels, 0 to 1, that the vehicle's cameras saw, and that are made up.
         other_times_share: the part of `observed_share` that the front camera saw at other times than the image's.
     """
 
@@ -152,6 +155,31 @@ class ViewProvenance:
     observed_share: float
     invented_share: float
     other_times_share: float = 0.0
+
+    @property
+    def unseen_share(self) -> float:
+        """Share of pixels that are black because no camera looked there."""
+        return max(0.0, round(1.0 - self.observed_share - self.invented_share, 12))
+
+    @property
+    def is_seen_whole(self) -> bool:
+        """Whether a camera saw every pixel in its own frame; the clip then holds no mask of the view."""
+        return self.observed_share == 1.0 and self.other_times_share == 0.0
+
+    def with_shares(self, origin: NDArray[np.uint8]) -> "ViewProvenance":
+        """The same with the shares of pixels (n, H, W), each a `PixelOrigin`."""
+        counts = np.bincount(origin.ravel(), minlength=len(PixelOrigin)) / origin.size
+        return replace(self, **shares_of(counts))
+
+
+def shares_of(counts: NDArray[np.float64]) -> dict[str, float]:
+    """The shares of `ViewProvenance`, of the share (4,) that each `PixelOrigin` has."""
+    other = float(counts[PixelOrigin.OTHER_FRAME])
+    return {
+        "observed_share": float(counts[PixelOrigin.SAME_FRAME]) + other,
+        "invented_share": float(counts[PixelOrigin.INVENTED]),
+        "other_times_share": other,
+    }
 
 
 @dataclass(frozen=True)
@@ -217,6 +245,16 @@ class Clip(ClipDescription):
     vehicle: VehicleDimensions
     provenance: dict[str, ViewProvenance]
     sample_t0_us: tuple[int, ...] | None = None
+
+    @property
+    def images(self) -> dict[str, NDArray[np.uint8]]:
+        """Images (n, H, W, 3) by camera."""
+        return {camera: stream.frames for camera, stream in self.streams.items()}
+
+    @property
+    def origins(self) -> dict[str, NDArray[np.uint8]]:
+        """A `PixelOrigin` per pixel (n, H, W) by camera, of those that were not seen whole."""
+        return {camera: stream.origin for camera, stream in self.streams.items() if stream.origin is not None}
 
 
 @dataclass(frozen=True, kw_only=True)

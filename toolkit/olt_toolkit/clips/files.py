@@ -6,18 +6,23 @@ from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.video import write_video
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
-from olt_toolkit.clips.clip import Clip, ClipDescription, ClipInfo, check_clip_id
+from olt_toolkit.clips.clip import CameraStream, Clip, ClipDescription, ClipInfo, ViewProvenance, check_clip_id
 from olt_toolkit.clips.image_hash import fingerprint_images
-from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES, Feature
+from olt_toolkit.clips.images import largest_rectangle
+from olt_toolkit.clips.origin_files import encode_origin
+from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES, PIXEL_ORIGIN, PIXEL_ORIGINS, STORED, Feature
 from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
 from olt_toolkit.policy.window import Coverage, frames_per_step, sample_times
+from olt_toolkit.rigs.contracts import widest_contract
 from olt_toolkit.rigs.rig import FRONT_WIDE
 from olt_toolkit.runtime.version import code_version
 
@@ -45,6 +50,9 @@ def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
         timestamps.to_parquet(folder / feature.member(layout.FRAME_TIMESTAMPS, clip_id))
         path = folder / feature.member(layout.VIDEO, clip_id)
         write_video(path, stream.frames, stream.frame_rate, frames_per_step(stream.frame_rate))
+        if stream.origin is not None and not clip.provenance[camera].is_seen_whole:
+            masks = folder / PIXEL_ORIGINS[camera].member(PIXEL_ORIGIN, clip_id)
+            masks.write_bytes(encode_origin(stream.timestamps_us, stream.origin))
     digest = hashlib.blake2b(digest_size=16)
     for path in sorted(folder.iterdir()):
         data = path.read_bytes()
@@ -73,12 +81,26 @@ def check_clip(clip: Clip) -> None:
         size = (stream.camera.width, stream.camera.height)
         if stream.frames.shape[1:] != (size[1], size[0], 3):
             raise InputError(f"{where}: {camera} has frames of shape {stream.frames.shape[1:]} for a lens of {size}")
+        _check_origin(stream, clip.provenance[camera], f"{where}: {camera}")
+
+
+def _check_origin(stream: CameraStream, provenance: ViewProvenance, where: str) -> None:
+    if stream.origin is None:
+        if not provenance.is_seen_whole:
+            raise InputError(f"{where} was not seen whole, but which pixels were is not told; give its origin")
+        return
+    if stream.origin.shape != stream.frames.shape[:3] or stream.origin.dtype != np.uint8:
+        raise InputError(f"{where}: origin is {stream.origin.shape} {stream.origin.dtype} for {stream.frames.shape}")
+    if stream.origin.max() >= len(PixelOrigin):
+        raise InputError(f"{where}: origin holds {stream.origin.max()}, which is no PixelOrigin")
+    if provenance.with_shares(stream.origin) != provenance:
+        raise InputError(f"{where}: the shares of its provenance are not those of its origin")
 
 
 def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
     """The clip's row in the clip table, given the checksum of its files."""
     spans = {name: (int(s.timestamps_us[0]), int(s.timestamps_us[-1])) for name, s in clip.streams.items()}
-    times, reason = sample_times(Coverage(clip.ego_motion.span_us, spans))
+    times, reason = sample_times(Coverage(clip.ego_motion.span_us, spans), widest_contract(clip.streams))
     if times and clip.sample_t0_us is not None:
         times = tuple(time for time in times if time in clip.sample_t0_us)
         reason = None if times else "it covers none of the times at which it may be sampled"
@@ -89,15 +111,23 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
         no_sample_reason=reason,
         created_with=code_version(),
         checksum=checksum,
-        fingerprint=fingerprint_images(clip.streams[FRONT_WIDE].frames) if FRONT_WIDE in clip.streams else None,
+        fingerprint=_fingerprint(clip.streams[FRONT_WIDE]) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,
     )
+
+
+def _fingerprint(stream: CameraStream) -> tuple[int, ...]:
+    """Of what was seen alone: black borders make images look alike."""
+    if stream.origin is None:
+        return fingerprint_images(stream.frames)
+    rows, columns = largest_rectangle((stream.origin != PixelOrigin.UNSEEN).all(axis=0))
+    return fingerprint_images(stream.frames[:, rows, columns])
 
 
 def pack_chunk(root: Path, chunk: int, folders: Sequence[Path]) -> list[ClipInfo]:
     """Pack clips, each in a folder of `write_clip_files`, into one chunk of the tree under `root`."""
     clips = [read_clip_table(folder / CLIP_TABLE)[0] for folder in folders]
-    for feature in FEATURES.values():
+    for feature in STORED.values():
         if feature.members:
             _pack_zip(feature, feature.chunk_file(root, chunk), clips, folders)
     for name in CALIBRATIONS:
@@ -111,7 +141,7 @@ def _pack_zip(feature: Feature, path: Path, clips: Sequence[ClipInfo], folders: 
     members = [
         folder / feature.member(alias, info.clip_id)
         for info, folder in zip(clips, folders, strict=True)
-        if has_feature(info, feature.name)
+        if has_feature(info, feature)
         for alias in feature.members
     ]
     if not members:
@@ -136,7 +166,9 @@ def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int])
         index=index,
     )
     presence = pd.DataFrame(
-        {name: [has_feature(info, name) for info in clips] for name in FEATURES}, index=index, dtype=bool
+        {name: [has_feature(info, feature) for info in clips] for name, feature in FEATURES.items()},
+        index=index,
+        dtype=bool,
     )
     # Columns of the real table; when a clip was recorded, and by which platform, is not known.
     collection = pd.DataFrame(
@@ -158,6 +190,8 @@ def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int])
             temporary.write_bytes(tables.to_bytes(table))
 
 
-def has_feature(info: ClipInfo, feature: str) -> bool:
-    """Whether a clip has this feature: every clip has all but some cameras."""
-    return FEATURES[feature].directory != "camera" or feature in info.views
+def has_feature(info: ClipInfo, feature: Feature) -> bool:
+    """Whether a clip has this feature: every clip has all but some cameras, and masks of views not seen whole."""
+    if feature.directory == PIXEL_ORIGIN:
+        return any(PIXEL_ORIGINS[camera] == feature and not view.is_seen_whole for camera, view in info.views.items())
+    return feature.directory != "camera" or feature.name in info.views

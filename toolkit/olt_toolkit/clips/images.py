@@ -23,3 +23,28 @@ def resize_images(frames: NDArray[np.uint8], width: int, height: int) -> NDArray
     if frames.shape[1:3] == (height, width):
         return frames
     return np.stack([cv2.resize(frame, (width, height), interpolation=cv2.INTER_AREA) for frame in frames])
+
+
+def resize_masks(masks: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    """Scale masks (n, H, W) to (width, height); each new pixel takes the value of the one nearest to its centre."""
+    if masks.shape[1:] == (height, width):
+        return masks
+    return np.stack([cv2.resize(mask, (width, height), interpolation=cv2.INTER_NEAREST_EXACT) for mask in masks])
+
+
+def largest_rectangle(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Rows and columns of the largest upright rectangle inside a mask (H, W); empty where there is none."""
+    best, found = 0, (slice(0, 0), slice(0, 0))
+    heights = np.zeros(mask.shape[1] + 1, int)  # of set pixels above each column, and a lowest one at the end
+    for row, line in enumerate(mask):
+        heights[:-1] = (heights[:-1] + 1) * line
+        open_bars: list[tuple[int, int]] = []  # first column and height, heights increasing
+        for column, height in enumerate(heights.tolist()):
+            first = column
+            while open_bars and open_bars[-1][1] >= height:
+                first, tall = open_bars.pop()
+                if tall * (column - first) > best:
+                    best = tall * (column - first)
+                    found = slice(row + 1 - tall, row + 1), slice(first, column)
+            open_bars.append((first, height))
+    return found

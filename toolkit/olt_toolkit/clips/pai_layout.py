@@ -14,6 +14,7 @@ DATA_COLLECTION = "metadata/data_collection.parquet"
 VIDEO = "video"
 FRAME_TIMESTAMPS = "frame_timestamps"
 EGOMOTION = "egomotion"
+PIXEL_ORIGIN = "pixel_origin"
 CAMERA_INTRINSICS = "camera_intrinsics"
 SENSOR_EXTRINSICS = "sensor_extrinsics"
 VEHICLE_DIMENSIONS = "vehicle_dimensions"
@@ -59,6 +60,18 @@ FEATURES: dict[str, Feature] = {
     EGOMOTION: Feature(EGOMOTION, "labels", {EGOMOTION: f"{{clip_id}}.{EGOMOTION}.parquet"}),
     **{name: Feature(name, "calibration") for name in CALIBRATIONS},
 }
+
+# Beside the public tree, which does not know of them: masks that tell where the pixels of a view come from.
+PIXEL_ORIGINS: dict[str, Feature] = {
+    camera: Feature(
+        f"{camera}.{PIXEL_ORIGIN}",
+        PIXEL_ORIGIN,
+        {PIXEL_ORIGIN: f"{{clip_id}}.{camera}.{PIXEL_ORIGIN}.parquet"},
+    )
+    for camera in CAMERA_INDEX
+}
+STORED: dict[str, Feature] = FEATURES | {feature.name: feature for feature in PIXEL_ORIGINS.values()}
+"""Everything that a store holds in chunks, by name."""
 
 
 def feature_rows() -> list[dict[str, str | None]]:

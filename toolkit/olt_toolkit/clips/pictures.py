@@ -8,13 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.files import write_whole
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.rigs import rig
 
 Image = NDArray[np.uint8]
 
-# Invented pixels are shown with this colour (RGB) mixed in.
+# Invented pixels are shown with this colour (RGB) mixed in, or under lines of it; unseen ones under lines of the other.
 INVENTED_TINT = (255, 0, 160)
+UNSEEN_LINES = (90, 90, 90)
 _TINT_SHARE = 0.45
+_LINE_SPACING, _LINE_WIDTH = 14, 2
 _GAP = 4
 _CAPTION_HEIGHT = 22
 _TEXT_COLOUR = (240, 240, 240)
@@ -34,7 +37,7 @@ def write_clip_pictures(
     folder: Path,
     name: str,
     images: Mapping[str, Image],
-    observed: Mapping[str, NDArray[np.bool_]],
+    origins: Mapping[str, NDArray[np.uint8]],
     timestamps_us: NDArray[np.int64],
 ) -> dict[str, str]:
     """Write a contact sheet and then an animated preview of images (n, H, W, 3); see `contact_sheet` for the rest.
@@ -43,8 +46,8 @@ def write_clip_pictures(
         The paths of both, "contact_sheet" and "animation".
     """
     sheet, animation = folder / f"{name}.png", animation_path(folder, name)
-    write_picture(sheet, contact_sheet(images, observed, timestamps_us))
-    write_animation(animation, *preview(images, timestamps_us))
+    write_picture(sheet, contact_sheet(images, origins, timestamps_us))
+    write_animation(animation, *preview(images, origins, timestamps_us))
     return {"contact_sheet": str(sheet), "animation": str(animation)}
 
 
@@ -55,16 +58,16 @@ def animation_path(folder: Path, name: str) -> Path:
 
 def contact_sheet(
     images: Mapping[str, Image],
-    observed: Mapping[str, NDArray[np.bool_]],
+    origins: Mapping[str, NDArray[np.uint8]],
     timestamps_us: NDArray[np.int64],
     columns: int = 5,
     tile_width: int = 288,
 ) -> Image:
-    """All views of a clip at a few times, invented pixels tinted: one picture (H, W, 3).
+    """All views of a clip at a few times, invented pixels tinted, unseen ones hatched: one picture (H, W, 3).
 
     Args:
         images: (n, H, W, 3) uint8 by view name, one size each; each is a row.
-        observed: (n, H, W) pixels that are not invented, for the views that have such.
+        origins: (n, H, W) a `PixelOrigin` per pixel, for the views that were not seen whole.
         timestamps_us: (n,) clip times of the images.
         columns: number of times, spread evenly from the first to the last.
         tile_width: pixels.
@@ -73,17 +76,25 @@ def contact_sheet(
     times = [f"{timestamps_us[index] / 1e6:.1f} s" for index in indices]
     rows = [_caption(times, tile_width)]
     for name, frames in images.items():
-        mask = observed.get(name)
-        title = name if mask is None else f"{name}: {100 * (1 - mask.mean()):.0f} % invented (tinted)"
-        tiles = [tint_invented(frames[index], None if mask is None else mask[index]) for index in indices]
+        origin = origins.get(name)
+        title, tiles = name, [frames[index] for index in indices]
+        if origin is not None:
+            title += _share_text(origin, PixelOrigin.INVENTED, "invented (tinted)")
+            title += _share_text(origin, PixelOrigin.UNSEEN, "not seen (hatched)")
+            tiles = [tint_invented(frames[index], origin[index]) for index in indices]
         rows += [_caption([title], len(indices) * tile_width), _side_by_side(tiles, tile_width)]
     return np.concatenate(rows)
 
 
 def preview(
-    images: Mapping[str, Image], timestamps_us: NDArray[np.int64], tile_width: int = _PREVIEW_TILE
+    images: Mapping[str, Image],
+    origins: Mapping[str, NDArray[np.uint8]],
+    timestamps_us: NDArray[np.int64],
+    tile_width: int = _PREVIEW_TILE,
 ) -> tuple[Image, float]:
-    """All views of a clip, images (n, H, W, 3) at clip times (n,), side by side where their cameras look.
+    """All views of a clip, side by side where their cameras look, what is invented or unseen hatched.
+
+    Images (n, H, W, 3) and origins (n, H, W) are those of `contact_sheet`, at clip times (n,).
 
     Returns:
         Frames (m, h, w, 3), about five a second, and how many a second show the clip as fast as it was.
@@ -91,16 +102,36 @@ def preview(
     seconds = float(timestamps_us[-1] - timestamps_us[0]) * 1e-6
     count = min(len(timestamps_us), max(1, round(seconds * _PREVIEW_RATE)))
     indices = np.linspace(0, len(timestamps_us) - 1, count).round().astype(int)
-    frames = [_surround({name: frames[index] for name, frames in images.items()}, tile_width) for index in indices]
+    frames = []
+    for index in indices:
+        shown = {
+            name: hatch(images[name][index], origins[name][index]) if name in origins else images[name][index]
+            for name in images
+        }
+        frames.append(_surround(shown, tile_width))
     return np.stack(frames), (count - 1) / seconds if count > 1 else 1.0
 
 
-def tint_invented(image: Image, observed: NDArray[np.bool_] | None) -> Image:
-    """The image (H, W, 3) with the pixels that are not observed (H, W) tinted."""
-    if observed is None:
-        return image
+def tint_invented(image: Image, origin: NDArray[np.uint8]) -> Image:
+    """The image (H, W, 3) with the pixels tinted whose origin (H, W) is invented, and the unseen ones hatched."""
     tinted = (1.0 - _TINT_SHARE) * image + _TINT_SHARE * np.array(INVENTED_TINT)
-    return np.where(observed[..., None], image, tinted).astype(np.uint8)
+    marked = np.where((origin == PixelOrigin.INVENTED)[..., None], tinted, image).astype(np.uint8)
+    return hatch(marked, np.where(origin == PixelOrigin.UNSEEN, origin, PixelOrigin.SAME_FRAME))
+
+
+def hatch(image: Image, origin: NDArray[np.uint8]) -> Image:
+    """The image (H, W, 3) with thin lines over the pixels whose origin (H, W) is invented, and over the unseen ones."""
+    row, column = np.indices(origin.shape)
+    on_line = (row + column) % _LINE_SPACING < _LINE_WIDTH
+    marked = image.copy()
+    marked[on_line & (origin == PixelOrigin.INVENTED)] = INVENTED_TINT
+    marked[on_line & (origin == PixelOrigin.UNSEEN)] = UNSEEN_LINES
+    return marked
+
+
+def _share_text(origin: NDArray[np.uint8], wanted: PixelOrigin, words: str) -> str:
+    share = float((origin == wanted).mean())
+    return f": {100 * share:.0f} % {words}" if share else ""
 
 
 def write_picture(path: Path, picture: Image) -> None:

@@ -10,6 +10,7 @@ import fcntl
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -19,17 +20,30 @@ from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole_folder
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
 from olt_toolkit.clips.chunk_archive import ByteRange, ChunkArchive
 from olt_toolkit.clips.clip import Clip, ClipInfo, EgoMotion, check_clip_id
 from olt_toolkit.clips.files import pack_chunk, write_clip_files, write_metadata
-from olt_toolkit.clips.pai_layout import CALIBRATIONS, CLIP_INDEX, EGOMOTION, FEATURES, FRAME_TIMESTAMPS, VIDEO
+from olt_toolkit.clips.images import resize_masks
+from olt_toolkit.clips.origin_files import OriginRuns, decode_origin
+from olt_toolkit.clips.pai_layout import (
+    CALIBRATIONS,
+    CLIP_INDEX,
+    EGOMOTION,
+    FRAME_TIMESTAMPS,
+    PIXEL_ORIGIN,
+    PIXEL_ORIGINS,
+    STORED,
+    VIDEO,
+)
 from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
 from olt_toolkit.clips.video import check_video, decode_frames, decode_images
 from olt_toolkit.policy.sample import PolicySample, SampleKey
 from olt_toolkit.policy.window import IMAGE_OFFSETS_US, Coverage, check_sample_window, newest_frames
-from olt_toolkit.rigs.rig import CAMERA_INDEX, POLICY_CAMERAS, MountedCamera, VehicleDimensions
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
+from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 from olt_toolkit.runtime.version import code_version
 
 CLIPS_PER_CHUNK = 100
@@ -58,13 +72,18 @@ class ClipStore:
         with write_whole_folder(self._prepared(clip.clip_id)) as folder:
             return write_clip_files(folder, clip)
 
+    def prepared(self, clip_id: str) -> ClipInfo | None:
+        """The row of a clip that waits to be committed; one that other code prepared does not count."""
+        path = self._prepared(clip_id) / CLIP_TABLE
+        if not path.is_file():
+            return None
+        # Asked before the rest is read: other code may have other columns.
+        made_with = tables.read_table(path, ["created_with"], str(path))["created_with"][0].as_py()
+        return read_clip_table(path)[0] if made_with == code_version() else None
+
     def is_prepared(self, clip_id: str) -> bool:
         """Whether the clip waits to be committed; one that other code prepared does not count."""
-        path = self._prepared(clip_id) / CLIP_TABLE
-        return (
-            path.is_file()
-            and tables.read_table(path, ["created_with"], str(path))["created_with"][0].as_py() == code_version()
-        )
+        return self.prepared(clip_id) is not None
 
     def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
         """Add prepared clips to the store; returns the ids of those that it did not hold already.
@@ -144,7 +163,7 @@ class ClipStore:
         return by_chunk
 
     def check(self, clip_id: str, t0s_us: Sequence[int]) -> None:
-        """Check that a clip's tables can be read, that its videos have their frames, and that it gives these samples.
+        """Check that a clip's tables and masks can be read, that its videos have their frames, and its samples.
 
         Raises:
             InputError: naming the file and what is wrong with it.
@@ -155,6 +174,7 @@ class ClipStore:
         for camera in info.views:
             video, where = self._video(clip_id, camera)
             check_video(video, len(timestamps[camera]), where)
+            self.read_origin_runs(clip_id, camera)
         for feature in CALIBRATIONS:
             self.read_rows(clip_id, feature)
 
@@ -205,27 +225,71 @@ class ClipStore:
             InputError: a time lies outside the first and last frame, or the files are damaged.
         """
         timestamps_us = self.read_timestamps(clip_id, camera)
-        if times_us[0] < timestamps_us[0] or times_us[-1] > timestamps_us[-1]:
-            raise InputError(
-                f"{self.root}: clip {clip_id}: {camera} covers {timestamps_us[0]} to {timestamps_us[-1]} us; "
-                f"{times_us[0]} to {times_us[-1]} us was asked for"
-            )
-        indices = newest_frames(timestamps_us, times_us)
+        indices = self._frame_indices(clip_id, camera, timestamps_us, times_us)
         video, where = self._video(clip_id, camera)
         return decode_frames(video, indices, where), timestamps_us[indices]
 
-    def load_sample(self, key: SampleKey, image_size: tuple[int, int] | None = None) -> PolicySample:
+    def read_origin(self, clip_id: str, camera: str, times_us: NDArray[np.int64]) -> NDArray[np.uint8]:
+        """Where the pixels of the frames that `read_frames` gives come from: a `PixelOrigin` each, (m, H, W).
+
+        Raises:
+            InputError: a time lies outside the first and last frame, or the mask is missing or damaged.
+        """
+        timestamps_us = self.read_timestamps(clip_id, camera)
+        indices = self._frame_indices(clip_id, camera, timestamps_us, times_us)
+        runs = self.read_origin_runs(clip_id, camera)
+        if runs is None:
+            lens = self.read_camera(clip_id, camera).camera
+            return np.full((len(indices), lens.height, lens.width), PixelOrigin.SAME_FRAME, np.uint8)
+        return runs.masks(indices)
+
+    def read_origin_runs(self, clip_id: str, camera: str) -> OriginRuns | None:
+        """The masks of one camera, held against the rest of the clip; None where a camera saw the view whole.
+
+        Raises:
+            InputError: the mask is missing or damaged, or tells other times, sizes or shares than the clip's tables.
+        """
+        provenance = self.info(clip_id).views[camera]
+        if provenance.is_seen_whole:
+            return None
+        data, where = self._member(clip_id, PIXEL_ORIGINS[camera].name, PIXEL_ORIGIN)
+        runs, lens = decode_origin(data, where), self.read_camera(clip_id, camera).camera
+        if not np.array_equal(runs.timestamps_us, self.read_timestamps(clip_id, camera)):
+            raise InputError(f"{where}: has not the times of the video's frames; build the clip again")
+        if (runs.width, runs.height) != (lens.width, lens.height):
+            raise InputError(
+                f"{where}: masks of {runs.width} x {runs.height} pixels for a camera of {lens.width} x {lens.height}; "
+                "build the clip again"
+            )
+        if replace(provenance, **runs.shares) != provenance:
+            raise InputError(f"{where}: tells other shares of pixels than {CLIP_TABLE}; build the clip again")
+        return runs
+
+    def load_sample(
+        self,
+        key: SampleKey,
+        image_size: tuple[int, int] | None = None,
+        contract: CameraContract = DEFAULT_CONTRACT,
+        with_origin: bool = False,
+    ) -> PolicySample:
         """Load what the public loader gives for a clip and t0, by the same rules; see `load_samples`.
 
         Raises:
             InputError: the clip does not cover the sample, or its files are damaged.
         """
-        return self.load_samples([key], image_size)[0]
+        return self.load_samples([key], image_size, contract, with_origin)[0]
 
-    def load_samples(self, keys: Sequence[SampleKey], image_size: tuple[int, int] | None = None) -> list[PolicySample]:
+    def load_samples(
+        self,
+        keys: Sequence[SampleKey],
+        image_size: tuple[int, int] | None = None,
+        contract: CameraContract = DEFAULT_CONTRACT,
+        with_origin: bool = False,
+    ) -> list[PolicySample]:
         """Load samples in the order of `keys`; every clip is opened and decoded once, whatever their order.
 
-        The stores of the keys are not looked at. Images are scaled to a height and width where these are given.
+        The stores of the keys are not looked at. Images are scaled to a height and width where these are given, their
+        masks (`with_origin`) to the nearest pixel.
 
         Raises:
             InputError: see `load_sample`.
@@ -236,34 +300,42 @@ class ClipStore:
         loaded = {
             (sample.clip_id, sample.t0_us): sample
             for clip_id, t0s_us in times.items()
-            for sample in self._load_clip_samples(clip_id, sorted(set(t0s_us)), image_size)
+            for sample in self._load_clip_samples(clip_id, sorted(set(t0s_us)), image_size, contract, with_origin)
         }
         return [loaded[key.clip_id, key.t0_us] for key in keys]
 
     def _load_clip_samples(
-        self, clip_id: str, t0s_us: Sequence[int], image_size: tuple[int, int] | None
+        self,
+        clip_id: str,
+        t0s_us: Sequence[int],
+        image_size: tuple[int, int] | None,
+        contract: CameraContract,
+        with_origin: bool,
     ) -> list[PolicySample]:
         where = f"{self.root}: clip {clip_id}"
-        present = [name for name in POLICY_CAMERAS if name in self.info(clip_id).views]
+        present = [name for name in contract.cameras if name in self.info(clip_id).views]
         timestamps = {name: self.read_timestamps(clip_id, name) for name in present}
         motion = self.read_ego_motion(clip_id)
-        self._check_windows(clip_id, t0s_us, motion, timestamps)
+        self._check_windows(clip_id, t0s_us, motion, timestamps, contract)
 
         asked = np.array(t0s_us)[:, None] + IMAGE_OFFSETS_US
         query, places = np.unique(asked, return_inverse=True)
-        indices = {name: newest_frames(timestamps[name], query) for name in POLICY_CAMERAS}
-        views = []
-        for name in POLICY_CAMERAS:
+        indices = {name: newest_frames(timestamps[name], query) for name in contract.cameras}
+        views, origins = [], []
+        for name in contract.cameras:
             video, video_name = self._video(clip_id, name)
             views.append(decode_images(video, indices[name], video_name, image_size))
+            if with_origin:
+                height, width = views[-1].shape[-2:]
+                origins.append(resize_masks(self.read_origin(clip_id, name, query), width, height))
         if len({images.shape for images in views}) > 1:
             raise InputError(f"{where}: its cameras have different image sizes; give an image size to scale them to")
-        taken_us = np.stack([timestamps[name][indices[name]] for name in POLICY_CAMERAS])
+        taken_us = np.stack([timestamps[name][indices[name]] for name in contract.cameras])
         history, future = (poses.astype(np.float32) for poses in motion.around(np.array(t0s_us)))
         return [
             PolicySample(
                 image_frames=_pick(views, place),
-                camera_indices=np.array([CAMERA_INDEX[name] for name in POLICY_CAMERAS], dtype=np.int64),
+                camera_indices=np.array(contract.indices, dtype=np.int64),
                 ego_history_xyz=history[None, sample, :, :3, 3],
                 ego_history_rot=history[None, sample, :, :3, :3],
                 ego_future_xyz=future[None, sample, :, :3, 3],
@@ -272,17 +344,34 @@ class ClipStore:
                 absolute_timestamps=taken_us[:, place],
                 t0_us=t0_us,
                 clip_id=clip_id,
+                image_origin=_pick(origins, place) if with_origin else None,
             )
             for sample, (t0_us, place) in enumerate(zip(t0s_us, places.reshape(asked.shape), strict=True))
         ]
 
     def _check_windows(
-        self, clip_id: str, t0s_us: Sequence[int], motion: EgoMotion, timestamps: Mapping[str, NDArray[np.int64]]
+        self,
+        clip_id: str,
+        t0s_us: Sequence[int],
+        motion: EgoMotion,
+        timestamps: Mapping[str, NDArray[np.int64]],
+        contract: CameraContract = DEFAULT_CONTRACT,
     ) -> None:
         spans = {camera: (int(times[0]), int(times[-1])) for camera, times in timestamps.items()}
         coverage = Coverage(motion.span_us, spans)
         for t0_us in t0s_us:
-            check_sample_window(t0_us, coverage, f"{self.root}: clip {clip_id}")
+            check_sample_window(t0_us, coverage, f"{self.root}: clip {clip_id}", contract)
+
+    def _frame_indices(
+        self, clip_id: str, camera: str, timestamps_us: NDArray[np.int64], times_us: NDArray[np.int64]
+    ) -> NDArray[np.int64]:
+        """Numbers (m,) of the newest frames at ascending times (m,), all of which the frames must cover."""
+        if times_us[0] < timestamps_us[0] or times_us[-1] > timestamps_us[-1]:
+            raise InputError(
+                f"{self.root}: clip {clip_id}: {camera} covers {timestamps_us[0]} to {timestamps_us[-1]} us; "
+                f"{times_us[0]} to {times_us[-1]} us was asked for"
+            )
+        return newest_frames(timestamps_us, times_us)
 
     # Where things are
 
@@ -315,16 +404,16 @@ class ClipStore:
         return self._chunks[clip_id]
 
     def _chunk_file(self, clip_id: str, feature: str) -> Path:
-        return FEATURES[feature].chunk_file(self.root, self._chunk(clip_id))
+        return STORED[feature].chunk_file(self.root, self._chunk(clip_id))
 
     def _member(self, clip_id: str, feature: str, alias: str) -> tuple[bytes, str]:
         """One member of a chunk's zip, and what to call it in errors."""
-        archive, name = self._archive(clip_id, feature), FEATURES[feature].member(alias, clip_id)
+        archive, name = self._archive(clip_id, feature), STORED[feature].member(alias, clip_id)
         return archive.read(name), f"{archive.path}: {name}"
 
     def _video(self, clip_id: str, camera: str) -> tuple[ByteRange | bytes, str]:
         """A camera's video, in place where it is not compressed in its zip, and what to call it in errors."""
-        archive, name = self._archive(clip_id, camera), FEATURES[camera].member(VIDEO, clip_id)
+        archive, name = self._archive(clip_id, camera), STORED[camera].member(VIDEO, clip_id)
         return archive.locate(name) or archive.read(name), f"{archive.path}: {name}"
 
     def _archive(self, clip_id: str, feature: str) -> ChunkArchive:
@@ -349,7 +438,7 @@ class ClipStore:
 
 
 def _pick(views: Sequence[NDArray[np.uint8]], places: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Images (cameras, len(places), 3, H, W) at the same places of each view."""
+    """Images (cameras, len(places), 3, H, W), or their masks (cameras, len(places), H, W), at the same places."""
     picked = np.empty((len(views), len(places), *views[0].shape[1:]), np.uint8)
     for target, images in zip(picked, views, strict=True):
         np.take(images, places, axis=0, out=target)

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from olt_toolkit.clips.builder import BuiltClip
-from olt_toolkit.clips.clip import ClipInfo, EgoMotion
+from olt_toolkit.clips.clip import ClipInfo, EgoMotion, ViewProvenance
 from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.rigs.contracts import contracts_met
 
 _UNCERTAINTY = ("scale_sigma", "scale_sigma_parts", "scale_error", "scale_z", "ate_sigma_m", "ate_z")
 
@@ -41,7 +42,14 @@ def summarize_info(info: ClipInfo) -> dict[str, Any]:
         "factors": list(info.factors),
         "doubts": None if info.doubts is None else list(info.doubts),
         "sample_t0_us": list(info.sample_t0_us),
+        "views": {camera: summarize_view(view) for camera, view in info.views.items()},
+        "contracts": [contract.name for contract in contracts_met(info.views)],
     }
+
+
+def summarize_view(view: ViewProvenance) -> dict[str, Any]:
+    """Where the pixels of a view came from."""
+    return asdict(view) | {"unseen_share": view.unseen_share}
 
 
 def summarize_motion(motion: EgoMotion) -> dict[str, float]:
@@ -61,12 +69,14 @@ def summarize_stored(store: ClipStore, clip_id: str) -> dict[str, Any]:
     info, cameras = store.info(clip_id), {}
     for name in info.views:
         mounted, times_us = store.read_camera(clip_id, name), store.read_timestamps(clip_id, name)
+        runs = store.read_origin_runs(clip_id, name)
         cameras[name] = {
             "size": [mounted.camera.width, mounted.camera.height],
             "position_rig": mounted.T_rig_camera[:3, 3].tolist(),
             "frames": len(times_us),
             "first_us": int(times_us[0]),
             "last_us": int(times_us[-1]),
+            "frames_not_seen": 0 if runs is None else int((~runs.seen_frames).sum()),
         }
     return {
         "store": str(store.root),

@@ -1,7 +1,7 @@
 """Single views of a recording or of a stored clip, written as video files for people and other tools."""
 
 import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +13,15 @@ from olt_generator.motion.pose_sources import KnownPoses
 from olt_generator.omissions import Omission
 from olt_generator.trajectory import Trajectory
 from olt_generator.video import write_video
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_generator.views.view_plan import plan_views
 from olt_toolkit.clips.builder import BuiltClip
+from olt_toolkit.clips.images import largest_rectangle
+from olt_toolkit.clips.origin_files import encode_origin
+from olt_toolkit.clips.pai_layout import PIXEL_ORIGIN
 from olt_toolkit.clips.pictures import write_clip_pictures
 from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.summary import summarize_view
 from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, short_name
@@ -34,19 +39,28 @@ def parse_cameras(text: str) -> tuple[str, ...]:
 
 
 def reopen_clip(store: ClipStore, clip_id: str) -> Recording:
-    """A stored clip, which needs a front view, as a recording of known motion, so that more views can be made of it."""
+    """A stored clip, which needs a front view, as a recording of known motion, so that more views can be made of it.
+
+    Black borders of the front view are cut off.
+    """
     info = store.info(clip_id)
     if FRONT_WIDE not in info.views:
         raise InputError(f"{store.root}: clip {clip_id} has no {FRONT_WIDE} view, from which all others are made")
     front, times_us = store.read_camera(clip_id, FRONT_WIDE), store.read_timestamps(clip_id, FRONT_WIDE)
     frames, _ = store.read_frames(clip_id, FRONT_WIDE, times_us)
+    camera = front.camera
+    if not info.views[FRONT_WIDE].is_seen_whole:
+        seen = (store.read_origin(clip_id, FRONT_WIDE, times_us) != PixelOrigin.UNSEEN).all(axis=0)
+        rows, columns = largest_rectangle(seen)
+        frames = np.ascontiguousarray(frames[:, rows, columns])
+        camera = camera.cropped(columns.start, rows.start, frames.shape[2], frames.shape[1])
     timestamps_us = times_us - times_us[0]
     return Recording(
         name=info.name,
         source=info.source,
         frames=frames,
         timestamps_us=timestamps_us,
-        camera=front.camera,
+        camera=camera,
         T_rig_camera=front.T_rig_camera,
         vehicle=store.read_vehicle(clip_id),
         assumptions=("The images and the motion are those stored in the clip.",),
@@ -63,7 +77,7 @@ def leave_out_motion(recording: Recording, options: BuildOptions) -> BuildOption
 
 
 def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
-    """Write one mp4 per view, a contact sheet, an animated preview, and the plan of what was made and left out.
+    """Write one mp4 per view, a mask of those that were not seen whole, pictures, and the plan of what was made.
 
     Each file appears whole; the plan, which is returned, is written last.
 
@@ -74,16 +88,18 @@ def write_view_files(folder: Path, built: BuiltClip) -> dict[str, Any]:
     streams = built.clip.streams
     for name, stream in streams.items():
         write_video(folder / f"{name}.mp4", stream.frames, stream.frame_rate)
+        if stream.origin is not None:
+            with write_whole(folder / f"{name}.{PIXEL_ORIGIN}.parquet") as temporary:
+                temporary.write_bytes(encode_origin(stream.timestamps_us, stream.origin))
     times_us = next(iter(streams.values())).timestamps_us
-    images = {name: stream.frames for name, stream in streams.items()}
-    pictures = write_clip_pictures(folder, "views", images, built.observed, times_us)
+    pictures = write_clip_pictures(folder, "views", built.clip.images, built.clip.origins, times_us)
     left_out = built.left_out
     if not built.plan.synthesizes:
         left_out += (Omission("motion of the vehicle", "no wanted view needs it"),)
     plan = {
         "recording": built.clip.name,
         "views": {
-            name: asdict(view) | {"method": built.plan.methods[name], "file": str(folder / f"{name}.mp4")}
+            name: summarize_view(view) | {"method": built.plan.methods[name], "file": str(folder / f"{name}.mp4")}
             for name, view in built.clip.provenance.items()
         },
         "order": list(built.plan.methods),

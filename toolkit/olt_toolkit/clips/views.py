@@ -1,6 +1,6 @@
 """How each view of a clip is made: taken as it is, cropped, or synthesized from the front view."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -16,13 +16,24 @@ from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.lookback import LOOKBACK_LATENTS
-from olt_generator.views.synthesis import PixelOrigin, SynthesisSettings, synthesize_view
+from olt_generator.views.pixel_origin import PixelOrigin
+from olt_generator.views.synthesis import SynthesisSettings, synthesize_view
 from olt_generator.views.tele import crop_tele, tele_camera
 from olt_toolkit.clips.clip import ClipOrigin, ViewKind, ViewProvenance
+from olt_toolkit.clips.front import (
+    border_origin,
+    degrees_across,
+    fit_width,
+    fit_width_images,
+    is_lens_of,
+    see_through,
+)
 from olt_toolkit.clips.images import fit_images
 from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import Recording
-from olt_toolkit.rigs.rig import FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS, Rig
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT
+from olt_toolkit.rigs.names import FrontLens
+from olt_toolkit.rigs.rig import FRONT_TELE, FRONT_WIDE, Rig
 from olt_toolkit.rigs.rig_files import pav_rig
 from olt_toolkit.runtime.version import code_version
 
@@ -39,6 +50,7 @@ class BuildOptions:
         frames: which frames are made: "all"; those that samples with t0 on the 0.1 s "grid" take, of this clip or one
             that goes on, which at 30 Hz is one in three; or those alone that are "sampled" from this clip, which leaves
             out its first 1.4 s and last 6.4 s.
+        front: with which lens the front-wide view is made where it is not a true one (`clips.front`).
         use_reference_views: take the recording's true images and trajectory instead of synthesizing: kind GT.
         use_reference_motion: take the recording's true trajectory although views are synthesized.
         poses, depth: where motion otherwise and distances come from.
@@ -52,7 +64,8 @@ class BuildOptions:
     width: int = 576
     height: int = 320
     rig: Rig = field(default_factory=pav_rig)
-    cameras: tuple[str, ...] = POLICY_CAMERAS
+    cameras: tuple[str, ...] = DEFAULT_CONTRACT.cameras
+    front: FrontLens = FrontLens.AS_NAMED
     frames: Literal["all", "grid", "sampled"] = "grid"
     use_reference_views: bool = False
     use_reference_motion: bool = False
@@ -78,16 +91,18 @@ class View:
     """The images (n, height, width, 3) of one camera, with its lens and mounting (4, 4), and where pixels came from.
 
     Attributes:
-        observed: (n, height, width) pixels taken from what the front camera saw; None where all are true.
-        drawn_on: for each image the other front frames that it was made from; None where all are true.
+        origin: (n, height, width) uint8, a `PixelOrigin` per pixel; None where all are true.
+        drawn_on: for each image the other front frames that it was made from; None where it is not synthesized.
+        notes: a sentence for everything about the view that its name does not promise.
     """
 
     images: Images
     camera: Camera
     T_rig_camera: Array
     provenance: ViewProvenance
-    observed: NDArray[np.bool_] | None = None
+    origin: NDArray[np.uint8] | None = None
     drawn_on: tuple[tuple[int, ...], ...] | None = None
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -112,45 +127,80 @@ class ViewMaker:
         if self.options.use_reference_views and name in recording.views:
             return self._true_view(name)
         if name == FRONT_WIDE:
-            images, camera = fit_images(recording.frames, *size), fit_camera(recording.camera, *size)
-            return View(images, camera, self.T_rig_front, self._as_given(self.options.image_kind))
+            return self._front_wide()
         if name == FRONT_TELE:
             camera = tele_camera(recording.camera, *size)
             images = crop_tele(recording.frames, recording.camera, camera)
-            return View(images, camera, self.T_rig_front, self._as_given("cropped"))
+            return self._given(images, camera, self.T_rig_front, np.ones((size[1], size[0]), bool), "cropped")
         if self.front is None:
             raise InputError(f"{recording.name}: no true images of {name}; let it be synthesized instead")
         return self._synthesized(name, self.front, on_progress)
 
+    def _front_wide(self) -> View:
+        """The recording's own images: as they are, or through the lens of the named camera where theirs is another."""
+        recording, size = self.recording, (self.options.width, self.options.height)
+        named, camera = self.options.rig.fitted(*size)[FRONT_WIDE], fit_width(recording.camera, *size)
+        kind, notes = self.options.image_kind, ()
+        if not is_lens_of(camera, named.camera):
+            across = [f"{degrees_across(each):.0f}" for each in (recording.camera, named.camera)]
+            # A true view stays what it is.
+            if self.options.front is FrontLens.AS_NAMED and not self.options.use_reference_views:
+                images, seen, pose = see_through(recording.frames, recording.camera, self.T_rig_front, named)
+                note = (
+                    f"{FRONT_WIDE}: shown through the lens of that name, {across[1]} degrees across; the recording's "
+                    f"camera has {across[0]}, and {1.0 - seen.mean():.0%} of the view is black."
+                )
+                return self._given(images, named.camera, pose, seen, kind, (note,))
+            notes = (f"{FRONT_WIDE}: keeps the recording's lens, {across[0]} degrees across and not {across[1]}.",)
+        images, rows = fit_width_images(recording.frames, *size)
+        return self._given(images, camera, self.T_rig_front, np.repeat(rows[:, None], size[0], axis=1), kind, notes)
+
     def _true_view(self, name: str) -> View:
         images, size = self.recording.views[name], (self.options.width, self.options.height)
         mounted = self.recording.mounted.get(name) or self.options.rig.fitted(images.shape[2], images.shape[1])[name]
-        provenance = self._as_given(self.options.image_kind)
+        camera, seen, kind = (
+            fit_camera(mounted.camera, *size),
+            np.ones((size[1], size[0]), bool),
+            self.options.image_kind,
+        )
         if name in self.recording.observed:
-            seen = np.where(self.recording.observed[name], 255, 0).astype(np.uint8)
-            share = float(fit_images(np.repeat(seen[None, ..., None], 3, axis=-1), *size).mean()) / 255.0
-            provenance = replace(provenance, kind="mosaic", observed_share=share, invented_share=1.0 - share)
-        return View(fit_images(images, *size), fit_camera(mounted.camera, *size), mounted.T_rig_camera, provenance)
+            shown = np.where(self.recording.observed[name], 255, 0).astype(np.uint8)
+            # A pixel that is partly black is not taken for seen.
+            seen = fit_images(np.repeat(shown[None, ..., None], 3, axis=-1), *size)[0, ..., 0] == 255
+            kind = "mosaic"
+        return self._given(fit_images(images, *size), camera, mounted.T_rig_camera, seen, kind)
+
+    def _given(
+        self,
+        images: Images,
+        camera: Camera,
+        T_rig_camera: Array,
+        seen: NDArray[np.bool_],
+        kind: ViewKind,
+        notes: tuple[str, ...] = (),
+    ) -> View:
+        """A view of which the recording shows the pixels (h, w) that are `seen`, and the others are black."""
+        provenance = ViewProvenance(kind, self.recording.source, code_version(), None, 1.0, 0.0)
+        if seen.all():
+            return View(images, camera, T_rig_camera, provenance, notes=notes)
+        origin = border_origin(seen, len(images))
+        return View(images, camera, T_rig_camera, provenance.with_shares(origin), origin, notes=notes)
 
     def _synthesized(self, name: str, front: FrontView, on_progress: Progress) -> View:
         target = self.options.rig.fitted(self.options.width, self.options.height)[name]
         settings = SynthesisSettings(lookback=LOOKBACK_LATENTS.get(name))
         indices = self.indices.tolist()
         view = synthesize_view(front, target.camera, target.T_rig_camera, indices, settings, on_progress)
-        same_frame, other_frame = (
-            float((view.origin == origin).mean()) for origin in (PixelOrigin.SAME_FRAME, PixelOrigin.OTHER_FRAME)
-        )
         provenance = ViewProvenance(
             kind="warped",
             engine="olt_generator.views.synthesis",
             version=code_version(),
             seed=self.options.seed,
-            observed_share=same_frame + other_frame,
-            invented_share=1.0 - (same_frame + other_frame),
-            other_times_share=other_frame,
-        )
-        observed = view.origin != PixelOrigin.INVENTED
-        return View(view.images, target.camera, target.T_rig_camera, provenance, observed, view.drawn_on)
-
-    def _as_given(self, kind: ViewKind) -> ViewProvenance:
-        return ViewProvenance(kind, self.recording.source, code_version(), None, 1.0, 0.0)
+            observed_share=0.0,
+            invented_share=1.0,
+        ).with_shares(view.origin)
+        blind = int((view.origin == PixelOrigin.INVENTED).all(axis=(1, 2)).sum())
+        why = " (what lies behind is seen only once the vehicle has driven past it)" if settings.lookback else ""
+        note = f"{name}: the front camera saw nothing of {blind} of its {len(indices)} images; they are made up{why}."
+        notes = (note,) if blind else ()
+        return View(view.images, target.camera, target.T_rig_camera, provenance, view.origin, view.drawn_on, notes)

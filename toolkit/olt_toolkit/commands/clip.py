@@ -64,6 +64,8 @@ def build(
     options = BuildOptions(
         width=building.width,
         height=building.height,
+        cameras=building.cameras,
+        front=building.front,
         frames="all" if all_frames else "grid",
         name=name,
         category=category or UNLABELLED,
@@ -87,10 +89,12 @@ def build(
 @unpack_options
 def views(
     source: Annotated[Path, typer.Argument(metavar="INPUT", help="A recording, or a clip store.")],
-    cameras: Annotated[str, typer.Option(help="Views, with commas: cross_left, front_tele, rear_tele, ...")],
     out: Annotated[Path, typer.Option(help="Folder for the videos, the pictures and plan.json.")],
     building: BuildingOptions,
     clip: Annotated[str | None, typer.Argument(help="Name or id of a clip, where INPUT is a store.")] = None,
+    cameras: Annotated[
+        str | None, typer.Option(help="Views, with commas: cross_left, rear_tele, ...; those of --rig by default.")
+    ] = None,
     duration: DurationOption = 20.0,
     all_frames: AllFramesOption = False,
     cache: CacheOption = None,
@@ -106,11 +110,13 @@ def views(
     from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json, show_progress
 
-    wanted, estimators = parse_cameras(cameras), building.estimators()
+    wanted = building.cameras if cameras is None else parse_cameras(cameras)
+    estimators = building.estimators()
     options = BuildOptions(
         width=building.width,
         height=building.height,
         cameras=wanted,
+        front=building.front,
         frames="all" if all_frames else "grid",
         use_reference_motion=clip is not None,
     )
@@ -272,4 +278,6 @@ def _draw_stored(store: "ClipStore", clip_id: str, folder: Path) -> dict[str, st
         & (shown_us <= min(times[-1] for times in times_us.values()))
     ]
     images = {name: store.read_frames(clip_id, name, shown_us)[0] for name in info.views}
-    return write_clip_pictures(folder, info.name, images, {}, shown_us)
+    not_whole = [name for name, view in info.views.items() if not view.is_seen_whole]
+    origins = {name: store.read_origin(clip_id, name, shown_us) for name in not_whole}
+    return write_clip_pictures(folder, info.name, images, origins, shown_us)

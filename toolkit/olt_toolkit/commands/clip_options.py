@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from olt_toolkit.clips.estimators import DepthEstimator, Estimators, PoseEstimator
+from olt_toolkit.rigs.names import ContractName, FrontLens
 
 if TYPE_CHECKING:
     from olt_toolkit.recordings.recording import OpenOptions
@@ -67,6 +68,10 @@ class CameraOptions:
 class BuildingOptions(CameraOptions):
     """How clips are built: the size of their views, and what measures motion and distances."""
 
+    rig: Annotated[ContractName, typer.Option(help="The policy whose cameras are made.")] = ContractName.ALPAMAYO_R1
+    front: Annotated[
+        FrontLens, typer.Option(help="The front view: its name's lens with black borders, or the source's own lens.")
+    ] = FrontLens.AS_NAMED
     width: Annotated[int, typer.Option(min=32, help="Width of the views in pixels, even.")] = 576
     height: Annotated[int, typer.Option(min=32, help="Height of the views in pixels, even.")] = 320
     poses: Annotated[PoseEstimator, typer.Option(help="Where the motion of the vehicle comes from.")] = (
@@ -80,6 +85,19 @@ class BuildingOptions(CameraOptions):
     def given_of_recordings(self) -> dict[str, bool]:
         """Which options were given that tell how a recording is read, and where its motion comes from."""
         return self.given() | {"--poses": self.poses is not PoseEstimator.ODOMETRY}
+
+    def opening(self, duration: float = float("inf")) -> "OpenOptions":
+        """How a drive is opened, with the true views of the rig's cameras where they are known."""
+        from dataclasses import replace
+
+        return replace(super().opening(duration), views=self.cameras)
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """The cameras of the rig."""
+        from olt_toolkit.rigs.contracts import find_contract
+
+        return find_contract(self.rig.value).cameras
 
     def estimators(self) -> Estimators:
         """What measures motion and distances; an `InputError` where weights are given without their estimator."""

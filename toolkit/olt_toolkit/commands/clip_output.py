@@ -19,7 +19,7 @@ _POSE_ROWS = (
     ("scale of the Sim(3) alignment", ("sim3", "scale")),
 )
 
-_SHARES = ("observed", "at other times", "invented")
+_SHARES = ("observed", "at other times", "invented", "not seen")
 
 
 def print_build(summary: dict[str, Any]) -> None:
@@ -128,6 +128,7 @@ def print_clip(summary: dict[str, Any]) -> None:
     print_line(f"expected error of acceleration labels: {given if noise is None else f'{noise:.2f} m/s2'}")
     print_line(f"in doubt: {_word_doubts(clip)}")
     print_line(_sample_line(clip))
+    print_line(f"cameras of: {', '.join(clip['contracts']) or 'no camera contract'}")
     rows = [
         (
             name,
@@ -145,10 +146,12 @@ def print_clip(summary: dict[str, Any]) -> None:
             f"{view['engine']} {view['version']}",
             "none" if view["seed"] is None else view["seed"],
             *_share_cells(view),
+            summary["cameras"][name]["frames_not_seen"],
         )
         for name, view in clip["views"].items()
     ]
-    print_table("Where the pixels came from", ["camera", "kind", "made by", "seed", *_SHARES], rows)
+    columns = ["camera", "kind", "made by", "seed", *_SHARES, "images not seen at all"]
+    print_table("Where the pixels came from", columns, rows)
     _print_pictures(summary)
 
 
@@ -214,8 +217,8 @@ def _word_doubts(clip: dict[str, Any]) -> str:
 
 
 def _share_cells(view: dict[str, Any]) -> tuple[str, ...]:
-    """Which shares of a view's pixels were observed, at other times than their image's, and invented."""
-    shares = (view["observed_share"], view["other_times_share"], view["invented_share"])
+    """Which shares of a view's pixels were observed, at other times than their image's, invented, and not seen."""
+    shares = (view[key] for key in ("observed_share", "other_times_share", "invented_share", "unseen_share"))
     return tuple(f"{100 * share:.1f} %" for share in shares)
 
 

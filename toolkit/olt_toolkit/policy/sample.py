@@ -23,13 +23,15 @@ class PolicySample:
     """One sample (docs/formats/physicalai_av.md), poses in the rig frame at t0.
 
     Attributes:
-        image_frames: (4, 4, 3, H, W) uint8 RGB: cameras by index, then frames by time.
-        camera_indices: (4,) int64, [0, 1, 2, 6].
+        image_frames: (cameras, 4, 3, H, W) uint8 RGB: cameras by index, then frames by time.
+        camera_indices: (cameras,) int64, those of the camera contract: [0, 1, 2, 6] or [0, 1, 2, 3, 5, 6].
         ego_history_xyz: (1, 16, 3) float32 at t0 - 1.5 ... 0 s; ego_history_rot: (1, 16, 3, 3) float32.
         ego_future_xyz: (1, 64, 3) float32 at t0 + 0.1 ... 6.4 s; ego_future_rot: (1, 64, 3, 3) float32.
-        relative_timestamps: (4, 4) float32 seconds from the earliest frame.
-        absolute_timestamps: (4, 4) int64 microseconds of the frames.
+        relative_timestamps: (cameras, 4) float32 seconds from the earliest frame.
+        absolute_timestamps: (cameras, 4) int64 microseconds of the frames.
         t0_us, clip_id: which sample it is.
+        image_origin: (cameras, 4, H, W) uint8, a `PixelOrigin` for each pixel; None where it was not asked for. The
+            public loader has no such field.
     """
 
     image_frames: NDArray[np.uint8]
@@ -42,3 +44,4 @@ class PolicySample:
     absolute_timestamps: NDArray[np.int64]
     t0_us: int
     clip_id: str
+    image_origin: NDArray[np.uint8] | None = None

@@ -1,8 +1,8 @@
 """Which times of a clip give a policy sample.
 
-A sample at t0 takes ego poses from t0 - 1.5 s to t0 + 6.4 s and four images up to t0 of each of the four policy
-cameras. The public loader refuses t0 up to 1.6 s although the oldest pose is 1.5 s old (docs/formats/physicalai_av.md);
-the same rule holds here, so that both accept the same samples.
+A sample at t0 takes ego poses from t0 - 1.5 s to t0 + 6.4 s and four images up to t0 of each camera of the policy's
+contract. The public loader refuses t0 up to 1.6 s although the oldest pose is 1.5 s old
+(docs/formats/physicalai_av.md); the same rule holds here, so that both accept the same samples.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_toolkit.policy.contract import FUTURE_STEPS, HISTORY_STEPS, IMAGE_FRAMES, STEP_US
-from olt_toolkit.rigs.rig import POLICY_CAMERAS
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
 
 Span = tuple[int, int]
 """First and last time in microseconds."""
@@ -31,12 +31,11 @@ class Coverage:
     cameras: dict[str, Span]
 
 
-def sample_times(coverage: Coverage) -> tuple[tuple[int, ...], str | None]:
+def sample_times(coverage: Coverage, contract: CameraContract = DEFAULT_CONTRACT) -> tuple[tuple[int, ...], str | None]:
     """Times t0 (multiples of 0.1 s) that give a sample, and why there are none where there are none."""
-    missing = [name for name in POLICY_CAMERAS if name not in coverage.cameras]
-    if missing:
-        return (), f"no {', '.join(missing)}; a policy sample needs all of {', '.join(POLICY_CAMERAS)}"
-    spans = [coverage.cameras[name] for name in POLICY_CAMERAS]
+    if contract.lacking(coverage.cameras):
+        return (), _missing_cameras(coverage, contract)
+    spans = [coverage.cameras[name] for name in contract.cameras]
     earliest = max(
         LONGEST_REFUSED_T0_US + 1,
         coverage.ego[0] - int(HISTORY_OFFSETS_US[0]),
@@ -75,7 +74,7 @@ def sampled_frame_indices(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]
     too short for a sample.
     """
     on_grid, span = grid_frame_indices(timestamps_us), (int(timestamps_us[0]), int(timestamps_us[-1]))
-    times, _ = sample_times(Coverage(span, dict.fromkeys(POLICY_CAMERAS, span)))
+    times, _ = sample_times(Coverage(span, dict.fromkeys(DEFAULT_CONTRACT.cameras, span)))
     if not times:
         return on_grid
     first = newest_frames(timestamps_us, times[0] + IMAGE_OFFSETS_US[:1])
@@ -90,14 +89,16 @@ def frames_per_step(frame_rate: float) -> int:
     return round(frames) if frames >= 1 and abs(frames - round(frames)) < 1e-6 else 1
 
 
-def check_sample_window(t0_us: int, coverage: Coverage, where: str) -> None:
+def check_sample_window(
+    t0_us: int, coverage: Coverage, where: str, contract: CameraContract = DEFAULT_CONTRACT
+) -> None:
     """Check that all is there that a sample at `t0_us` needs; an `InputError` names where, what and the times."""
     if t0_us <= LONGEST_REFUSED_T0_US:
         raise InputError(f"{where}: t0 = {_seconds(t0_us)} is not after 1.6 s; choose one of the clip's sample times")
     _check_span(f"{where}: ego motion", coverage.ego, t0_us, (HISTORY_OFFSETS_US[0], FUTURE_OFFSETS_US[-1]))
-    for camera in POLICY_CAMERAS:
-        if camera not in coverage.cameras:
-            raise InputError(f"{where}: no {camera}; a policy sample needs {', '.join(POLICY_CAMERAS)}")
+    if contract.lacking(coverage.cameras):
+        raise InputError(f"{where}: {_missing_cameras(coverage, contract)}")
+    for camera in contract.cameras:
         _check_span(f"{where}: {camera}", coverage.cameras[camera], t0_us, (IMAGE_OFFSETS_US[0], IMAGE_OFFSETS_US[-1]))
 
 
@@ -108,6 +109,11 @@ def _check_span(what: str, span: Span, t0_us: int, offsets: tuple[np.int64, np.i
             f"{what} covers {_span(span)}, but t0 = {_seconds(t0_us)} needs {_span(needed)}; "
             "choose one of the clip's sample times"
         )
+
+
+def _missing_cameras(coverage: Coverage, contract: CameraContract) -> str:
+    missing, needed = (", ".join(names) for names in (contract.lacking(coverage.cameras), contract.cameras))
+    return f"no {missing}; a policy sample of {contract.name} needs all of {needed}"
 
 
 def _span(span: Span) -> str:

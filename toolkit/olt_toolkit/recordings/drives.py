@@ -55,8 +55,8 @@ class Drive:
             set without images.
         cameras: names of the cameras, as the data set calls them, that have images.
         ego_span_us: drive times that measured ego motion covers; None where motion must come from the images.
-        true_views: policy cameras of which the data set has true images, at their own place or as a mosaic of several
-            cameras; the front camera alone for a dashcam.
+        true_views: cameras of the target rig of which the data set has true images, at their own place or as a mosaic
+            of several cameras; the front camera alone for a dashcam.
         category: long-tail category, `UNLABELLED` where the data set does not tell.
         factors: scene factors that the data set tells.
         country: ISO 3166 code of two letters, None where it is not told.

@@ -12,7 +12,8 @@ from olt_generator.doubts import Doubt
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
-from olt_toolkit.rigs.rig import POLICY_CAMERAS, MountedCamera, VehicleDimensions
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT
+from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class OpenOptions:
     camera_height: float | None = None
     rotate: int = 0
     mirror: bool = False
-    views: tuple[str, ...] = POLICY_CAMERAS
+    views: tuple[str, ...] = DEFAULT_CONTRACT.cameras
 
     def refuse_camera(self, where: str) -> None:
         """Refuse (`InputError`) what is said of the camera, where a calibration says it better."""

@@ -10,7 +10,7 @@ from olt_generator.errors import InputError
 from olt_generator.poses import invert, yaw_of
 from olt_toolkit.recordings.drives import open_dataset
 from olt_toolkit.recordings.recording import OpenOptions
-from olt_toolkit.rigs.rig import CROSS_LEFT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS
+from olt_toolkit.rigs.rig import CAMERA_INDEX, CROSS_LEFT, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS
 
 WHOLE = (-10_000_000, 60_000_000)
 FRONT_ONLY = OpenOptions(views=())
@@ -93,7 +93,7 @@ def test_the_front_camera_is_found_by_name_and_looks_ahead(open_shards, make_rec
 def test_views_of_the_target_rig_are_mosaics_of_all_cameras(open_shards, make_records):
     """Each camera of the test's frames is of one grey, 100 and ten times its number at frame 100."""
     dataset = open_shards(make_records("a", 2, first=100))
-    assert dataset.drive("a").true_views == POLICY_CAMERAS
+    assert set(dataset.drive("a").true_views) == set(CAMERA_INDEX)
     recording = dataset.open("a", WHOLE, OpenOptions(width=32))
     assert list(recording.views) == list(POLICY_CAMERAS)
     left = recording.views[CROSS_LEFT]

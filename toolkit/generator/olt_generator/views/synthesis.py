@@ -6,7 +6,6 @@ saw at other moments, of things that stand still, and then smooth colours.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import NamedTuple
 
 import cv2
@@ -22,6 +21,7 @@ from olt_generator.views.brightness import brightened, relative_brightness
 from olt_generator.views.fill import fill_holes
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.panorama import Panorama
+from olt_generator.views.pixel_origin import PixelOrigin
 from olt_generator.views.road_view import RoadView
 from olt_generator.views.source_frames import SourceChooser, may_be_seen
 from olt_generator.views.splat import splat
@@ -31,14 +31,6 @@ from olt_generator.views.splat import splat
 SUPERSAMPLING = 3
 # Other frames saw things from farther away, so their splats must be larger to close up.
 OTHER_FRAMES_SUPERSAMPLING = 2
-
-
-class PixelOrigin(IntEnum):
-    """Where a pixel of a synthesized view comes from."""
-
-    INVENTED = 0
-    SAME_FRAME = 1
-    OTHER_FRAME = 2
 
 
 @dataclass(frozen=True)
