@@ -117,7 +117,7 @@ def _rotation_covariance(
 ) -> Array:
     reduced = _normal_equations(poses, inverse_distance, tracks, ray_sigma, priors)[0]
     turns = (6 * np.arange(1, len(poses))[:, None] + np.arange(3)).ravel() - 6
-    each = np.zeros((reduced.shape[0] - 6, len(turns)))
+    each = np.zeros((6 * len(poses) - 6, len(turns)))
     each[turns, np.arange(len(turns))] = 1.0
     covariance = np.zeros((len(poses), 3, len(poses), 3))
     found = splu(csc_array(reduced)[6:, 6:]).solve(each)[turns]
@@ -172,7 +172,7 @@ def _normal_equations(
     reduced = J.T @ J + P.T @ P - (mixed / information) @ mixed.T
     distance_gradient = N.T @ residual.ravel()
     gradient = J.T @ residual.ravel() + P.T @ prior_residual - mixed @ (distance_gradient / information)
-    return csr_array(reduced), gradient, mixed, distance_gradient, information
+    return csr_array(reduced), np.asarray(gradient), mixed, np.asarray(distance_gradient), information
 
 
 def _linearise(

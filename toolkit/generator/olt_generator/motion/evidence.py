@@ -4,20 +4,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_generator.doubts import Doubt
 from olt_generator.motion.road_speed import LEAST_LOG_ODDS, RoadSpeed
 from olt_generator.motion.road_structure import Plane
-from olt_generator.poses import Array
 
 # A course of the speed is in doubt where another one has more than this share of its votes.
-LARGEST_RIVAL = 0.7
+LARGEST_RIVAL = 0.6
 # A direction is in doubt where the opposite one is less improbable than this, as a logarithm, for a step.
 LEAST_DIRECTION_LOG_ODDS = 1.0
 # A speed is in doubt where fewer of its steps than this are told by the road.
 LEAST_TOLD = 0.5
-# A road's texture and its points are in doubt where they put it at heights that differ by more, as a logarithm, or where
-# the points lie scattered: fewer than this share of them on one plane.
+# A road's texture and its points are in doubt where they put it at heights that differ by more, as a logarithm, or
+# where the points lie scattered: fewer than this share of them on one plane.
 LARGEST_DIFFERENCE = 0.25
 LEAST_ON_PLANE = 0.3
 # A picture is upside down where points lie on a plane above the camera so many times better than on the road.
@@ -35,13 +35,13 @@ class Evidence:
 
     Attributes:
         road: how the texture of the road ahead shifts.
-        told: (n,) steps in which the vehicle moves.
+        moves: (n,) steps in which the vehicle moves.
         below, above: where the followed points lie; None where too few could be placed.
         aside: angle between the direction of travel and where the mounting says that ahead is, radians.
     """
 
     road: RoadSpeed
-    moves: Array
+    moves: NDArray[np.bool_]
     below: Plane | None
     above: Plane | None
     aside: float

@@ -18,6 +18,17 @@ USUAL_SLIP = np.radians(0.25)
 TURN_SHARE = 0.4
 
 
+# Slower than this no road seems to move, m/s: half of the grid's spacing over the longest pair of pictures.
+UNSEEN_SPEED = 0.03
+
+
+def roll_on(times: Array, forward: Array) -> Array:
+    """Covariance (n, 6, 6) of a vehicle that rolls along `forward` (3,) unseen, at times (n,) in seconds."""
+    covariance = np.zeros((len(times), 6, 6))
+    covariance[:, :3, :3] = (UNSEEN_SPEED * (times - times[0]))[:, None, None] ** 2 * np.outer(forward, forward)
+    return covariance
+
+
 def turning_drift(slip: float, moved: NDArray[np.bool_], up: Array) -> Array:
     """Covariance (3 n, 3 n) of rotations that all err alike from step to step, for steps that slip by `slip` radians.
 
@@ -27,7 +38,7 @@ def turning_drift(slip: float, moved: NDArray[np.bool_], up: Array) -> Array:
         up: (3,) axis about which vehicles turn.
     """
     turned = TURN_SHARE * max(0.0, slip - USUAL_SLIP) * np.concatenate([[0.0], np.cumsum(moved)])
-    each = np.kron(turned, up)
+    each = (turned[:, None] * up).ravel()
     return np.outer(each, each)
 
 

@@ -108,7 +108,7 @@ class RoadGrid:
         self.across = np.arange(-half, half + 1e-9, SPACING_ACROSS)
         self._cell = round(CELL_METRES[0] / SPACING_ALONG), round(CELL_METRES[1] / SPACING_ACROSS)
         rows = len(self.along) - self._cell[0]
-        self.shifts: Array = SPACING_ALONG * np.arange(-rows, rows + 1)
+        self.shifts: Array = np.arange(-rows, rows + 1, dtype=np.float64) * SPACING_ALONG
         """Distances driven (shifts,) that are tried, metres; negative ones are driven backward."""
 
     def rectify(self, gray: Gray, axes: RoadFrame) -> RoadPicture:

@@ -38,7 +38,8 @@ CLEARLY_BETTER = 0.2
 FARTHEST_ACROSS_LANE = 2.0
 
 # Standard deviations: of the logarithm of scale of a cell, and of a rough measurement of one step; of tilt and roll in
-# radians and of the bend in 1/m, which last for `TILT_SECONDS`; of the change of scale over a second, and of the scale at the start.
+# radians and of the bend in 1/m, which last for `TILT_SECONDS`; of the change of scale over a second, and of the scale
+# at the start.
 STATES = 4
 CELL_SIGMA = 0.025
 ROUGH_SIGMA = 0.05

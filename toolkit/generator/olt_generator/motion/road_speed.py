@@ -20,6 +20,9 @@ BEST_CORRELATION = 0.99
 # to the vehicle keeps its distance for a while only, and hardly ever from a vehicle that reverses.
 ROAD_SHARE, STAYING_SHARE, STAYING_BACKWARD_SHARE = 0.5, 0.25, 0.02
 STAYING_SECONDS = 0.4
+# A cell clearly agrees with a shift that is so many times as probable as any, and with those nearly so probable. Where
+# it does not, something stands there, and what is seen beyond counts by this share.
+CLEAR_PEAK, NEAR_PEAK, LEAST_OPEN = 10.0, 4.0, 0.05
 # In the vehicle's own lane something may drive ahead; beside it anything may drive in any direction.
 BESIDE_WEIGHT = 0.5
 
@@ -47,8 +50,8 @@ def count_votes(matches: CellMatches, seconds: float) -> Array:
     """Log odds (shifts,) of every shift of the road against a road that shows nothing.
 
     A column of cells shows road from near until something stands on it, and what stands there seems to shift the more
-    the farther its cells are. So a column counts up to where it agrees best, from near to far. `seconds` lie between
-    the two pictures.
+    the farther its cells are, or keeps its distance. So a column counts up to where it agrees best, from near to far,
+    and hardly beyond a cell that clearly agrees with another shift. `seconds` lie between the two pictures.
     """
     correlation = np.clip(matches.correlation, 0.0, BEST_CORRELATION)
     tried = np.isfinite(correlation)
@@ -63,6 +66,9 @@ def count_votes(matches: CellMatches, seconds: float) -> Array:
     share *= np.exp(-seconds / STAYING_SECONDS)
     otherwise = share * stays + (1.0 - ROAD_SHARE - share)
     odds = np.log((ROAD_SHARE * agrees + otherwise) / (ROAD_SHARE + otherwise[..., -1:]))
+    best = agrees.max(axis=-1, keepdims=True)
+    open_to = np.where(best > CLEAR_PEAK, np.clip(NEAR_PEAK * agrees / best, LEAST_OPEN, 1.0), 1.0)
+    odds[:, 1:] *= np.cumprod(open_to[:, :-1], axis=1)
     weight = np.where(np.abs(matches.across) < OWN_LANE, 1.0, BESIDE_WEIGHT)
     return weight @ np.maximum(np.cumsum(odds, axis=1).max(axis=1), 0.0)
 
@@ -73,10 +79,10 @@ class RoadSpeed:
 
     Attributes:
         speed: (n,) m/s, negative backward.
-        sigma: (n,) its standard deviation; that of a step that the road does not tell is what its neighbours leave open.
+        sigma: (n,) its standard deviation; of a step that the road does not tell, what its neighbours leave open.
         log_odds: (n,) votes of the road for the speed, as a logarithm, against a road that shows nothing.
         path_log_odds: those of the whole course.
-        direction_log_odds: how much more probable a course is that never goes backward than one that never goes forward.
+        direction_log_odds: how much more probable is a course that never goes backward than one never forward.
         rival_log_odds: those of the most probable course that is nowhere near this one.
     """
 

@@ -1,8 +1,8 @@
 """The step of a vehicle that rolls: its wheels do not slip sideways, so its turn tells in which direction it moved.
 
-Where most of what is seen moves by itself, or is too far or too blurred to tell the direction of a step, the motion that
-agrees with most points may be one that no vehicle can make. Held to what a vehicle can do, the points that stand still
-win.
+Where most of what is seen moves by itself, or is too far or too blurred to tell the direction of a step, the motion
+that agrees with most points may be one that no vehicle can make. Held to what a vehicle can do, the points that stand
+still win.
 """
 
 from collections.abc import Callable
@@ -24,8 +24,8 @@ DIFFERENCE = 1e-6
 def rolling_direction(R_b_a: Array, driven: float, T_rig_camera: Array) -> Array:
     """Unit displacement (3,) of the camera in its first axes when the vehicle turns by R_b_a and its axle rolls so far.
 
-    Over an arc with the turn w about rig z the rear axle moves along the chord, half the turn aside; the camera, mounted
-    at q, moves by (R - I) q more.
+    Over an arc with the turn w about rig z the rear axle moves along the chord, half the turn aside; the camera,
+    mounted at q, moves by (R - I) q more.
     """
     R_rig_camera = T_rig_camera[:3, :3]
     turn = R_rig_camera @ R_b_a.T @ R_rig_camera.T
@@ -35,7 +35,7 @@ def rolling_direction(R_b_a: Array, driven: float, T_rig_camera: Array) -> Array
 
 
 def slip_angle(step: Step, driven: float, T_rig_camera: Array) -> float:
-    """Angle in radians between the direction of a step, which holds up to its sign, and that of a vehicle which rolls."""
+    """Angle in radians from the direction of a step, which holds up to its sign, to that of a vehicle which rolls."""
     direction = rolling_direction(step.motion.R_b_a, driven, T_rig_camera)
     return float(np.arccos(min(abs(step.motion.direction_a @ direction), 1.0)))
 
@@ -44,7 +44,7 @@ def straighten(step: Step, driven: float, T_rig_camera: Array) -> Step:
     """The step with the direction that it would have had if the vehicle, which drove so far, had not turned."""
     forward = np.sign(driven) * T_rig_camera[0, :3]
     turned = rolling_direction(step.motion.R_b_a, driven, T_rig_camera)
-    back, _ = Rotation.align_vectors(forward[None], turned[None])
+    back = Rotation.align_vectors(forward[None], turned[None])[0]
     return replace(step, motion=replace(step.motion, direction_a=back.apply(step.motion.direction_a)))
 
 

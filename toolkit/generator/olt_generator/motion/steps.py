@@ -84,18 +84,13 @@ def _turn_at_rest(flow: Array, rays_key: Array, rays_current: Array, up: Array, 
     near = below if below.any() else slice(None)
     if np.percentile(flow[near], STANDSTILL_PERCENTILE) < STANDSTILL_PIXELS:
         return np.eye(3)
-    R = turn_between(rays_key, rays_current)
-    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)[near]
-    return R if np.percentile(missed, STANDSTILL_PERCENTILE) < TURNING_PIXELS * radians_per_pixel(camera) else None
-
-
-def turn_between(rays_key: Array, rays_current: Array) -> Array:
-    """The rotation R_current_key (3, 3) that most of the rays (n, 3) share."""
     R = Rotation.align_vectors(rays_current, rays_key)[0].as_matrix()
     missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)
     # What moves by itself tilts the first fit; the second one is made without it.
     agrees = missed <= 2.0 * np.median(missed)
-    return Rotation.align_vectors(rays_current[agrees], rays_key[agrees])[0].as_matrix()
+    R = Rotation.align_vectors(rays_current[agrees], rays_key[agrees])[0].as_matrix()
+    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)[near]
+    return R if np.percentile(missed, STANDSTILL_PERCENTILE) < TURNING_PIXELS * radians_per_pixel(camera) else None
 
 
 def radians_per_pixel(camera: Camera) -> float:

@@ -27,8 +27,8 @@ class TwoViewMotion:
 
     Attributes:
         R_b_a: (3, 3) rotation that maps directions in a to directions in b.
-        direction_a: (3,) unit displacement of the camera in the axes of a, or its opposite: rays alone do not tell where
-            what they show moves by itself; `parallax_forward` looks at each.
+        direction_a: (3,) unit displacement of the camera in the axes of a, or its opposite: rays alone do not tell
+            where what they show moves by itself; `parallax_forward` looks at each.
         inliers: (n,) which rays agree with the motion.
     """
 
