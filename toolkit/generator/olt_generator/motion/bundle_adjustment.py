@@ -172,7 +172,13 @@ def _normal_equations(
     reduced = J.T @ J + P.T @ P - (mixed / information) @ mixed.T
     distance_gradient = N.T @ residual.ravel()
     gradient = J.T @ residual.ravel() + P.T @ prior_residual - mixed @ (distance_gradient / information)
-    return csr_array(reduced), np.asarray(gradient), mixed, np.asarray(distance_gradient), information
+    return (
+        csr_array(reduced),
+        np.asarray(gradient),
+        mixed,
+        np.asarray(distance_gradient),
+        np.asarray(information, np.float64),
+    )
 
 
 def _linearise(

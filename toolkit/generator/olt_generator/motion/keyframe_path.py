@@ -18,7 +18,7 @@ from olt_generator.motion.bundle_adjustment import AdjustedPoses, FeatureTracks,
 from olt_generator.motion.evidence import DOUBTFUL_LOG_SCALE, Evidence, find_doubts
 from olt_generator.motion.features import Gray
 from olt_generator.motion.mounting import align_mounting
-from olt_generator.motion.path_covariance import CORRELATED_TRACKS, add_up_drift, roll_on, turning_drift
+from olt_generator.motion.path_covariance import CORRELATED_TRACKS, UNSEEN_SPEED, add_up_drift, roll_on, turning_drift
 from olt_generator.motion.road_following import ahead, follow_road, usual_direction
 from olt_generator.motion.road_grid import RoadGrid, road_frame
 from olt_generator.motion.road_plane import PlaneScale, measure_scale
@@ -120,18 +120,19 @@ def recover_path(clip: KeyframeSteps, rounds: int) -> KeyframePath:
     T_key_next = invert(adjusted.poses[:-1]) @ adjusted.poses[1:]
     T_key_next[:, :3, 3] *= scale.factor[:, None]
     T_start_key = _chain(T_key_next)
-    log_scale = scale.covariance + (DOUBTFUL_LOG_SCALE**2 if doubts else 0.0)
     turning = CORRELATED_TRACKS**2 * adjusted.rotation_covariance + turning_drift(slip, moves, mounting[2, :3])
-    rolling = roll_on(clip.times, mounting[0, :3])
     share = driven / driven.sum()
-    # The end of the clip may be off by what a vehicle can roll unseen, as a share of the way there.
-    unseen = rolling[-1, :3, :3].trace() / driven.sum() ** 2
+    # What all steps have in common is the scale's; what is left of each bends the path.
+    apart = np.eye(len(share)) - share
+    stretched = apart @ scale.covariance @ apart.T
+    unseen = UNSEEN_SPEED * seconds.sum() / driven.sum()
+    doubtful = DOUBTFUL_LOG_SCALE if doubts else 0.0
     return KeyframePath(
         T_start_key,
-        add_up_drift(T_start_key[:, :3, 3], turning, log_scale) + rolling,
+        add_up_drift(T_start_key[:, :3, 3], turning, stretched),
         mounting,
         moves,
-        float(np.sqrt(share @ log_scale @ share + unseen)),
+        float(np.sqrt(share @ scale.covariance @ share + unseen**2 + doubtful**2)),
         doubts,
     )
 
