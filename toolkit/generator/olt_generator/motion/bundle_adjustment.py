@@ -60,7 +60,25 @@ class StepPriors:
     across_sigma: Array
 
 
-def adjust_poses(poses: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors, rounds: int) -> Array:
+@dataclass(frozen=True)
+class AdjustedPoses:
+    """What agrees best with the tracks.
+
+    Attributes:
+        poses: (n, 4, 4) T_world_camera.
+        inverse_distance: (points,) from the camera that each point is anchored in, 1/m.
+        rotation_covariance: (3 n, 3 n) of the errors of all rotations together, rotation vectors in world axes, for
+            tracks whose errors were independent.
+    """
+
+    poses: Array
+    inverse_distance: Array
+    rotation_covariance: Array
+
+
+def adjust_poses(
+    poses: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors, rounds: int
+) -> AdjustedPoses:
     """Refine keyframe poses.
 
     Args:
@@ -84,7 +102,28 @@ def adjust_poses(poses: Array, tracks: FeatureTracks, ray_sigma: float, priors: 
         inverse_distance = np.clip(inverse_distance + change, *INVERSE_DISTANCE_RANGE)
         if np.abs(step).max() < CONVERGED:
             break
-    return poses
+    return AdjustedPoses(
+        poses, inverse_distance, _rotation_covariance(poses, inverse_distance, tracks, ray_sigma, priors)
+    )
+
+
+def track_residuals(adjusted: AdjustedPoses, tracks: FeatureTracks, ray_sigma: float) -> Array:
+    """How far each observation is from where the motion puts it, (m, 2) in sigmas."""
+    return _linearise(adjusted.poses, adjusted.inverse_distance, tracks, ray_sigma)[0]
+
+
+def _rotation_covariance(
+    poses: Array, inverse_distance: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors
+) -> Array:
+    reduced = _normal_equations(poses, inverse_distance, tracks, ray_sigma, priors)[0]
+    turns = (6 * np.arange(1, len(poses))[:, None] + np.arange(3)).ravel() - 6
+    each = np.zeros((6 * len(poses) - 6, len(turns)))
+    each[turns, np.arange(len(turns))] = 1.0
+    covariance = np.zeros((len(poses), 3, len(poses), 3))
+    found = splu(csc_array(reduced)[6:, 6:]).solve(each)[turns]
+    covariance[1:, :, 1:] = found.reshape(len(poses) - 1, 3, len(poses) - 1, 3)
+    R = poses[:, :3, :3]
+    return np.einsum("aij,ajbk,blk->aibl", R, covariance, R).reshape(3 * len(poses), 3 * len(poses))
 
 
 def _seen_from(poses: Array, tracks: FeatureTracks) -> tuple[Array, Array]:
@@ -100,6 +139,22 @@ def _gauss_newton_step(
     poses: Array, inverse_distance: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors
 ) -> tuple[Array, Array]:
     """Changes (n, 6) of the poses, rotation in camera and position in world axes, and (points,) of inverse distance."""
+    reduced, gradient, mixed, distance_gradient, information = _normal_equations(
+        poses, inverse_distance, tracks, ray_sigma, priors
+    )
+    # The first pose is the frame in which the others are told.
+    step = np.zeros(6 * len(poses))
+    step[6:] = -splu(csc_array(reduced)[6:, 6:]).solve(gradient[6:])
+    return step.reshape(-1, 6), -(distance_gradient + mixed.T @ step) / information
+
+
+def _normal_equations(
+    poses: Array, inverse_distance: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors
+) -> tuple[csr_array, Array, csr_array, Array, Array]:
+    """Those of the poses once the distances are eliminated, (6 n, 6 n) and (6 n,), and what the distances follow from.
+
+    That is how poses and distances mix (6 n, points), the gradient (points,), and the information (points,).
+    """
     residual, by_frame, by_anchor, by_distance = _linearise(poses, inverse_distance, tracks, ray_sigma)
     # Geman-McClure: what moves by itself, and what was lost by its track, has no say.
     weight = 1.0 / (1.0 + (residual**2).sum(axis=1))
@@ -117,10 +172,13 @@ def _gauss_newton_step(
     reduced = J.T @ J + P.T @ P - (mixed / information) @ mixed.T
     distance_gradient = N.T @ residual.ravel()
     gradient = J.T @ residual.ravel() + P.T @ prior_residual - mixed @ (distance_gradient / information)
-    # The first pose is the frame in which the others are told.
-    step = np.zeros(6 * len(poses))
-    step[6:] = -splu(csc_array(reduced)[6:, 6:]).solve(gradient[6:])
-    return step.reshape(-1, 6), -(distance_gradient + mixed.T @ step) / information
+    return (
+        csr_array(reduced),
+        np.asarray(gradient),
+        mixed,
+        np.asarray(distance_gradient),
+        np.asarray(information, np.float64),
+    )
 
 
 def _linearise(

@@ -1,55 +1,36 @@
 """Monocular visual odometry without learned weights.
 
-Corners are tracked over keyframes a tenth of a second apart. Epipolar geometry gives the rotation and direction of
-each step, and the road below a camera of known height its rough speed. From there all keyframes are adjusted together
-to all tracks, which makes the shape of the path exact but lets its scale drift; the road gives the scale back.
+Corners are tracked over keyframes a tenth of a second apart. Epipolar geometry gives the rotation of each step and the
+line along which the camera moved; whether forward or backward, and how fast, is told by the road below a camera of
+known height, because most corners may belong to vehicles that move by themselves. From there all keyframes are adjusted
+together to all tracks, which makes the shape of the path exact but lets its scale drift; the road gives the scale back.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import PchipInterpolator
-from scipy.spatial.transform import Rotation
+from scipy.spatial.transform import Rotation, Slerp
 
 from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
-from olt_generator.motion.bundle_adjustment import FeatureTracks, StepPriors, adjust_poses
-from olt_generator.motion.features import Gray, TrackedPair, track_from_keyframes
+from olt_generator.motion.features import track_from_keyframes
+from olt_generator.motion.keyframe_path import KeyframeSteps, recover_path
 from olt_generator.motion.pose_sources import PoseEstimate
-from olt_generator.motion.road_plane import measure_scale
-from olt_generator.motion.road_scale import RoadStrip, estimate_speed, road_frame
 from olt_generator.motion.smoother import ODOMETRY_SETTINGS
-from olt_generator.motion.static_mask import BELOW_HORIZON, find_static_mask
-from olt_generator.motion.two_view import TwoViewMotion, estimate_motion
-from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
+from olt_generator.motion.static_mask import choose_moving, find_static_mask
+from olt_generator.motion.steps import Step, estimate_step
+from olt_generator.poses import Array, invert, make_pose
 from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
 
 KEYFRAME_SECONDS = 0.1
 MAX_STEP_SECONDS = 0.5
-MIN_POINTS = 20
 MIN_CAMERA_HEIGHT = 0.3
-MAX_RAY_ANGLE = np.radians(75.0)
-TRACK_SIGMA_PIXELS = 0.5
-# Keyframes after its first in which a point must be seen.
-LEAST_OBSERVATIONS = 2
-# A median motion below this many pixels between keyframes is standstill.
-STANDSTILL_PIXELS = 0.15
-# The same once a rotation is taken out; following is less sharp while the picture moves.
-TURNING_PIXELS = 0.3
-# Lengths of the strips of road, in camera heights, that give the speed of single steps and the scale of the whole.
-SPEED_STRIP_HEIGHTS = 5.5
-SCALE_STRIP_HEIGHTS = 9.0
-# How far a step found on its own may be from the truth: radians of rotation, share of the distance driven along the
-# step, radians of its direction; and what is left of radians and metres at standstill.
-PRIOR_ROTATION = np.radians(0.1)
-PRIOR_SPEED_SHARE = 0.2
-PRIOR_DIRECTION = np.radians(2.0)
-STANDING_ROTATION = 1e-5
-STANDING_METRES = 0.002
+# A camera shakes by less than this between keyframes, radians.
+MOST_SHAKING = np.radians(0.5)
 
 
 @dataclass(frozen=True)
@@ -107,31 +88,28 @@ def estimate_odometry(
     settings = settings or OdometrySettings()
     grays = [cv2.cvtColor(frame, cv2.COLOR_RGB2GRAY) for frame in frames]
     keyframes = choose_keyframes(timestamps_us)
-    hidden = find_static_mask(grays, keyframes, camera, T_rig_camera)
+    hidden = find_static_mask([grays[key] for key in choose_moving(grays, keyframes)], camera, T_rig_camera)
     steps = []
     for pair in track_from_keyframes(grays, keyframes, hidden, settings.corners_per_cell, settings.window):
-        steps.append(_estimate_step(pair, camera, T_rig_camera[2, :3]))
+        steps.append(estimate_step(pair, camera, T_rig_camera[2, :3]))
         on_progress(0.8 * pair.current / (len(grays) - 1))
     key_steps = [step for step in steps if step.current in set(keyframes)]
     times = (timestamps_us - timestamps_us[0]) * 1e-6
-    clip = _Clip(grays, times, keyframes, key_steps, camera, T_rig_camera, hidden)
-    T_start_key, mounting, scale_sigma = _recover_keyframes(clip, settings)
+    clip = KeyframeSteps([grays[key] for key in keyframes], times[keyframes], key_steps, camera, T_rig_camera)
+    path = recover_path(clip, settings.rounds)
+    mounting = path.mounting
     on_progress(1.0)
-    # Positions between the keyframes' run smoothly, rotations are measured.
-    T_start_camera = np.tile(np.eye(4), (len(timestamps_us), 1, 1))
-    rotation_of = dict(zip(keyframes, T_start_key[:, :3, :3], strict=True))
-    for step in steps:
-        measured = rotation_of[step.key] @ step.motion.R_b_a.T
-        T_start_camera[step.current, :3, :3] = rotation_of.get(step.current, measured)
-    T_start_camera[:, :3, 3] = PchipInterpolator(times[keyframes], T_start_key[:, :3, 3])(times)
-    stood = {step.key: not step.moves for step in key_steps}
+    T_start_camera = _fill_between(path.T_start_key, keyframes, times, steps)
+    stood = dict(zip(keyframes, ~path.moves, strict=False))
     return Odometry(
         Trajectory(timestamps_us, mounting @ T_start_camera @ invert(mounting)),
         mounting,
-        scale_sigma,
+        path.scale_sigma,
         ODOMETRY_SETTINGS,
         np.array([np.count_nonzero(step.motion.inliers) for step in steps]),
         np.array([stood[step.key] for step in steps]),
+        covariance=_in_rig_axes(path.covariance, mounting, times[keyframes], times),
+        doubts=path.doubts,
     )
 
 
@@ -162,180 +140,24 @@ def _check_input(timestamps_us: NDArray[np.int64], T_rig_camera: Array) -> None:
         )
 
 
-@dataclass(frozen=True)
-class _Step:
-    """Motion from the last keyframe to a frame; `moves` tells whether the vehicle gets anywhere, direction 0 if not."""
+def _fill_between(T_start_key: Array, keyframes: list[int], times: Array, steps: list[Step]) -> Array:
+    """Poses (n, 4, 4) of all frames: between the keyframes positions run smoothly, and rotations are measured.
 
-    key: int
-    current: int
-    moves: bool
-    motion: TwoViewMotion
-    points: NDArray[np.int64]
-    rays_key: Array
-    rays_current: Array
-
-
-def _estimate_step(pair: TrackedPair, camera: Camera, up: Array) -> _Step:
-    rays_key = camera.rays(pair.key_pixels.astype(np.float64))
-    rays_current = camera.rays(pair.current_pixels.astype(np.float64))
-    used = np.minimum(rays_key[:, 2], rays_current[:, 2]) > np.cos(MAX_RAY_ANGLE)
-    key, current, points = rays_key[used], rays_current[used], pair.points[used]
-    if len(points) < MIN_POINTS:
-        raise _too_few(pair, len(points))
-    flow = np.linalg.norm(pair.current_pixels.astype(np.float64) - pair.key_pixels, axis=1)
-    turn = _turn_at_rest(flow[used], key, current, up, camera)
-    if turn is not None:
-        rest = TwoViewMotion(turn, np.zeros(3), used)
-        return _Step(pair.key, pair.current, False, rest, points, key, current)
-    motion = estimate_motion(key, current, TRACK_SIGMA_PIXELS * _radians_per_pixel(camera))
-    if motion is None or np.count_nonzero(motion.inliers) < MIN_POINTS:
-        raise _too_few(pair, 0 if motion is None else np.count_nonzero(motion.inliers))
-    agrees = motion.inliers
-    return _Step(pair.key, pair.current, True, motion, points[agrees], key[agrees], current[agrees])
-
-
-def _too_few(pair: TrackedPair, count: np.integer | int) -> InputError:
-    return InputError(
-        f"odometry: frame {pair.current} shares only {count} usable points with frame {pair.key}, {MIN_POINTS} are "
-        "needed; cut away dark, blurred or blank frames"
-    )
-
-
-def _turn_at_rest(flow: Array, rays_key: Array, rays_current: Array, up: Array, camera: Camera) -> Array | None:
-    """The rotation R_current_key (3, 3) if the vehicle gets nowhere: none or a turn on the spot; otherwise None.
-
-    What is near decides; clouds and the skyline stay in place even while the vehicle drives.
+    What is far from a steady turn between two keyframes was measured on something that moves by itself.
     """
-    below = rays_key @ up < -np.sin(BELOW_HORIZON)
-    near = below if below.any() else slice(None)
-    if np.median(flow[near]) < STANDSTILL_PIXELS:
-        return np.eye(3)
-    R = Rotation.align_vectors(rays_current, rays_key)[0].as_matrix()
-    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)
-    # What moves by itself tilts the first fit; the second one is made without it.
-    agrees = missed <= 2.0 * np.median(missed)
-    R = Rotation.align_vectors(rays_current[agrees], rays_key[agrees])[0].as_matrix()
-    missed = np.linalg.norm(rays_current - rays_key @ R.T, axis=1)[near]
-    return R if np.median(missed) < TURNING_PIXELS * _radians_per_pixel(camera) else None
+    rotations = Slerp(times[keyframes], Rotation.from_matrix(T_start_key[:, :3, :3]))(times).as_matrix()
+    number = {key: index for index, key in enumerate(keyframes)}
+    for step in steps:
+        measured = T_start_key[number[step.key], :3, :3] @ step.motion.R_b_a.T
+        away = Rotation.from_matrix(measured.T @ rotations[step.current]).magnitude()
+        if step.current not in number and away < MOST_SHAKING:
+            rotations[step.current] = measured
+    return make_pose(rotations, PchipInterpolator(times[keyframes], T_start_key[:, :3, 3])(times))
 
 
-def _radians_per_pixel(camera: Camera) -> float:
-    u, v = 0.5 * (camera.width - 1), 0.5 * (camera.height - 1)
-    left, right = camera.rays(np.array([[u - 1.0, v], [u + 1.0, v]]))
-    return 0.5 * float(np.arccos(left @ right))
-
-
-@dataclass(frozen=True)
-class _Clip:
-    """What is known of a clip, times in seconds, once every step between keyframes has been found on its own."""
-
-    grays: Sequence[Gray]
-    times: Array
-    keyframes: list[int]
-    key_steps: list[_Step]
-    camera: Camera
-    T_rig_camera: Array
-    hidden: NDArray[np.bool_]
-
-
-def _recover_keyframes(clip: _Clip, settings: OdometrySettings) -> tuple[Array, Array, float | None]:
-    """Keyframe poses (k, 4, 4) in the axes of the first one, the mounting, and the scale's relative deviation."""
-    moves = np.array([step.moves for step in clip.key_steps])
-    if not moves.any():
-        turns = make_pose([step.motion.R_b_a.T for step in clip.key_steps], np.zeros(3))
-        return _chain(turns), clip.T_rig_camera, None
-    times = clip.times[clip.keyframes]
-    driven = _measure_speed(clip, moves) * np.diff(times)
-    T_key_next = _adjust(clip, driven, settings.rounds)
-    mounting = _align_mounting(T_key_next, driven / np.diff(times), clip.T_rig_camera)
-    strip = _lay_strip(clip, mounting[0, :3], mounting, SCALE_STRIP_HEIGHTS)
-    grays = [clip.grays[index] for index in clip.keyframes]
-    scale = measure_scale(grays, times, _chain(T_key_next), driven, strip, mounting[2, :3])
-    T_key_next[:, :3, 3] *= scale.factor[:, None]
-    return _chain(T_key_next), mounting, scale.sigma
-
-
-def _measure_speed(clip: _Clip, moves: NDArray[np.bool_]) -> Array:
-    """Rough speed (k,) over the steps between keyframes, m/s."""
-    steps = clip.key_steps
-    directions = np.array([step.motion.direction_a for step in steps])
-    forward = directions[:, 2] >= 0.0
-    travel = np.median(np.where(forward[:, None], directions, -directions)[moves], axis=0)
-    travel /= np.linalg.norm(travel)
-    up = clip.T_rig_camera[2, :3]
-    strip = _lay_strip(clip, travel, clip.T_rig_camera, SPEED_STRIP_HEIGHTS)
-    scores = np.full((len(steps), strip.shifts), -1.0)
-    for index in np.flatnonzero(moves).tolist():
-        step = steps[index]
-        R, direction, frames = step.motion.R_b_a, step.motion.direction_a, (step.key, step.current)
-        if not forward[index]:
-            # The strip is matched in the order in which the camera drives ahead.
-            R, direction, frames = R.T, -R @ direction, frames[::-1]
-        first, second = (clip.grays[frame] for frame in frames)
-        scores[index] = strip.match(first, second, road_frame(travel, up, direction), R)
-    return estimate_speed(scores, np.diff(clip.times[clip.keyframes]), moves)
-
-
-def _lay_strip(clip: _Clip, forward: Array, T_rig_camera: Array, length_heights: float) -> RoadStrip:
-    axes = road_frame(forward, T_rig_camera[2, :3], forward)
-    return RoadStrip(clip.camera, float(T_rig_camera[2, 3]), axes, clip.hidden, length_heights)
-
-
-def _adjust(clip: _Clip, driven: Array, rounds: int) -> Array:
-    """Motion (k, 4, 4) from keyframe to keyframe that agrees best with all tracks."""
-    steps = clip.key_steps
-    expected = make_pose(
-        [step.motion.R_b_a.T for step in steps], driven[:, None] * [step.motion.direction_a for step in steps]
-    )
-    moves = np.array([step.moves for step in steps])
-    priors = StepPriors(
-        expected,
-        np.where(moves, PRIOR_ROTATION, STANDING_ROTATION),
-        np.where(moves, PRIOR_SPEED_SHARE * driven, 0.0) + STANDING_METRES,
-        np.where(moves, PRIOR_DIRECTION * driven, 0.0) + STANDING_METRES,
-    )
-    ray_sigma = TRACK_SIGMA_PIXELS * _radians_per_pixel(clip.camera)
-    T_start_key = adjust_poses(_chain(expected), _collect_tracks(clip), ray_sigma, priors, rounds)
-    return np.where(moves[:, None, None], invert(T_start_key[:-1]) @ T_start_key[1:], expected)
-
-
-def _collect_tracks(clip: _Clip) -> FeatureTracks:
-    """What the keyframes have seen of the points that agree with the motion of their steps."""
-    steps = clip.key_steps
-    number = {frame: index for index, frame in enumerate(clip.keyframes)}
-    start = np.repeat([number[step.key] for step in steps], [len(step.points) for step in steps])
-    rays_key = np.concatenate([step.rays_key for step in steps])
-    rays_current = np.concatenate([step.rays_current for step in steps])
-    # Steps come in the order of time, so the first time that a point is seen is its anchor.
-    seen = np.concatenate([step.points for step in steps])
-    _, first, point, count = np.unique(seen, return_index=True, return_inverse=True, return_counts=True)
-    # A point seen twice agrees with any motion along its epipolar line, and so adds little but work.
-    lasting = count >= LEAST_OBSERVATIONS
-    kept = lasting[point]
-    number_of = np.cumsum(lasting) - 1
-    first = first[lasting]
-    return FeatureTracks(start[first], rays_key[first], number_of[point[kept]], start[kept] + 1, rays_current[kept])
-
-
-def _align_mounting(T_key_next: Array, speed: Array, T_rig_camera: Array) -> Array:
-    """Mounting with the pitch and yaw for which the rig origin moves along rig x.
-
-    The rear axle does not slip sideways, so the rig origin, which lies at q in the camera, moves straight ahead by
-    d + (R - I) q where the camera moves by d and turns by R. Only the faster half of the speeds is asked.
-    """
-    fast = (speed > 0.0) & (speed >= 0.5 * speed.max())
-    if not fast.any():
-        return T_rig_camera
-    origin = invert(T_rig_camera)[:3, 3]
-    moved = T_key_next[fast, :3, 3] + (T_key_next[fast, :3, :3] - np.eye(3)) @ origin
-    moved *= np.sign(moved[:, 2:]) / np.linalg.norm(moved, axis=1, keepdims=True)
-    roll = Rotation.from_matrix(T_rig_camera[:3, :3] @ R_FORWARD_CAMERA.T).as_euler("ZYX")[2]
-    return aim_camera(T_rig_camera[:3, 3], float(roll), np.median(moved, axis=0))
-
-
-def _chain(T_key_next: Array) -> Array:
-    """Poses (n, 4, 4) in the axes of the first one, of the motions (n - 1, 4, 4) between them."""
-    poses = [np.eye(4)]
-    for motion in T_key_next:
-        poses.append(poses[-1] @ motion)
-    return np.stack(poses)
+def _in_rig_axes(covariance: Array, mounting: Array, key_times: Array, times: Array) -> Array:
+    """Covariance (n, 6, 6) at all times of poses that are known at some, turned from camera axes to rig axes."""
+    index = np.clip(np.searchsorted(key_times, times) - 1, 0, len(key_times) - 2)
+    share = ((times - key_times[index]) / (key_times[index + 1] - key_times[index]))[:, None, None]
+    turn = np.kron(np.eye(2), mounting[:3, :3])
+    return turn @ ((1.0 - share) * covariance[index] + share * covariance[index + 1]) @ turn.T

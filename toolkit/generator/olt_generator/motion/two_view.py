@@ -17,6 +17,8 @@ MAX_GUESS_ANGLE = np.radians(60.0)
 GUESS_CONFIDENCE = 0.999
 MAX_REFINEMENTS = 10
 CONVERGED_RADIANS = 1e-5
+# A ray agrees with a motion within so many times its noise.
+INLIER_SIGMAS = 4.0
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,8 @@ class TwoViewMotion:
 
     Attributes:
         R_b_a: (3, 3) rotation that maps directions in a to directions in b.
-        direction_a: (3,) unit displacement of the camera, in the axes of a.
+        direction_a: (3,) unit displacement of the camera in the axes of a, or its opposite: rays alone do not tell
+            where what they show moves by itself; `parallax_forward` looks at each.
         inliers: (n,) which rays agree with the motion.
     """
 
@@ -52,12 +55,19 @@ def estimate_motion(rays_a: Array, rays_b: Array, sigma: float) -> TwoViewMotion
         return None
     linearise = partial(_linearise, rays_a, rays_b)
     R, t = refine_motion(*guess, linearise, sigma, MAX_REFINEMENTS, CONVERGED_RADIANS)
-    inliers = np.abs(epipolar_sines(rays_a, rays_b, R, t)) < 4.0 * sigma
-    # From depth_b b = depth_a R a + t follows depth_a = -(b x R a) . (b x t) / |b x R a|^2. The numerators are added:
-    # near points decide, and what is too far to move has no say.
-    parallax = np.cross(rays_b[inliers], rays_a[inliers] @ R.T)
-    behind = np.sum(parallax * np.cross(rays_b[inliers], t)) > 0.0
-    return TwoViewMotion(R, R.T @ t if behind else -R.T @ t, inliers)
+    inliers = np.abs(epipolar_sines(rays_a, rays_b, R, t)) < INLIER_SIGMAS * sigma
+    return TwoViewMotion(R, -R.T @ t, inliers)
+
+
+def parallax_forward(motion: TwoViewMotion, rays_a: Array, rays_b: Array) -> Array:
+    """Sine (n,) of the angle by which each ray turned as that of a standing point does; negative if none turns so.
+
+    From depth_b b = depth_a R a + t, with t = -R direction, follows depth_a = -(b x R a) . (b x t) / |b x R a|^2, whose
+    sign is told apart only where the rays turn.
+    """
+    R, t = motion.R_b_a, -motion.R_b_a @ motion.direction_a
+    turned, shift = np.cross(rays_b, rays_a @ R.T), np.cross(rays_b, t)
+    return -np.sum(turned * shift, axis=1) / np.maximum(np.linalg.norm(shift, axis=1), 1e-9)
 
 
 def refine_motion(

@@ -1,0 +1,169 @@
+"""The road ahead seen from above, and how far pieces of it shift between two frames.
+
+The picture of each frame is laid on the plane of the road, metric, with the rotation between the frames taken out; what
+lies on the road then differs by a shift along the direction of travel, which is the distance driven. The shift is found
+by normalised correlation of all pixels, not of corners: asphalt has few corners, and lines that run along the road, on
+which corners slide, say nothing about the shift and do no harm.
+
+The grid is wider than the lane and cut into cells, each with its own shift, because much of what is seen there may be
+no road at all: a vehicle ahead, lorries on both sides, the light of the headlamps.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.cameras import Camera
+from olt_generator.errors import InputError
+from olt_generator.motion.features import Gray
+from olt_generator.poses import Array
+
+# The grid, in camera heights ahead of the camera: nearer is bonnet, farther is a few pixels a metre.
+NEAREST_HEIGHTS = 3.5
+FARTHEST_HEIGHTS = 12.0
+LENGTH_HEIGHTS = 9.0
+SPACING_ALONG = 0.05
+SPACING_ACROSS = 0.1
+# Cells are so long, and so wide; their middles lie beside each other up to this far from the middle of the grid.
+CELL_METRES = (2.0, 1.0)
+FARTHEST_ACROSS = 4.5
+# Half the width of the vehicle's own lane, metres.
+OWN_LANE = 1.6
+# Brightness changes over more than this length are light and shade of the lens, not road.
+DETAIL_METRES = 1.0
+# A cell must be seen to this share, and differ from its surroundings by so many grey levels.
+LEAST_SEEN = 0.6
+LEAST_CONTRAST = 1.0
+
+
+@dataclass(frozen=True)
+class RoadFrame:
+    """Axes of the road in one camera, each (3,): along the drive, to the left, and up from the road."""
+
+    along: Array
+    left: Array
+    up: Array
+
+    def rotated(self, rotation: Array) -> "RoadFrame":
+        """The same axes in a camera turned by `rotation` (3, 3)."""
+        return RoadFrame(rotation @ self.along, rotation @ self.left, rotation @ self.up)
+
+
+def road_frame(travel: Array, up: Array, direction: Array) -> RoadFrame:
+    """Axes of the road in camera coordinates, from the `direction` (3,) of a step.
+
+    The road contains the usual direction of `travel` (3,); of the rough `up` (3,) only the roll about it matters.
+    """
+    normal = _unit(up - (up @ travel) * travel)
+    along = _unit(direction - (direction @ normal) * normal)
+    return RoadFrame(along, np.cross(normal, along), normal)
+
+
+@dataclass(frozen=True)
+class RoadPicture:
+    """Grey levels (along, across) of the road without their local mean, 0 where the road is not `seen`."""
+
+    detail: NDArray[np.float32]
+    seen: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class CellMatches:
+    """How well every cell of the second picture of a pair agrees with the first one, by the distance driven.
+
+    Attributes:
+        along: (rows,) distance of the middle of each cell ahead of the second camera, metres, from near to far.
+        across: (columns,) its distance to the left, metres.
+        correlation: (columns, rows, shifts) for the shifts of `RoadGrid.shifts`; NaN where the road was not seen, and
+            all over cells that show nothing.
+    """
+
+    along: Array
+    across: Array
+    correlation: Array
+
+
+class RoadGrid:
+    """The piece of road that one camera matches between frames."""
+
+    def __init__(self, camera: Camera, height: float, axes: RoadFrame, hidden: NDArray[np.bool_]) -> None:
+        """Lay the grid where the road becomes visible.
+
+        Height is that of the camera above the road in metres; hidden pixels (H, W) show no road, such as the bonnet.
+
+        Raises:
+            InputError: no road is in view.
+        """
+        self.camera, self.height, self.hidden = camera, height, hidden
+        ahead = np.arange(NEAREST_HEIGHTS * height, FARTHEST_HEIGHTS * height, SPACING_ALONG)
+        _, visible = self._locate(axes, ahead, np.linspace(-OWN_LANE, OWN_LANE, 9))
+        visible = visible.mean(axis=1) > 0.5
+        if not visible.any():
+            raise InputError("odometry: the camera sees no road ahead, so speed is unknown; check its pitch and height")
+        nearest = ahead[int(np.argmax(visible))]
+        self.along = nearest + np.arange(0.0, LENGTH_HEIGHTS * height, SPACING_ALONG)
+        half = FARTHEST_ACROSS + 0.5 * (CELL_METRES[1] - SPACING_ACROSS)
+        self.across = np.arange(-half, half + 1e-9, SPACING_ACROSS)
+        self._cell = round(CELL_METRES[0] / SPACING_ALONG), round(CELL_METRES[1] / SPACING_ACROSS)
+        rows = len(self.along) - self._cell[0]
+        self.shifts: Array = np.arange(-rows, rows + 1, dtype=np.float64) * SPACING_ALONG
+        """Distances driven (shifts,) that are tried, metres; negative ones are driven backward."""
+
+    def rectify(self, gray: Gray, axes: RoadFrame) -> RoadPicture:
+        """The road seen from above."""
+        pixels, seen = self._locate(axes, self.along, self.across)
+        table = pixels.astype(np.float32)
+        picture = cv2.remap(gray, table[..., 0], table[..., 1], cv2.INTER_LINEAR).astype(np.float32)
+        size = (round(DETAIL_METRES / SPACING_ACROSS), round(DETAIL_METRES / SPACING_ALONG))
+        share = np.maximum(cv2.blur(seen.astype(np.float32), size), 1e-6)
+        mean = cv2.blur(np.where(seen, picture, np.float32(0.0)), size) / share
+        return RoadPicture(np.where(seen, picture - mean, np.float32(0.0)), seen)
+
+    def match(self, first: RoadPicture, second: RoadPicture) -> CellMatches:
+        """Correlation of the cells of the second picture that show something, for every shift."""
+        length, width = self._cell
+        starts = range(0, len(self.along) - length + 1, length)
+        columns = range(0, len(self.across) - width + 1, width)
+        middle = len(self.shifts) // 2
+        found = np.full((len(columns), len(starts), len(self.shifts)), np.nan)
+        seen_before, seen_after = (
+            cv2.boxFilter(picture.seen.astype(np.float32), -1, (width, length), anchor=(0, 0)) >= LEAST_SEEN
+            for picture in (first, second)
+        )
+        for column, across in enumerate(columns):
+            strip = first.detail[:, across : across + width]
+            tried = seen_before[: len(self.along) - length + 1, across]
+            for row, start in enumerate(starts):
+                cell = second.detail[start : start + length, across : across + width]
+                if not seen_after[start, across] or cell.std() < LEAST_CONTRAST:
+                    continue
+                scores = cv2.matchTemplate(strip, cell, cv2.TM_CCOEFF_NORMED)[:, 0]
+                at = middle - start
+                found[column, row, at : at + len(scores)] = np.where(tried, scores, np.nan)
+        half = 0.5 * CELL_METRES[0], 0.5 * CELL_METRES[1]
+        return CellMatches(self.along[starts] + half[0], self.across[columns] + half[1], found)
+
+    def _locate(self, axes: RoadFrame, along: Array, across: Array) -> tuple[Array, NDArray[np.bool_]]:
+        points = along[:, None, None] * axes.along + across[:, None] * axes.left - self.height * axes.up
+        pixels, inside = self.camera.project(points)
+        column, row = np.moveaxis(np.where(inside[..., None], np.rint(pixels), 0.0).astype(np.intp), -1, 0)
+        return pixels, inside & ~self.hidden[row, column]
+
+
+def find_peak(scores: Array, low: int, high: int) -> float | None:
+    """Place of the highest of the scores (n,) between two indices, by a parabola; None where it is no peak."""
+    low, high = max(low, 1), min(high, len(scores) - 2)
+    if high < low:
+        return None
+    peak = low + int(np.argmax(scores[low : high + 1]))
+    left, middle, right = scores[peak - 1 : peak + 2]
+    curvature = left - 2.0 * middle + right
+    if not (left <= middle >= right and curvature < 0.0):
+        return None
+    return peak + 0.5 * float((left - right) / curvature)
+
+
+def _unit(vector: Array) -> Array:
+    return vector / np.linalg.norm(vector)
