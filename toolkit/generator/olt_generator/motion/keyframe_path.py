@@ -5,7 +5,7 @@ keyframes are adjusted together to the tracks that are left; the road gives the 
 these is held against the others.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +24,8 @@ from olt_generator.motion.road_grid import RoadGrid, road_frame
 from olt_generator.motion.road_plane import PlaneScale, measure_scale
 from olt_generator.motion.road_speed import RoadSpeed
 from olt_generator.motion.road_structure import find_planes
-from olt_generator.motion.rolling_step import fit_rolling_step, slip_angle, straighten
+from olt_generator.motion.road_turn import measure_turn
+from olt_generator.motion.rolling_step import fit_rolling_step, roll_step, rolling_direction, slip_angle, straighten
 from olt_generator.motion.static_mask import find_static_mask
 from olt_generator.motion.steps import TRACK_SIGMA_PIXELS, Step, radians_per_pixel
 from olt_generator.motion.two_view import TwoViewMotion, parallax_forward
@@ -37,6 +38,9 @@ STANDSTILL_SPEED = 0.05
 DRIVING_SPEED = 1.0
 # A step farther than this from what a vehicle can do that rolls is found again as a step of such a vehicle, radians.
 LARGEST_SLIP = np.radians(1.5)
+# A step that slips by more than this is held against the road, whose word counts from such a difference on, radians.
+SUSPICIOUS_SLIP = np.radians(0.3)
+SMALLEST_TURN = np.radians(0.12)
 # Shorter steps do not tell their direction, metres.
 LEAST_TO_SLIP = 0.3
 # How far a step found on its own may be from the truth: radians of rotation, share of the distance driven along the
@@ -104,8 +108,9 @@ def recover_path(clip: KeyframeSteps, rounds: int) -> KeyframePath:
     driven = np.where(np.abs(road.speed) < STANDSTILL_SPEED, 0.0, road.speed * seconds)
     straight = [straighten(*pair, clip.T_rig_camera) for pair in zip(clip.steps, driven, strict=True) if pair[1] != 0.0]
     usual = _turn_ahead(clip.T_rig_camera, usual_direction(straight, clip.T_rig_camera[0, :3]))
-    slip = _usual_slip(clip.steps, driven, usual)
-    clip = replace(clip, steps=[_settle(clip, *pair, usual) for pair in zip(clip.steps, driven, strict=True)])
+    turned = list(_turn_with_road(clip, driven, usual))
+    slip = _usual_slip(turned, driven, usual)
+    clip = replace(clip, steps=[_settle(clip, *pair, usual) for pair in zip(turned, driven, strict=True)])
     moves = np.array([step.moves for step in clip.steps])
     driven = np.where(moves, np.abs(driven), 0.0)
     if not moves.any():
@@ -146,6 +151,26 @@ def _follow(clip: KeyframeSteps, seconds: Array) -> RoadSpeed:
     nothing = np.zeros((clip.camera.height, clip.camera.width), np.bool_)
     grid = _lay_grid(clip.camera, travel, clip.T_rig_camera, nothing)
     return follow_road(clip.grays, seconds, clip.steps, grid, travel, clip.T_rig_camera[2, :3])
+
+
+def _turn_with_road(clip: KeyframeSteps, driven: Array, mounting: Array) -> Iterator[Step]:
+    """The steps, those that slip with the turn that the road tells and the points that agree with it."""
+    nothing = np.zeros((clip.camera.height, clip.camera.width), np.bool_)
+    grid = _lay_grid(clip.camera, mounting[0, :3], mounting, nothing)
+    for key, (step, metres) in enumerate(zip(clip.steps, driven, strict=True)):
+        if not step.moves or abs(metres) < LEAST_TO_SLIP or slip_angle(step, metres, mounting) < SUSPICIOUS_SLIP:
+            yield step
+            continue
+        R, up = step.motion.R_b_a, mounting[2, :3]
+        axes = road_frame(mounting[0, :3], up, rolling_direction(R, abs(metres), mounting))
+        first = grid.rectify(clip.grays[key], axes)
+        second = grid.rectify(clip.grays[key + 1], axes.rotated(R))
+        turn = measure_turn(first, second, grid, metres)
+        if turn is None or abs(turn) < SMALLEST_TURN:
+            yield step
+            continue
+        R = Rotation.from_rotvec(-turn * (R @ up)).as_matrix() @ R
+        yield replace(step, motion=roll_step(step.rays_key, step.rays_current, R, metres, mounting, clip.ray_sigma))
 
 
 def _usual_slip(steps: Sequence[Step], driven: Array, mounting: Array) -> float:

@@ -106,8 +106,8 @@ class RoadGrid:
         self.along = nearest + np.arange(0.0, LENGTH_HEIGHTS * height, SPACING_ALONG)
         half = FARTHEST_ACROSS + 0.5 * (CELL_METRES[1] - SPACING_ACROSS)
         self.across = np.arange(-half, half + 1e-9, SPACING_ACROSS)
-        self._cell = round(CELL_METRES[0] / SPACING_ALONG), round(CELL_METRES[1] / SPACING_ACROSS)
-        rows = len(self.along) - self._cell[0]
+        self.cell = round(CELL_METRES[0] / SPACING_ALONG), round(CELL_METRES[1] / SPACING_ACROSS)
+        rows = len(self.along) - self.cell[0]
         self.shifts: Array = np.arange(-rows, rows + 1, dtype=np.float64) * SPACING_ALONG
         """Distances driven (shifts,) that are tried, metres; negative ones are driven backward."""
 
@@ -123,7 +123,7 @@ class RoadGrid:
 
     def match(self, first: RoadPicture, second: RoadPicture) -> CellMatches:
         """Correlation of the cells of the second picture that show something, for every shift."""
-        length, width = self._cell
+        length, width = self.cell
         starts = range(0, len(self.along) - length + 1, length)
         columns = range(0, len(self.across) - width + 1, width)
         middle = len(self.shifts) // 2

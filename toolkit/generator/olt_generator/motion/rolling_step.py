@@ -48,6 +48,17 @@ def straighten(step: Step, driven: float, T_rig_camera: Array) -> Step:
     return replace(step, motion=replace(step.motion, direction_a=back.apply(step.motion.direction_a)))
 
 
+def roll_step(
+    rays_a: Array, rays_b: Array, R_b_a: Array, driven: float, T_rig_camera: Array, sigma: float
+) -> TwoViewMotion:
+    """The step of a vehicle that turns by R_b_a, with the rays that agree; arguments as of `fit_rolling_step`."""
+    direction = rolling_direction(R_b_a, driven, T_rig_camera)
+    inliers: NDArray[np.bool_] = np.abs(epipolar_sines(rays_a, rays_b, R_b_a, -R_b_a @ direction)) < (
+        INLIER_SIGMAS * sigma
+    )
+    return TwoViewMotion(R_b_a, direction, inliers)
+
+
 def fit_rolling_step(
     rays_a: Array, rays_b: Array, driven: float, T_rig_camera: Array, guesses: list[Array], sigma: float
 ) -> TwoViewMotion:
@@ -69,8 +80,7 @@ def fit_rolling_step(
         return float(np.sum(squares / (1.0 + squares)))
 
     R = min((_refine(guess, sines, sigma) for guess in guesses), key=cost)
-    inliers: NDArray[np.bool_] = np.abs(sines(R)) < INLIER_SIGMAS * sigma
-    return TwoViewMotion(R, rolling_direction(R, driven, T_rig_camera), inliers)
+    return roll_step(rays_a, rays_b, R, driven, T_rig_camera, sigma)
 
 
 def _refine(R: Array, sines: Callable[[Array], Array], sigma: float) -> Array:
