@@ -131,7 +131,7 @@ def make_traffic(clip: ClipSpecification, generator: Generator) -> ClipSpecifica
 def make_stop_and_go(clip: ClipSpecification, generator: Generator) -> ClipSpecification:
     """A jam: rolling, braking, standing and pulling away between lanes that do the same at other times."""
     top = float(generator.uniform(2.0, 7.0))
-    times, speeds = (0.0, 1.3, 2.2, 3.2, 4.6, 6.0, 7.0), np.array([1.0, 0.4, 0.0, 0.0, 0.7, 1.0, 0.6])
+    times, speeds = (0.0, 1.3, 2.2, 3.2, 4.6, 6.0, 9.0), np.array([1.0, 0.4, 0.0, 0.0, 0.7, 1.0, 0.6])
     if generator.random() < 0.5:
         speeds = speeds[::-1]
     streams = (
@@ -272,7 +272,7 @@ def make_unknown_camera(clip: ClipSpecification, generator: Generator) -> ClipSp
 def make_reverse(clip: ClipSpecification, generator: Generator) -> ClipSpecification:
     """Backwards at the speed of parking, between parked cars."""
     speed = float(generator.uniform(0.7, 2.5))
-    course = Course(1, 0, (), (0.0, 1.5, 5.0, 8.0), (-0.5 * speed, -speed, -speed, -0.3 * speed))
+    course = Course(1, 0, (), (0.0, 1.5, 5.0, 9.0), (-0.5 * speed, -speed, -speed, -0.3 * speed))
     return replace(clip, frames=80, course=course, traffic=Traffic(parked=True))
 
 
