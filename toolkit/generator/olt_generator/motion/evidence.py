@@ -22,6 +22,8 @@ LARGEST_DIFFERENCE = 0.25
 LEAST_ON_PLANE = 0.3
 # A picture is upside down where points lie on a plane above the camera so many times better than on the road.
 UPSIDE_DOWN = 2.0
+# Hardly anybody drives faster, m/s; a time lapse does.
+FASTEST_CAR = 50.0
 # Nobody reverses faster, m/s; and no camera that looks ahead looks farther to the side, radians.
 FASTEST_REVERSE = 6.0
 FARTHEST_ASIDE = np.radians(45.0)
@@ -57,6 +59,11 @@ def find_doubts(evidence: Evidence) -> Iterator[Doubt]:
     elif mean < -FASTEST_REVERSE and np.mean(road.speed[moves] < 0.0) > 0.9:
         why = f"the whole video drives backward at {-mean:.0f} m/s, so the camera looks back"
         yield Doubt("view direction", why)
+    fastest = float(np.percentile(np.abs(road.speed[moves]), 90.0))
+    if fastest > FASTEST_CAR:
+        yield Doubt(
+            "times", f"the vehicle drives at {fastest:.0f} m/s, so frames may be farther apart than the file says"
+        )
     told = float(np.mean(road.log_odds[moves] > LEAST_LOG_ODDS))
     if told < LEAST_TOLD:
         yield Doubt("speed", f"the road could be followed in only {told:.0%} of the steps that move")
