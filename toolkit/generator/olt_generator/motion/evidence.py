@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from olt_generator.doubts import Doubt
 from olt_generator.motion.road_speed import LEAST_LOG_ODDS, RoadSpeed
 from olt_generator.motion.road_structure import Plane
+from olt_generator.motion.static_mask import MOVING_SHARE
 
 # A course of the speed is in doubt where another one has more than this share of its votes.
 LARGEST_RIVAL = 0.6
@@ -68,6 +69,13 @@ def find_doubts(evidence: Evidence) -> Iterator[Doubt]:
         why = f"the road tells forward from backward by a factor of only exp({abs(road.direction_log_odds):.1f})"
         yield Doubt("direction", why)
     yield from _doubt_structure(evidence)
+
+
+def doubt_standstill(far: float) -> Iterator[Doubt]:
+    """What speaks against a standstill that near points tell, where this share of the others moves."""
+    if far > MOVING_SHARE:
+        why = f"nothing moves on the road, but {far:.0%} of the points above it do; something may cover the road"
+        yield Doubt("standstill", why)
 
 
 def _doubt_structure(evidence: Evidence) -> Iterator[Doubt]:
