@@ -48,16 +48,17 @@ def test_a_road_in_view_wins_with_its_sign(driven, seed):
 
 
 @pytest.mark.parametrize("driven", [0.3, 0.9, 2.0])
-@pytest.mark.parametrize("from_row", [1, 2, 3])
-def test_a_vehicle_that_keeps_its_distance_makes_no_standstill(driven, from_row):
-    """It stays in the picture, and so do lorries at the same pace on both sides: only near cells show road."""
-    shifts = lane(driven, ahead=0.0, from_row=from_row, beside=0.0)
+@pytest.mark.parametrize(("from_row", "beside"), [(1, np.nan), (2, 0.0), (3, 0.0)])
+def test_a_vehicle_that_keeps_its_distance_makes_no_standstill(driven, from_row, beside):
+    """It stays in the picture, and so may lorries at the same pace on both sides: only near cells show road."""
+    shifts = lane(driven, ahead=0.0, from_row=from_row, beside=beside)
     assert best(see(shifts)) == pytest.approx(driven, abs=0.051)
 
 
 def test_vehicles_that_drive_off_make_no_reverse_of_a_standstill():
     """What stands on the plane and drives ahead seems to shift backward, the more the farther it is."""
-    shifts = lane(0.0, ahead=-0.3 * np.arange(1, 4), beside=-0.2 - 0.15 * np.arange(5))
+    faster = np.random.default_rng(6).uniform(0.1, 1.0, (np.count_nonzero(~OWN), 1))
+    shifts = lane(0.0, ahead=-0.3 * np.arange(1, 4), beside=-faster * (1.0 + 0.3 * np.arange(5)))
     assert best(see(shifts)) == pytest.approx(0.0, abs=0.051)
 
 

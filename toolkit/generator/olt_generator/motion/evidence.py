@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from olt_generator.doubts import Doubt
 from olt_generator.motion.road_speed import LEAST_LOG_ODDS, RoadSpeed
 from olt_generator.motion.road_structure import Plane
-from olt_generator.motion.static_mask import MOVING_SHARE
 
 # A course of the speed is in doubt where another one has more than this share of its votes.
 LARGEST_RIVAL = 0.6
@@ -23,6 +22,8 @@ LARGEST_DIFFERENCE = 0.25
 LEAST_ON_PLANE = 0.3
 # A picture is upside down where points lie on a plane above the camera so many times better than on the road.
 UPSIDE_DOWN = 2.0
+# A standstill is in doubt where what cannot move then does in more than this share of the steps.
+LARGEST_AGAINST_STANDSTILL = 0.1
 # Nobody reverses faster, m/s; and no camera that looks ahead looks farther to the side, radians.
 FASTEST_REVERSE = 6.0
 FARTHEST_ASIDE = np.radians(45.0)
@@ -71,11 +72,11 @@ def find_doubts(evidence: Evidence) -> Iterator[Doubt]:
     yield from _doubt_structure(evidence)
 
 
-def doubt_standstill(far: float) -> Iterator[Doubt]:
-    """What speaks against a standstill that near points tell, where this share of the others moves."""
-    if far > MOVING_SHARE:
-        why = f"nothing moves on the road, but {far:.0%} of the points above it do; something may cover the road"
-        yield Doubt("standstill", why)
+def doubt_standstill(against: float) -> Iterator[Doubt]:
+    """What speaks against standing, where in this share of all steps what cannot move then does."""
+    if against > LARGEST_AGAINST_STANDSTILL:
+        why = f"the road seems to stand still in {against:.0%} of the steps while most of what surrounds it moves"
+        yield Doubt("standstill", f"{why}; something fixed to the vehicle may cover it")
 
 
 def _doubt_structure(evidence: Evidence) -> Iterator[Doubt]:

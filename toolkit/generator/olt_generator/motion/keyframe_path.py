@@ -26,7 +26,13 @@ from olt_generator.motion.road_speed import RoadSpeed
 from olt_generator.motion.road_structure import find_planes
 from olt_generator.motion.rolling_step import fit_rolling_step, slip_angle, straighten
 from olt_generator.motion.static_mask import find_static_mask
-from olt_generator.motion.steps import TRACK_SIGMA_PIXELS, Step, look_again, radians_per_pixel, share_moving_far
+from olt_generator.motion.steps import (
+    TRACK_SIGMA_PIXELS,
+    Step,
+    look_again,
+    radians_per_pixel,
+    speaks_against_standstill,
+)
 from olt_generator.motion.two_view import TwoViewMotion, parallax_forward
 from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
 
@@ -106,20 +112,21 @@ def recover_path(clip: KeyframeSteps, rounds: int) -> KeyframePath:
     straight = [straighten(*pair, clip.T_rig_camera) for pair in zip(clip.steps, driven, strict=True) if pair[1] != 0.0]
     usual = _turn_ahead(clip.T_rig_camera, usual_direction(straight, clip.T_rig_camera[0, :3]))
     slip = _usual_slip(clip.steps, driven, usual)
-    far = share_moving_far([step for step in clip.steps if not step.moves], clip.camera, clip.T_rig_camera[2, :3])
+    against_standstill = _against_standstill(clip, driven)
     clip = replace(clip, steps=[_settle(clip, *pair, usual) for pair in zip(clip.steps, driven, strict=True)])
     moves = np.array([step.moves for step in clip.steps])
     driven = np.where(moves, np.abs(driven), 0.0)
     if not moves.any():
         standing = roll_on(clip.times, usual[0, :3]) + np.diag([0.0] * 3 + [PRIOR_ROTATION**2] * 3)
-        doubts = tuple(doubt_standstill(far))
+        doubts = tuple(doubt_standstill(against_standstill))
         return KeyframePath(_chain(_expect(clip.steps, driven)), standing, clip.T_rig_camera, moves, None, doubts)
     tracks = _collect_tracks(clip.steps)
     adjusted = _adjust(clip, driven, tracks, rounds)
     aligned = align_mounting(adjusted.poses, usual)
     mounting = usual if aligned is None else aligned
     scale = _measure_scale(clip, road, driven, adjusted, mounting)
-    doubts = tuple(find_doubts(_gather(clip, road, tracks, adjusted, scale, mounting)))
+    evidence = _gather(clip, road, tracks, adjusted, scale, mounting)
+    doubts = (*find_doubts(evidence), *doubt_standstill(against_standstill))
     T_key_next = invert(adjusted.poses[:-1]) @ adjusted.poses[1:]
     T_key_next[:, :3, 3] *= scale.factor[:, None]
     T_start_key = _chain(T_key_next)
@@ -163,6 +170,13 @@ def _usual_slip(steps: Sequence[Step], driven: Array, mounting: Array) -> float:
     """Median angle in radians between the directions of steps and those of a vehicle that rolls."""
     pairs = [pair for pair in zip(steps, driven, strict=True) if abs(pair[1]) > LEAST_TO_SLIP and pair[0].moves]
     return float(np.median([slip_angle(*pair, mounting) for pair in pairs])) if pairs else 0.0
+
+
+def _against_standstill(clip: KeyframeSteps, driven: Array) -> float:
+    """Share of the steps in which the vehicle is said to stand, but what cannot move then does."""
+    standing = [step for step, metres in zip(clip.steps, driven, strict=True) if metres == 0.0 or not step.moves]
+    up = clip.T_rig_camera[2, :3]
+    return sum(speaks_against_standstill(step, clip.camera, up) for step in standing) / len(clip.steps)
 
 
 def _settle(clip: KeyframeSteps, step: Step, driven: float, mounting: Array) -> Step:

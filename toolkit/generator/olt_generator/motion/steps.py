@@ -1,6 +1,5 @@
 """The motion of the camera in single steps: from the last keyframe to each frame, up to its length and its sign."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from olt_generator.cameras import Camera
 from olt_generator.errors import InputError
 from olt_generator.motion.features import TrackedPair
-from olt_generator.motion.static_mask import BELOW_HORIZON, MOVING_PIXELS
+from olt_generator.motion.static_mask import BELOW_HORIZON, MOVING_PIXELS, MOVING_SHARE
 from olt_generator.motion.two_view import TwoViewMotion, estimate_motion
 from olt_generator.poses import Array
 
@@ -120,14 +119,12 @@ def _turn_at_rest(flow: Array, rays_key: Array, rays_current: Array, up: Array, 
     return R if np.percentile(missed, STANDSTILL_PERCENTILE) < TURNING_PIXELS * radians_per_pixel(camera) else None
 
 
-def share_moving_far(steps: Sequence[Step], camera: Camera, up: Array) -> float:
-    """Share of the points that are not near which move in usual steps, with the rotation taken out; 0 without steps."""
-    shares = []
-    for step in steps:
-        far = step.rays_key @ up > -np.sin(BELOW_HORIZON)
-        moved = np.linalg.norm(step.rays_current - step.rays_key @ step.motion.R_b_a.T, axis=1)[far]
-        shares.append(float(np.mean(moved > MOVING_PIXELS * radians_per_pixel(camera))) if far.any() else 0.0)
-    return float(np.median(shares)) if shares else 0.0
+def speaks_against_standstill(step: Step, camera: Camera, up: Array) -> bool:
+    """Whether most of what cannot move while the vehicle stands does: what is near, or where that rests, all else."""
+    near = step.rays_key @ up < -np.sin(BELOW_HORIZON)
+    looked_at, R = (near, np.eye(3)) if step.moves else (~near, step.motion.R_b_a)
+    moved = np.linalg.norm(step.rays_current - step.rays_key @ R.T, axis=1)[looked_at]
+    return len(moved) > 0 and bool(np.mean(moved > MOVING_PIXELS * radians_per_pixel(camera)) > MOVING_SHARE)
 
 
 def radians_per_pixel(camera: Camera) -> float:
