@@ -22,7 +22,7 @@ LARGEST_DIFFERENCE = 0.25
 LEAST_ON_PLANE = 0.3
 # A picture is upside down where points lie on a plane above the camera so many times better than on the road.
 UPSIDE_DOWN = 2.0
-# A standstill is in doubt where what cannot move then does in more than this share of the steps.
+# A standstill is in doubt where something speaks against it in more than this share of the steps.
 LARGEST_AGAINST_STANDSTILL = 0.1
 # Nobody reverses faster, m/s; and no camera that looks ahead looks farther to the side, radians.
 FASTEST_REVERSE = 6.0
@@ -73,10 +73,12 @@ def find_doubts(evidence: Evidence) -> Iterator[Doubt]:
 
 
 def doubt_standstill(against: float) -> Iterator[Doubt]:
-    """What speaks against standing, where in this share of all steps what cannot move then does."""
+    """What speaks against standing: the share of the steps in which what cannot move then does, or no road is seen."""
     if against > LARGEST_AGAINST_STANDSTILL:
-        why = f"the road seems to stand still in {against:.0%} of the steps while most of what surrounds it moves"
-        yield Doubt("standstill", f"{why}; something fixed to the vehicle may cover it")
+        why = (
+            f"the vehicle seems to stand in {against:.0%} of the steps although no road tells it, or what is near moves"
+        )
+        yield Doubt("standstill", f"{why}; something may cover the road")
 
 
 def _doubt_structure(evidence: Evidence) -> Iterator[Doubt]:

@@ -22,7 +22,7 @@ from olt_generator.motion.path_covariance import CORRELATED_TRACKS, UNSEEN_SPEED
 from olt_generator.motion.road_following import ahead, follow_road, usual_direction
 from olt_generator.motion.road_grid import RoadGrid, road_frame
 from olt_generator.motion.road_plane import PlaneScale, measure_scale
-from olt_generator.motion.road_speed import RoadSpeed
+from olt_generator.motion.road_speed import LEAST_LOG_ODDS, RoadSpeed
 from olt_generator.motion.road_structure import find_planes
 from olt_generator.motion.rolling_step import fit_rolling_step, slip_angle, straighten
 from olt_generator.motion.static_mask import find_static_mask
@@ -112,7 +112,7 @@ def recover_path(clip: KeyframeSteps, rounds: int) -> KeyframePath:
     straight = [straighten(*pair, clip.T_rig_camera) for pair in zip(clip.steps, driven, strict=True) if pair[1] != 0.0]
     usual = _turn_ahead(clip.T_rig_camera, usual_direction(straight, clip.T_rig_camera[0, :3]))
     slip = _usual_slip(clip.steps, driven, usual)
-    against_standstill = _against_standstill(clip, driven)
+    against_standstill = _against_standstill(clip, road)
     clip = replace(clip, steps=[_settle(clip, *pair, usual) for pair in zip(clip.steps, driven, strict=True)])
     moves = np.array([step.moves for step in clip.steps])
     driven = np.where(moves, np.abs(driven), 0.0)
@@ -172,11 +172,14 @@ def _usual_slip(steps: Sequence[Step], driven: Array, mounting: Array) -> float:
     return float(np.median([slip_angle(*pair, mounting) for pair in pairs])) if pairs else 0.0
 
 
-def _against_standstill(clip: KeyframeSteps, driven: Array) -> float:
-    """Share of the steps in which the vehicle is said to stand, but what cannot move then does."""
-    standing = [step for step, metres in zip(clip.steps, driven, strict=True) if metres == 0.0 or not step.moves]
-    up = clip.T_rig_camera[2, :3]
-    return sum(speaks_against_standstill(step, clip.camera, up) for step in standing) / len(clip.steps)
+def _against_standstill(clip: KeyframeSteps, road: RoadSpeed) -> float:
+    """Share of the steps in which the vehicle stands only for want of road, or while what cannot move then does."""
+    against, up = 0, clip.T_rig_camera[2, :3]
+    for step, speed, told in zip(clip.steps, road.speed, road.log_odds, strict=True):
+        if abs(speed) < STANDSTILL_SPEED or not step.moves:
+            untold = step.moves and told < LEAST_LOG_ODDS
+            against += untold or speaks_against_standstill(step, clip.camera, up)
+    return against / len(clip.steps)
 
 
 def _settle(clip: KeyframeSteps, step: Step, driven: float, mounting: Array) -> Step:
