@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from olt_generator.errors import InputError
 from olt_generator.motion.odometry import estimate_odometry
 from olt_generator.motion.pose_metrics import measure_smoothness
 from olt_generator.motion.smoother import smooth_trajectory
@@ -19,6 +20,16 @@ def follow(recording):
     return odometry, smooth_trajectory(odometry.trajectory)
 
 
+def is_right_or_marked(motion, limit=4.0):
+    """Whether a motion errs by fewer than so many of its stated standard deviations, or says that it may err more."""
+    numbers = motion.to_dict()
+    scale_z, ate_z = numbers["scale_z"], numbers["ate_z"]
+    print(
+        f"scale {scale_z:+.2f} sigma, ATE {motion.errors.metric.ate_m:.2f} m = {ate_z:.2f} sigma; {numbers['doubts']}"
+    )
+    return bool(motion.doubts) or (abs(scale_z) < limit and ate_z < limit)
+
+
 def mean_over_clips(recording, stride):
     motions = measure_clips(recording, 41, stride)
     summary = summarize_clips(motions)
@@ -26,6 +37,8 @@ def mean_over_clips(recording, stride):
     for motion in motions:
         assert motion.errors.metric.ate_m < 1.05 * motion.measured_errors.metric.ate_m
         assert motion.errors.sim3.ate_m < 0.2
+        assert is_right_or_marked(motion)
+        assert motion.doubts == ()
         assert motion.to_dict()["jerk_factor"] > 16.7
     return summary
 
@@ -59,6 +72,37 @@ def test_a_whole_kitti_raw_drive(shared_real):
     noise = motion.label_noise
     for name in ("acceleration", "curvature"):
         assert 0.7 < getattr(noise.actual, name) / getattr(noise.expected, name) < 1.3
+
+
+def test_slow_traffic_drives_forward(shared_real):
+    """Between vehicles that move: 7.7 m, braking to a halt, with few points on anything that stands."""
+    recording = open_recording(shared_real / "kitti_slow_traffic_lidar_poses", OpenOptions())
+    (motion,) = measure_clips(recording, None, None)
+    assert is_right_or_marked(motion)
+    assert motion.smoothed.trajectory.positions[-1, 0] > 6.0
+    assert motion.errors.metric.ate_m < 1.0
+
+
+def test_a_drive_shown_backwards_in_time_is_a_camera_that_looks_back(shared_real):
+    recording = open_recording(shared_real / "kitti_odometry_06_first51_gray", OpenOptions())
+    backwards = estimate_odometry(
+        recording.frames[::-1], recording.timestamps_us, recording.camera, recording.T_rig_camera
+    )
+    assert backwards.trajectory.positions[-1, 0] < -0.9 * recording.reference.path_length
+    assert [doubt.what for doubt in backwards.doubts] == ["view direction"]
+    assert backwards.scale_sigma > 0.5
+
+
+def test_a_picture_upside_down_is_doubted_or_refused(shared_real):
+    recording = open_recording(shared_real / KITTI_DRIVE, OpenOptions())
+    try:
+        upside = estimate_odometry(
+            recording.frames[:60, ::-1, ::-1], recording.timestamps_us[:60], recording.camera, recording.T_rig_camera
+        )
+    except InputError:
+        return
+    print(upside.trajectory.positions[-1], upside.doubts)
+    assert upside.doubts
 
 
 @pytest.mark.parametrize(

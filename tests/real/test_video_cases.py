@@ -108,6 +108,19 @@ def test_upside_down(cases):
     assert open_recording(path, OpenOptions(rotate=180)).doubts == ()
 
 
+def recover(path, **options):
+    recording = open_recording(path, OpenOptions(**options))
+    (motion,) = measure_clips(recording, None, None)
+    return motion
+
+
+def is_held(motion, metres):
+    """Whether the length of the path is within what is stated of it, or the motion is marked."""
+    error = np.log(motion.smoothed.trajectory.path_length / metres)
+    print(f"{error:+.3f} of {motion.scale.total:.3f}: {motion.doubts}")
+    return bool(motion.doubts) or abs(error) < 2.0 * motion.scale.total
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("path", "seconds", "metres"),
@@ -120,3 +133,36 @@ def test_upside_down(cases):
 )
 def test_the_path_is_that_of_the_original(cases, path, seconds, metres):
     assert path_length(cases / path, seconds) == pytest.approx(metres, rel=0.05)
+
+
+@pytest.mark.slow
+def test_a_camera_that_looks_back_under_another_name_is_doubted(cases, tmp_path):
+    path = tmp_path / "drive.mp4"
+    path.write_bytes((cases / "rear_camera" / "rear.mp4").read_bytes())
+    try:
+        motion = recover(path)
+    except InputError as refusal:
+        assert "looks back" in str(refusal)
+        return
+    assert "view direction" in {doubt.what for doubt in motion.doubts}
+    assert motion.smoothed.trajectory.positions[-1, 0] < 0.0
+
+
+@pytest.mark.slow
+def test_motion_upside_down_is_doubted_by_reader_and_motion(cases):
+    path = cases / "upside_down" / "upside.mp4"
+    assert {"view direction", "upright"} <= {doubt.what for doubt in recover(path).doubts}
+    turned = recover(path, rotate=180, duration=3.0)
+    assert turned.doubts == ()
+    assert turned.smoothed.trajectory.path_length == pytest.approx(70.0, rel=0.1)
+
+
+@pytest.mark.slow
+def test_a_portrait_goes_as_far_as_the_original(cases):
+    assert is_held(recover(cases / "portrait" / "portrait.mp4", horizontal_fov=np.radians(25.0)), 70.0)
+
+
+@pytest.mark.slow
+def test_hlg_goes_as_far_as_the_original(cases):
+    motion = recover(cases / "hlg_hdr" / "hlg.mov")
+    assert motion.smoothed.trajectory.path_length == pytest.approx(25.0, rel=0.1)

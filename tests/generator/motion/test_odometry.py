@@ -69,11 +69,15 @@ def ten_hertz_drive(camera, yaw_rate=0.12):
 
 
 def check_motion(odometry, true, tolerance=0.03):
+    """Close to the truth, and as close as is stated."""
     end_error = np.linalg.norm(odometry.trajectory.positions - true.positions, axis=1).max()
     assert end_error < tolerance * true.path_length
     turned = Rotation.from_matrix(odometry.trajectory.T_world_rig[:, :3, :3])
     angles = (Rotation.from_matrix(true.T_world_rig[:, :3, :3]).inv() * turned).magnitude()
     assert np.degrees(angles.max()) < 0.5
+    assert odometry.covariance.shape == (len(true), 6, 6)
+    assert not odometry.covariance[0, :3].any()
+    assert np.linalg.eigvalsh(odometry.covariance).min() > -1e-12
 
 
 @pytest.mark.parametrize("camera", [PINHOLE, FTHETA], ids=["pinhole", "f-theta"])
@@ -89,6 +93,7 @@ def test_metric_motion_and_mounting_from_rough_angles(camera):
     assert odometry.noise == ODOMETRY_SETTINGS
     assert odometry.inliers.min() > 100
     assert not odometry.standstill.any()
+    assert odometry.doubts == ()
 
 
 def test_scale_follows_the_stated_camera_height():
@@ -111,13 +116,36 @@ def test_five_frames_are_enough():
     check_motion(estimate_odometry(frames, timestamps_us, PINHOLE, MOUNTING), true, tolerance=0.06)
 
 
-def test_bonnet_and_overlay_are_not_taken_for_road():
-    frames, timestamps_us, true = ten_hertz_drive(PINHOLE, yaw_rate=0.0)
+def cover(frames, bonnet=0, bar=0):
+    """The frames with a bonnet of so many rows, in which the surroundings do not move, and a bar across the road."""
     frames = frames.copy()
-    pattern = np.clip(120 + 4 * texture()[:60, :416, None], 0, 255).astype(np.uint8)
-    frames[:, -60:] = pattern
-    frames[:, 150:154, :] = 230
-    check_motion(estimate_odometry(frames, timestamps_us, PINHOLE, ROUGH_MOUNTING), true)
+    if bonnet:
+        frames[:, -bonnet:] = np.clip(120 + 4 * texture()[:bonnet, : frames.shape[2], None], 0, 255).astype(np.uint8)
+    frames[:, 150 : 150 + bar] = 230
+    return frames
+
+
+@pytest.mark.parametrize("rows", [30, 60])
+def test_a_bonnet_is_not_taken_for_road(rows):
+    """Its texture is the strongest in the picture, and at 60 rows most of what is near."""
+    frames, timestamps_us, true = ten_hertz_drive(PINHOLE, yaw_rate=0.0)
+    odometry = estimate_odometry(cover(frames, bonnet=rows), timestamps_us, PINHOLE, ROUGH_MOUNTING)
+    check_motion(odometry, true)
+    assert odometry.doubts == ()
+
+
+def test_a_bar_across_the_road_leaves_the_scale_as_good_as_it_says():
+    frames, timestamps_us, true = ten_hertz_drive(PINHOLE, yaw_rate=0.0)
+    odometry = estimate_odometry(cover(frames, bar=4), timestamps_us, PINHOLE, ROUGH_MOUNTING)
+    error = np.log(odometry.trajectory.path_length / true.path_length)
+    assert abs(error) < 3.0 * odometry.scale_sigma < 0.2
+
+
+def test_a_drive_with_the_road_covered_is_no_standstill_without_a_doubt():
+    frames, timestamps_us, _ = ten_hertz_drive(PINHOLE, yaw_rate=0.0)
+    odometry = estimate_odometry(cover(frames, bonnet=60, bar=4), timestamps_us, PINHOLE, ROUGH_MOUNTING)
+    assert odometry.standstill.all()
+    assert [doubt.what for doubt in odometry.doubts] == ["standstill"]
 
 
 def test_reversing_moves_backward():
@@ -125,6 +153,18 @@ def test_reversing_moves_backward():
     backward = Trajectory(timestamps_us, true.T_world_rig[::-1].copy()).in_first_frame()
     odometry = estimate_odometry(frames[::-1].copy(), timestamps_us, PINHOLE, MOUNTING)
     check_motion(odometry, backward)
+    assert odometry.trajectory.positions[-1, 0] < -8.0
+    # At 8 m/s it is rather the camera that looks back.
+    assert [doubt.what for doubt in odometry.doubts] == ["view direction"]
+    assert odometry.scale_sigma > 0.5
+
+
+def test_reversing_as_one_parks_is_no_doubt():
+    frames, timestamps_us, true = drive(PINHOLE, np.arange(20) * 0.1, speed=2.0, yaw_rate=0.0)
+    backward = Trajectory(timestamps_us, true.T_world_rig[::-1].copy()).in_first_frame()
+    odometry = estimate_odometry(frames[::-1].copy(), timestamps_us, PINHOLE, MOUNTING)
+    check_motion(odometry, backward)
+    assert odometry.doubts == ()
 
 
 def test_standstill_is_exact_and_has_no_scale():
@@ -135,6 +175,9 @@ def test_standstill_is_exact_and_has_no_scale():
     assert np.allclose(odometry.trajectory.T_world_rig, np.eye(4), atol=1e-12)
     assert odometry.standstill.all()
     assert odometry.scale_sigma is None
+    assert odometry.doubts == ()
+    # It may roll unseen, along the way that it looks.
+    assert np.diag(odometry.covariance[-1])[:3] == pytest.approx([0.015**2, 0.0, 0.0], abs=1e-6)
 
 
 @pytest.mark.parametrize("rate", [0.1, 0.6])

@@ -24,6 +24,8 @@ LEAST_ON_PLANE = 0.3
 UPSIDE_DOWN = 2.0
 # Hardly anybody drives faster, m/s; a time lapse does.
 FASTEST_CAR = 50.0
+# A standstill is in doubt where something speaks against it in more than this share of the steps.
+LARGEST_AGAINST_STANDSTILL = 0.1
 # Nobody reverses faster, m/s; and no camera that looks ahead looks farther to the side, radians.
 FASTEST_REVERSE = 6.0
 FARTHEST_ASIDE = np.radians(45.0)
@@ -75,6 +77,15 @@ def find_doubts(evidence: Evidence) -> Iterator[Doubt]:
         why = f"the road tells forward from backward by a factor of only exp({abs(road.direction_log_odds):.1f})"
         yield Doubt("direction", why)
     yield from _doubt_structure(evidence)
+
+
+def doubt_standstill(against: float) -> Iterator[Doubt]:
+    """What speaks against standing: the share of the steps in which what cannot move then does, or no road is seen."""
+    if against > LARGEST_AGAINST_STANDSTILL:
+        why = (
+            f"the vehicle seems to stand in {against:.0%} of the steps although no road tells it, or what is near moves"
+        )
+        yield Doubt("standstill", f"{why}; something may cover the road")
 
 
 def _doubt_structure(evidence: Evidence) -> Iterator[Doubt]:

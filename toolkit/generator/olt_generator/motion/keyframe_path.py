@@ -15,19 +15,25 @@ from scipy.spatial.transform import Rotation
 from olt_generator.cameras import Camera
 from olt_generator.doubts import Doubt
 from olt_generator.motion.bundle_adjustment import AdjustedPoses, FeatureTracks, StepPriors, adjust_poses
-from olt_generator.motion.evidence import DOUBTFUL_LOG_SCALE, Evidence, find_doubts
+from olt_generator.motion.evidence import DOUBTFUL_LOG_SCALE, Evidence, doubt_standstill, find_doubts
 from olt_generator.motion.features import Gray
 from olt_generator.motion.mounting import align_mounting
 from olt_generator.motion.path_covariance import CORRELATED_TRACKS, UNSEEN_SPEED, add_up_drift, roll_on, turning_drift
 from olt_generator.motion.road_following import ahead, follow_road, usual_direction
 from olt_generator.motion.road_grid import RoadGrid, road_frame
 from olt_generator.motion.road_plane import PlaneScale, measure_scale
-from olt_generator.motion.road_speed import RoadSpeed
+from olt_generator.motion.road_speed import LEAST_LOG_ODDS, RoadSpeed
 from olt_generator.motion.road_structure import find_planes
 from olt_generator.motion.road_turn import measure_turn
 from olt_generator.motion.rolling_step import fit_rolling_step, roll_step, rolling_direction, slip_angle, straighten
 from olt_generator.motion.static_mask import find_static_mask
-from olt_generator.motion.steps import TRACK_SIGMA_PIXELS, Step, radians_per_pixel
+from olt_generator.motion.steps import (
+    TRACK_SIGMA_PIXELS,
+    Step,
+    look_again,
+    radians_per_pixel,
+    speaks_against_standstill,
+)
 from olt_generator.motion.two_view import TwoViewMotion, parallax_forward
 from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
 
@@ -105,23 +111,27 @@ def recover_path(clip: KeyframeSteps, rounds: int) -> KeyframePath:
     """
     seconds = np.diff(clip.times)
     road = _follow(clip, seconds)
+    clip = replace(clip, steps=_look_past_fixed(clip, road))
     driven = np.where(np.abs(road.speed) < STANDSTILL_SPEED, 0.0, road.speed * seconds)
     straight = [straighten(*pair, clip.T_rig_camera) for pair in zip(clip.steps, driven, strict=True) if pair[1] != 0.0]
     usual = _turn_ahead(clip.T_rig_camera, usual_direction(straight, clip.T_rig_camera[0, :3]))
     turned = list(_turn_with_road(clip, driven, usual))
     slip = _usual_slip(turned, driven, usual)
+    against_standstill = _against_standstill(clip, road)
     clip = replace(clip, steps=[_settle(clip, *pair, usual) for pair in zip(turned, driven, strict=True)])
     moves = np.array([step.moves for step in clip.steps])
     driven = np.where(moves, np.abs(driven), 0.0)
     if not moves.any():
         standing = roll_on(clip.times, usual[0, :3]) + np.diag([0.0] * 3 + [PRIOR_ROTATION**2] * 3)
-        return KeyframePath(_chain(_expect(clip.steps, driven)), standing, clip.T_rig_camera, moves, None, ())
+        doubts = tuple(doubt_standstill(against_standstill))
+        return KeyframePath(_chain(_expect(clip.steps, driven)), standing, clip.T_rig_camera, moves, None, doubts)
     tracks = _collect_tracks(clip.steps)
     adjusted = _adjust(clip, driven, tracks, rounds)
     aligned = align_mounting(adjusted.poses, usual)
     mounting = usual if aligned is None else aligned
     scale = _measure_scale(clip, road, driven, adjusted, mounting)
-    doubts = tuple(find_doubts(_gather(clip, road, tracks, adjusted, scale, mounting)))
+    evidence = _gather(clip, road, tracks, adjusted, scale, mounting)
+    doubts = (*find_doubts(evidence), *doubt_standstill(against_standstill))
     T_key_next = invert(adjusted.poses[:-1]) @ adjusted.poses[1:]
     T_key_next[:, :3, 3] *= scale.factor[:, None]
     T_start_key = _chain(T_key_next)
@@ -143,9 +153,6 @@ def recover_path(clip: KeyframeSteps, rounds: int) -> KeyframePath:
 
 
 def _follow(clip: KeyframeSteps, seconds: Array) -> RoadSpeed:
-    if not any(step.moves for step in clip.steps):
-        still = np.zeros(len(clip.steps))
-        return RoadSpeed(still, still, still, 0.0, 0.0, 0.0)
     travel = usual_direction(clip.steps, clip.T_rig_camera[0, :3])
     # What stays in the picture is told from the road by its votes: a vehicle that stands sees the road stay too.
     nothing = np.zeros((clip.camera.height, clip.camera.width), np.bool_)
@@ -173,10 +180,31 @@ def _turn_with_road(clip: KeyframeSteps, driven: Array, mounting: Array) -> Iter
         yield replace(step, motion=roll_step(step.rays_key, step.rays_current, R, metres, mounting, clip.ray_sigma))
 
 
+def _look_past_fixed(clip: KeyframeSteps, road: RoadSpeed) -> list[Step]:
+    """The steps without points on what stays in the picture while the road says that the vehicle drives."""
+    hidden = _find_fixed(clip, road, clip.T_rig_camera)
+    return [look_again(step, hidden, clip.camera, clip.T_rig_camera[2, :3]) for step in clip.steps]
+
+
+def _find_fixed(clip: KeyframeSteps, road: RoadSpeed, mounting: Array) -> NDArray[np.bool_]:
+    driving = np.flatnonzero(np.abs(road.speed) > DRIVING_SPEED).tolist()
+    return find_static_mask([clip.grays[key] for key in driving], clip.camera, mounting)
+
+
 def _usual_slip(steps: Sequence[Step], driven: Array, mounting: Array) -> float:
     """Median angle in radians between the directions of steps and those of a vehicle that rolls."""
     pairs = [pair for pair in zip(steps, driven, strict=True) if abs(pair[1]) > LEAST_TO_SLIP and pair[0].moves]
     return float(np.median([slip_angle(*pair, mounting) for pair in pairs])) if pairs else 0.0
+
+
+def _against_standstill(clip: KeyframeSteps, road: RoadSpeed) -> float:
+    """Share of the steps in which the vehicle stands only for want of road, or while what cannot move then does."""
+    against, up = 0, clip.T_rig_camera[2, :3]
+    for step, speed, told in zip(clip.steps, road.speed, road.log_odds, strict=True):
+        if abs(speed) < STANDSTILL_SPEED or not step.moves:
+            untold = step.moves and told < LEAST_LOG_ODDS
+            against += untold or speaks_against_standstill(step, clip.camera, up)
+    return against / len(clip.steps)
 
 
 def _settle(clip: KeyframeSteps, step: Step, driven: float, mounting: Array) -> Step:
@@ -241,9 +269,7 @@ def _collect_tracks(steps: Sequence[Step]) -> FeatureTracks:
 def _measure_scale(
     clip: KeyframeSteps, road: RoadSpeed, driven: Array, adjusted: AdjustedPoses, mounting: Array
 ) -> PlaneScale:
-    driving = np.flatnonzero(np.abs(road.speed) > DRIVING_SPEED).tolist()
-    hidden = find_static_mask([clip.grays[key] for key in driving], clip.camera, mounting)
-    grid = _lay_grid(clip.camera, mounting[0, :3], mounting, hidden)
+    grid = _lay_grid(clip.camera, mounting[0, :3], mounting, _find_fixed(clip, road, mounting))
     return measure_scale(clip.grays, clip.times, adjusted.poses, driven, grid, mounting[2, :3])
 
 

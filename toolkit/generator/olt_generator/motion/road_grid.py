@@ -115,7 +115,9 @@ class RoadGrid:
         """The road seen from above."""
         pixels, seen = self._locate(axes, self.along, self.across)
         table = pixels.astype(np.float32)
-        picture = cv2.remap(gray, table[..., 0], table[..., 1], cv2.INTER_LINEAR).astype(np.float32)
+        # Half a pixel beyond the middle of the last one is still in the picture.
+        border = cv2.BORDER_REPLICATE
+        picture = cv2.remap(gray, table[..., 0], table[..., 1], cv2.INTER_LINEAR, borderMode=border).astype(np.float32)
         size = (round(DETAIL_METRES / SPACING_ACROSS), round(DETAIL_METRES / SPACING_ALONG))
         share = np.maximum(cv2.blur(seen.astype(np.float32), size), 1e-6)
         mean = cv2.blur(np.where(seen, picture, np.float32(0.0)), size) / share

@@ -161,7 +161,8 @@ def _smooth_speeds(measured: Array, sigma: Array, seconds: Array, rounds: int = 
     for _ in range(rounds):
         banded = chain.copy()
         banded[1] += information * robust
-        speed = solveh_banded(banded, information * robust * measured)
+        # A single step has no neighbours, and a single band.
+        speed = solveh_banded(banded[-len(measured) :], information * robust * measured)
         robust = 1.0 / np.maximum(1.0, np.abs(measured - speed) * np.sqrt(information) / 2.0)
     dense = np.diag(chain[1] + information * robust) + np.diag(chain[0, 1:], 1) + np.diag(chain[0, 1:], -1)
     return speed, np.sqrt(np.diag(np.linalg.inv(dense)))
