@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.cameras import Camera
 from olt_generator.doubts import Doubt
-from olt_generator.motion.bundle_adjustment import AdjustedPoses, FeatureTracks, StepPriors, adjust_poses
+from olt_generator.motion.bundle_adjustment import AdjustedPoses, StepPriors, adjust_poses
 from olt_generator.motion.evidence import DOUBTFUL_LOG_SCALE, Evidence, find_doubts
 from olt_generator.motion.features import Gray
 from olt_generator.motion.mounting import align_mounting
@@ -27,6 +27,7 @@ from olt_generator.motion.road_structure import find_planes
 from olt_generator.motion.rolling_step import fit_rolling_step, slip_angle, straighten
 from olt_generator.motion.static_mask import find_static_mask
 from olt_generator.motion.steps import TRACK_SIGMA_PIXELS, Step, radians_per_pixel
+from olt_generator.motion.track_equations import FeatureTracks
 from olt_generator.motion.two_view import TwoViewMotion, parallax_forward
 from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
 
