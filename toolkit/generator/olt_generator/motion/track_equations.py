@@ -6,6 +6,7 @@ points in that of their anchors, so that each block is a product of dense matric
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,7 +90,7 @@ def see_from(poses: Array, tracks: FeatureTracks) -> tuple[Array, Array, Array]:
     anchor_ray = np.matmul(poses[tracks.anchor, :3, :3], tracks.anchor_ray[..., None])[tracks.point, :, 0]
     baseline = poses[tracks.anchor, :3, 3][tracks.point] - poses[tracks.frame, :3, 3]
     ray = np.matmul(poses[tracks.frame, :3, :3], tracks.ray[..., None])[..., 0]
-    return tuple(np.ascontiguousarray(rows.T) for rows in (anchor_ray, baseline, ray))
+    return np.ascontiguousarray(anchor_ray.T), np.ascontiguousarray(baseline.T), np.ascontiguousarray(ray.T)
 
 
 def linearise(
@@ -133,9 +134,8 @@ def form_equations(
     residual *= weight
     derivative *= weight
     by_distance *= weight
-    points = len(tracks.anchor)
-    information = np.bincount(tracks.point, (by_distance**2).sum(axis=0), points) + INVERSE_DISTANCE_SIGMA**-2
-    gradient = np.bincount(tracks.point, (by_distance * residual).sum(axis=0), points)
+    information = INVERSE_DISTANCE_SIGMA**-2 + _sum_by_point((by_distance**2).sum(axis=0), tracks)
+    gradient = _sum_by_point((by_distance * residual).sum(axis=0), tracks)
     mixed = _mix(derivative[0] * by_distance[0] + derivative[1] * by_distance[1], tracks)
     distances = DistanceEquations(mixed, gradient, information)
     equations = _sum_pairs(residual, derivative, tracks, len(poses))
@@ -150,7 +150,7 @@ def _mix(products: Array, tracks: FeatureTracks) -> Array:
     # A point is seen once from each keyframe, but its anchor has a part in each of its observations.
     mixed[tracks.point, tracks.frame - tracks.anchor[tracks.point]] = products[:6].T
     for parameter, row in enumerate(products[6:]):
-        mixed[:, 0, parameter] = np.bincount(tracks.point, row, points)
+        mixed[:, 0, parameter] = _sum_by_point(row, tracks)
     return mixed.reshape(points, 6 * span)
 
 
@@ -175,17 +175,22 @@ def _sum_pairs(residual: Array, derivative: Array, tracks: FeatureTracks, n: int
 
 def _eliminate(equations: PoseEquations, distances: DistanceEquations, tracks: FeatureTracks) -> None:
     """Take from the equations of the poses what the distances leave open (Schur complement), anchor by anchor."""
-    n, span = equations.blocks.shape[:2]
+    n = len(equations.blocks)
     scaled = distances.mixed / np.sqrt(distances.information)[:, None]
     target = distances.gradient / np.sqrt(distances.information)
     starts = np.searchsorted(tracks.anchor, np.arange(n + 1))
-    for key, (start, end) in enumerate(zip(starts[:-1], starts[1:], strict=True)):
+    for key, (start, end) in enumerate(pairwise(starts)):
         W = scaled[start:end, : 6 * (n - key)]
         linked = W.shape[1] // 6
         information = (W.T @ W).reshape(linked, 6, linked, 6).swapaxes(1, 2)
         equations.gradient[key : key + linked] -= (W.T @ target[start:end]).reshape(linked, 6)
         for column in range(linked):
             equations.blocks[key + column, : linked - column] -= information[column:, column]
+
+
+def _sum_by_point(values: Array, tracks: FeatureTracks) -> Array:
+    """Sums (points,) of the values (m,) of all observations of each point."""
+    return np.bincount(tracks.point, values, len(tracks.anchor)).astype(np.float64)
 
 
 def _axes_across(ray: Array) -> tuple[Array, Array]:
