@@ -79,14 +79,11 @@ def track_corners(previous: Gray, current: Gray, pixels: Pixels) -> tuple[Pixels
     Returns:
         Points (n, 2) in the current frame, and which of them lie in it and lead back to where they came from.
     """
-    if len(pixels) == 0:
-        return pixels, np.zeros(0, dtype=np.bool_)
     forward, found = _follow(previous, current, pixels)
-    backward, found_back = _follow(current, previous, forward)
-    returned = np.linalg.norm(backward - pixels, axis=1) < MAX_RETURN_PIXELS
-    last = np.array(current.shape[::-1]) - 1
-    inside = ((forward >= 0) & (forward <= last)).all(axis=1)
-    return forward, found & found_back & returned & inside
+    found &= ((forward >= 0) & (forward <= np.array(current.shape[::-1]) - 1)).all(axis=1)
+    backward, found_back = _follow(current, previous, forward[found])
+    found[found] = found_back & (np.linalg.norm(backward - pixels[found], axis=1) < MAX_RETURN_PIXELS)
+    return forward, found
 
 
 def track_from_keyframes(
@@ -129,6 +126,8 @@ def _cells(rows: NDArray[np.int64], columns: NDArray[np.int64], width: int) -> N
 
 
 def _follow(previous: Gray, current: Gray, pixels: Pixels) -> tuple[Pixels, NDArray[np.bool_]]:
+    if len(pixels) == 0:
+        return pixels, np.zeros(0, dtype=np.bool_)
     guess = np.empty_like(pixels)
     moved, found, _ = cv2.calcOpticalFlowPyrLK(
         previous, current, pixels, guess, winSize=TRACK_WINDOW, maxLevel=PYRAMID_LEVELS, criteria=TRACK_STOP

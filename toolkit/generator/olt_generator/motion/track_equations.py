@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.poses import Array
+from olt_generator.twists import cross_rows, dot_rows
 
 # A prior of 1/m keeps points without parallax solvable and says nothing about all others.
 INVERSE_DISTANCE_SIGMA = 1.0
@@ -106,20 +107,20 @@ def linearise(
     anchor_ray, baseline, ray = see_from(poses, tracks)
     s = inverse_distance[tracks.point]
     p = anchor_ray + s * baseline
-    length = np.sqrt(_dot(p, p))
+    length = np.sqrt(dot_rows(p, p))
     u = p / length
     first, second = _axes_across(ray)
     residual = np.empty((2, len(s)))
     derivative = np.empty((2, 12, len(s)))
     by_distance = np.empty((2, len(s)))
     for component, axis in enumerate((first, second)):
-        along = _dot(axis, u)
+        along = dot_rows(axis, u)
         q = (axis - along * u) / (length * ray_sigma)
         residual[component] = along / ray_sigma
-        derivative[component, :3] = _cross(q, p)
-        derivative[component, 6:9] = _cross(anchor_ray, q)
+        derivative[component, :3] = cross_rows(q, p)
+        derivative[component, 6:9] = cross_rows(anchor_ray, q)
         derivative[component, 9:] = s * q
-        by_distance[component] = _dot(q, baseline)
+        by_distance[component] = dot_rows(q, baseline)
     derivative[:, 3:6] = -derivative[:, 9:]
     return residual, derivative, by_distance
 
@@ -196,15 +197,6 @@ def _sum_by_point(values: Array, tracks: FeatureTracks) -> Array:
 def _axes_across(ray: Array) -> tuple[Array, Array]:
     """Two unit vectors (3, m) at right angles to each ray (3, m) and to each other."""
     away = np.where(np.abs(ray[0]) < 0.7, np.eye(3)[:, :1], np.eye(3)[:, 1:2])
-    first = _cross(ray, away)
-    first /= np.sqrt(_dot(first, first))
-    return first, _cross(ray, first)
-
-
-def _dot(a: Array, b: Array) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """Products (3, m): `np.cross` along the first axis, without its copies."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+    first = cross_rows(ray, away)
+    first /= np.sqrt(dot_rows(first, first))
+    return first, cross_rows(ray, first)
