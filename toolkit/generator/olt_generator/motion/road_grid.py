@@ -9,6 +9,7 @@ The grid is wider than the lane and cut into cells, each with its own shift, bec
 no road at all: a vehicle ahead, lorries on both sides, the light of the headlamps.
 """
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,6 +112,14 @@ class RoadGrid:
         rows = len(self.along) - self._cell[0]
         self.shifts: Array = np.arange(-rows, rows + 1, dtype=np.float64) * SPACING_ALONG
         """Distances driven (shifts,) that are tried, metres; negative ones are driven backward."""
+
+    def narrowed(self, farthest: float) -> "RoadGrid":
+        """The same grid with only the cells whose middles are at most this far to either side, metres."""
+        width = self._cell[1]
+        middle = self.across[::width] + 0.5 * (width - 1) * SPACING_ACROSS
+        narrow = copy(self)
+        narrow.across = self.across[np.repeat(np.abs(middle) <= farthest, width)]
+        return narrow
 
     def rectify(self, gray: Gray, axes: RoadFrame) -> RoadPicture:
         """The road seen from above."""

@@ -1,6 +1,7 @@
 """The motion of the camera in single steps: from the last keyframe to each frame, up to its length and its sign."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,6 +94,7 @@ def _turn_at_rest(flow: Array, rays_key: Array, rays_current: Array, up: Array, 
     return R if np.percentile(missed, STANDSTILL_PERCENTILE) < TURNING_PIXELS * radians_per_pixel(camera) else None
 
 
+@lru_cache(maxsize=32)
 def radians_per_pixel(camera: Camera) -> float:
     """Angle between neighbouring pixels in the middle of the image."""
     u, v = 0.5 * (camera.width - 1), 0.5 * (camera.height - 1)

@@ -84,10 +84,10 @@ def refine_motion(
     t (3,) along the two directions (2, 3) across it.
     """
     for _ in range(rounds):
-        across = np.linalg.svd(t[None])[2][1:]
+        across = _across(t)
         residual, jacobian = linearise(R, t, across)
         weighted = jacobian * (1.0 / (1.0 + (residual / sigma) ** 2) ** 2)[:, None]
-        step = -np.linalg.pinv(weighted.T @ jacobian) @ (weighted.T @ residual)
+        step = -np.linalg.pinv(weighted.T @ jacobian, hermitian=True) @ (weighted.T @ residual)
         R, t = Rotation.from_rotvec(step[:3]).as_matrix() @ R, t + step[3:] @ across
         t /= np.linalg.norm(t)
         if np.abs(step).max() < converged:
@@ -115,6 +115,13 @@ def _guess_essential(rays_a: Array, rays_b: Array, threshold: float) -> tuple[Ar
     # The two rotations differ by half a turn about the translation; a video never turns that much in a step.
     R = R_first if np.trace(R_first) > np.trace(R_second) else R_second
     return np.asarray(R, dtype=np.float64), np.asarray(t[:, 0], dtype=np.float64)
+
+
+def _across(t: Array) -> Array:
+    """Two directions (2, 3) at right angles to the unit vector t (3,) and to each other."""
+    first = cross_matrix(t)[np.argmin(np.abs(t))]
+    first /= np.linalg.norm(first)
+    return np.stack([first, cross_matrix(t) @ first])
 
 
 def _linearise(rays_a: Array, rays_b: Array, R: Array, t: Array, across: Array) -> tuple[Array, Array]:
