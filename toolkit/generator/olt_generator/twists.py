@@ -68,6 +68,16 @@ def right_jacobian(twist: Array) -> Array:
     return result
 
 
+def dot_rows(a: Array, b: Array) -> Array:
+    """Products (n,) of vectors given by their components (3, n)."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def cross_rows(a: Array, b: Array) -> Array:
+    """`np.cross` of vectors given by their components (3, n), which keeps what is read and written contiguous."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
 def cross_matrix(vector: Array) -> Array:
     """Matrices (..., 3, 3) whose product with a vector is the cross product of `vector` (..., 3) with it."""
     x, y, z = np.moveaxis(vector, -1, 0)

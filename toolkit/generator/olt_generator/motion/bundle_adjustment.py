@@ -9,10 +9,16 @@ fixed by the steps from keyframe to keyframe that the poses start from.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse import coo_array, csc_array, csr_array
-from scipy.sparse.linalg import splu
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
+from olt_generator.motion.track_equations import (
+    FeatureTracks,
+    PoseEquations,
+    form_equations,
+    linearise,
+    see_from,
+    sort_tracks,
+)
 from olt_generator.poses import Array, invert, make_pose
 from olt_generator.twists import cross_matrix, rotation_from_vector, vector_from_rotation
 
@@ -20,27 +26,6 @@ CONVERGED = 1e-5
 # Distances from the first camera in which tracks are believed: nearer than 1 m is the ego vehicle, farther than
 # 10 km is as good as infinitely far.
 INVERSE_DISTANCE_RANGE = (1e-4, 1.0)
-# A prior of 1/m keeps points without parallax solvable and says nothing about all others.
-INVERSE_DISTANCE_SIGMA = 1.0
-
-
-@dataclass(frozen=True)
-class FeatureTracks:
-    """Observations of points from several keyframes.
-
-    Attributes:
-        anchor: (points,) keyframe in which each point was found.
-        anchor_ray: (points, 3) unit ray to the point there.
-        point: (m,) point of each further observation.
-        frame: (m,) keyframe of each further observation.
-        ray: (m, 3) unit ray of each further observation.
-    """
-
-    anchor: NDArray[np.int64]
-    anchor_ray: Array
-    point: NDArray[np.int64]
-    frame: NDArray[np.int64]
-    ray: Array
 
 
 @dataclass(frozen=True)
@@ -88,131 +73,44 @@ def adjust_poses(
         priors: expected motion between neighbouring keyframes; it decides what the tracks leave open.
         rounds: Gauss-Newton rounds at most.
     """
-    # Triangulation: the inverse distance (points,) at which each anchor ray passes closest to the other rays, 1/m.
-    turned, baseline = _seen_from(poses, tracks)
-    parallax, shift = np.cross(tracks.ray, turned), np.cross(tracks.ray, baseline)
-    points = len(tracks.anchor)
-    against = np.bincount(tracks.point, (parallax * shift).sum(axis=1), points)
-    shifts = np.bincount(tracks.point, (shift**2).sum(axis=1), points)
-    inverse_distance = np.clip(-against / np.maximum(shifts, 1e-12), *INVERSE_DISTANCE_RANGE)
+    tracks, number = sort_tracks(tracks)
+    inverse_distance = _triangulate(poses, tracks)
     for _ in range(rounds):
-        step, change = _gauss_newton_step(poses, inverse_distance, tracks, ray_sigma, priors)
-        turned = poses[:, :3, :3] @ rotation_from_vector(step[:, :3])
+        equations, distances = form_equations(poses, inverse_distance, tracks, ray_sigma)
+        _add_priors(equations, poses, priors)
+        # The first pose is the frame in which the others are told.
+        step = np.zeros((len(poses), 6))
+        step[1:] = -cho_solve_banded((_factorise(equations), True), equations.gradient[1:].ravel()).reshape(-1, 6)
+        turned = rotation_from_vector(step[:, :3]) @ poses[:, :3, :3]
         poses = make_pose(turned, poses[:, :3, 3] + step[:, 3:])
+        change = distances.solve(step, tracks.anchor)
         inverse_distance = np.clip(inverse_distance + change, *INVERSE_DISTANCE_RANGE)
         if np.abs(step).max() < CONVERGED:
             break
-    return AdjustedPoses(
-        poses, inverse_distance, _rotation_covariance(poses, inverse_distance, tracks, ray_sigma, priors)
-    )
+    equations, _ = form_equations(poses, inverse_distance, tracks, ray_sigma)
+    _add_priors(equations, poses, priors)
+    as_given = np.empty_like(inverse_distance)
+    as_given[number] = inverse_distance
+    return AdjustedPoses(poses, as_given, _rotation_covariance(equations))
 
 
 def track_residuals(adjusted: AdjustedPoses, tracks: FeatureTracks, ray_sigma: float) -> Array:
     """How far each observation is from where the motion puts it, (m, 2) in sigmas."""
-    return _linearise(adjusted.poses, adjusted.inverse_distance, tracks, ray_sigma)[0]
+    return linearise(adjusted.poses, adjusted.inverse_distance, tracks, ray_sigma)[0].T
 
 
-def _rotation_covariance(
-    poses: Array, inverse_distance: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors
-) -> Array:
-    reduced = _normal_equations(poses, inverse_distance, tracks, ray_sigma, priors)[0]
-    turns = (6 * np.arange(1, len(poses))[:, None] + np.arange(3)).ravel() - 6
-    each = np.zeros((6 * len(poses) - 6, len(turns)))
-    each[turns, np.arange(len(turns))] = 1.0
-    covariance = np.zeros((len(poses), 3, len(poses), 3))
-    found = splu(csc_array(reduced)[6:, 6:]).solve(each)[turns]
-    covariance[1:, :, 1:] = found.reshape(len(poses) - 1, 3, len(poses) - 1, 3)
-    R = poses[:, :3, :3]
-    return np.einsum("aij,ajbk,blk->aibl", R, covariance, R).reshape(3 * len(poses), 3 * len(poses))
+def _triangulate(poses: Array, tracks: FeatureTracks) -> Array:
+    """The inverse distance (points,) at which each anchor ray passes closest to the other rays, 1/m."""
+    anchor_ray, baseline, ray = see_from(poses, tracks)
+    parallax, shift = np.cross(ray, anchor_ray, axis=0), np.cross(ray, baseline, axis=0)
+    points = len(tracks.anchor)
+    against = np.bincount(tracks.point, (parallax * shift).sum(axis=0), points)
+    shifts = np.bincount(tracks.point, (shift**2).sum(axis=0), points)
+    return np.clip(-against / np.maximum(shifts, 1e-12), *INVERSE_DISTANCE_RANGE)
 
 
-def _seen_from(poses: Array, tracks: FeatureTracks) -> tuple[Array, Array]:
-    """Anchor ray (m, 3) and displacement to the anchor camera (m, 3), both in the axes of the observing camera."""
-    anchor = tracks.anchor[tracks.point]
-    to_camera = np.swapaxes(poses[tracks.frame, :3, :3], -1, -2)
-    ray_world = _apply(poses[anchor, :3, :3], tracks.anchor_ray[tracks.point])
-    baseline_world = poses[anchor, :3, 3] - poses[tracks.frame, :3, 3]
-    return _apply(to_camera, ray_world), _apply(to_camera, baseline_world)
-
-
-def _gauss_newton_step(
-    poses: Array, inverse_distance: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors
-) -> tuple[Array, Array]:
-    """Changes (n, 6) of the poses, rotation in camera and position in world axes, and (points,) of inverse distance."""
-    reduced, gradient, mixed, distance_gradient, information = _normal_equations(
-        poses, inverse_distance, tracks, ray_sigma, priors
-    )
-    # The first pose is the frame in which the others are told.
-    step = np.zeros(6 * len(poses))
-    step[6:] = -splu(csc_array(reduced)[6:, 6:]).solve(gradient[6:])
-    return step.reshape(-1, 6), -(distance_gradient + mixed.T @ step) / information
-
-
-def _normal_equations(
-    poses: Array, inverse_distance: Array, tracks: FeatureTracks, ray_sigma: float, priors: StepPriors
-) -> tuple[csr_array, Array, csr_array, Array, Array]:
-    """Those of the poses once the distances are eliminated, (6 n, 6 n) and (6 n,), and what the distances follow from.
-
-    That is how poses and distances mix (6 n, points), the gradient (points,), and the information (points,).
-    """
-    residual, by_frame, by_anchor, by_distance = _linearise(poses, inverse_distance, tracks, ray_sigma)
-    # Geman-McClure: what moves by itself, and what was lost by its track, has no say.
-    weight = 1.0 / (1.0 + (residual**2).sum(axis=1))
-    scaled = weight[:, None]
-    residual, by_distance = residual * scaled, by_distance * scaled
-    points, rows = len(tracks.anchor), np.arange(residual.size)
-    blocks = np.stack([by_frame, by_anchor]) * scaled[..., None]
-    starts = 6 * np.stack([tracks.frame, tracks.anchor[tracks.point]])
-    J = _sparse(blocks, rows.reshape(-1, 2, 1), starts[:, :, None, None] + np.arange(6), 6 * len(poses))
-    N = csr_array((by_distance.ravel(), (rows, np.repeat(tracks.point, 2))), (residual.size, points))
-    prior_residual, P = _prior_equations(poses, priors)
-
-    information = np.bincount(tracks.point, (by_distance**2).sum(axis=1), points) + INVERSE_DISTANCE_SIGMA**-2
-    mixed = csr_array(J.T @ N)
-    reduced = J.T @ J + P.T @ P - (mixed / information) @ mixed.T
-    distance_gradient = N.T @ residual.ravel()
-    gradient = J.T @ residual.ravel() + P.T @ prior_residual - mixed @ (distance_gradient / information)
-    return (
-        csr_array(reduced),
-        np.asarray(gradient),
-        mixed,
-        np.asarray(distance_gradient),
-        np.asarray(information, np.float64),
-    )
-
-
-def _linearise(
-    poses: Array, inverse_distance: Array, tracks: FeatureTracks, ray_sigma: float
-) -> tuple[Array, Array, Array, Array]:
-    """Residuals (m, 2) in sigmas and their derivatives by both poses (m, 2, 6) and the inverse distance (m, 2).
-
-    A point at inverse distance s along the ray r of camera a lies, seen from camera k, along
-    p = R_k' (R_a r + s (c_a - c_k)). The residual is p / |p| in the plane that touches the unit sphere at the
-    observed ray.
-    """
-    turned, baseline = _seen_from(poses, tracks)
-    s = inverse_distance[tracks.point][:, None]
-    p = turned + s * baseline
-    length = np.linalg.norm(p, axis=1, keepdims=True)
-    u = p / length
-    # Two unit vectors (m, 2, 3) at right angles to each observed ray and to each other.
-    away = np.where(np.abs(tracks.ray[:, :1]) < 0.7, np.eye(3)[:1], np.eye(3)[1:2])
-    first = np.cross(tracks.ray, away).astype(np.float64)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    plane = np.stack([first, _apply(cross_matrix(tracks.ray), first)], axis=1)
-    residual = np.einsum("mij,mj->mi", plane, u) / ray_sigma
-    across = (plane - np.einsum("mij,mj->mi", plane, u)[..., None] * u[:, None, :]) / (length * ray_sigma)[..., None]
-    to_camera = np.swapaxes(poses[tracks.frame, :3, :3], -1, -2)
-    anchor_to_camera = to_camera @ poses[tracks.anchor[tracks.point], :3, :3]
-    by_position = s[..., None] * (across @ to_camera)
-    by_frame = np.concatenate([across @ cross_matrix(p), -by_position], axis=-1)
-    turn_of_anchor = anchor_to_camera @ cross_matrix(tracks.anchor_ray[tracks.point])
-    by_anchor = np.concatenate([-across @ turn_of_anchor, by_position], axis=-1)
-    return residual, by_frame, by_anchor, np.einsum("mij,mj->mi", across, baseline)
-
-
-def _prior_equations(poses: Array, priors: StepPriors) -> tuple[Array, csr_array]:
-    """Residuals (6 (n - 1),) of the steps in sigmas, and their derivatives by the poses."""
+def _add_priors(equations: PoseEquations, poses: Array, priors: StepPriors) -> None:
+    """Add what is known of the steps beforehand: residuals in sigmas, and how they change with both poses."""
     expected, found = priors.T_key_next, invert(poses[:-1]) @ poses[1:]
     turn = vector_from_rotation(np.swapaxes(expected[:, :3, :3], -1, -2) @ found[:, :3, :3])
     # Matrices (n - 1, 3, 3) that turn a displacement's error into sigmas, along and across.
@@ -220,26 +118,41 @@ def _prior_equations(poses: Array, priors: StepPriors) -> tuple[Array, csr_array
     along = expected[:, :3, 3] / np.maximum(length, 1e-12)
     outer = along[:, :, None] * along[:, None, :]
     weigh = outer / priors.along_sigma[:, None, None] + (np.eye(3) - outer) / priors.across_sigma[:, None, None]
-    missed = _apply(weigh, found[:, :3, 3] - expected[:, :3, 3])
+    missed = np.einsum("nij,nj->ni", weigh, found[:, :3, 3] - expected[:, :3, 3])
     residual = np.concatenate([turn / priors.rotation_sigma[:, None], missed], axis=1)
 
-    steps = len(expected)
-    blocks = np.zeros((steps, 6, 12))
-    blocks[:, :3, :3] = -np.swapaxes(found[:, :3, :3], -1, -2) / priors.rotation_sigma[:, None, None]
-    blocks[:, :3, 6:9] = np.eye(3) / priors.rotation_sigma[:, None, None]
-    blocks[:, 3:, :3] = weigh @ cross_matrix(found[:, :3, 3])
-    blocks[:, 3:, 9:] = weigh @ np.swapaxes(poses[:-1, :3, :3], -1, -2)
-    blocks[:, 3:, 3:6] = -blocks[:, 3:, 9:]
-    rows = np.arange(6 * steps).reshape(steps, 6, 1)
-    columns = (6 * np.arange(steps))[:, None, None] + np.arange(12)
-    return residual.ravel(), _sparse(blocks, rows, columns, 6 * len(poses))
+    to_camera = np.swapaxes(poses[:, :3, :3], -1, -2)
+    earlier, later = np.zeros((2, len(expected), 6, 6))
+    later[:, :3, :3] = to_camera[1:] / priors.rotation_sigma[:, None, None]
+    earlier[:, :3, :3] = -later[:, :3, :3]
+    earlier[:, 3:, :3] = weigh @ cross_matrix(found[:, :3, 3]) @ to_camera[:-1]
+    later[:, 3:, 3:] = weigh @ to_camera[:-1]
+    earlier[:, 3:, 3:] = -later[:, 3:, 3:]
+    for first, derivative in ((0, earlier), (1, later)):
+        poses_of = slice(first, first + len(expected))
+        equations.blocks[poses_of, 0] += np.swapaxes(derivative, -1, -2) @ derivative
+        equations.gradient[poses_of] += np.einsum("nij,ni->nj", derivative, residual)
+    equations.blocks[:-1, 1] += np.swapaxes(later, -1, -2) @ earlier
 
 
-def _sparse(blocks: Array, rows: NDArray[np.int64], columns: NDArray[np.int64], width: int) -> csr_array:
-    """The matrix (residuals, width) with these blocks; rows and columns are broadcast to them."""
-    at = tuple(np.broadcast_to(index, blocks.shape).ravel() for index in (rows, columns))
-    return coo_array((blocks.ravel(), at), (int(rows.max(initial=-1)) + 1, width)).tocsr()
+def _factorise(equations: PoseEquations) -> Array:
+    """Cholesky factor of the equations of all poses but the first, as a lower band (6 span, 6 (n - 1))."""
+    blocks = equations.blocks[1:]
+    n, span = blocks.shape[:2]
+    band = np.zeros((6 * span, 6 * n))
+    for later in range(span):
+        for column in range(6):
+            row = column if later == 0 else 0
+            first = 6 * later + row - column
+            band[first : first + 6 - row, column::6] = blocks[:, later, row:, column].T
+    return cholesky_banded(band, lower=True)
 
 
-def _apply(matrices: Array, vectors: Array) -> Array:
-    return (matrices @ vectors[..., None])[..., 0]
+def _rotation_covariance(equations: PoseEquations) -> Array:
+    n = len(equations.blocks)
+    turns = (6 * np.arange(n - 1)[:, None] + np.arange(3)).ravel()
+    each = np.zeros((6 * n - 6, len(turns)))
+    each[turns, np.arange(len(turns))] = 1.0
+    covariance = np.zeros((3 * n, 3 * n))
+    covariance[3:, 3:] = cho_solve_banded((_factorise(equations), True), each)[turns]
+    return covariance

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.cameras import Camera
 from olt_generator.doubts import Doubt
-from olt_generator.motion.bundle_adjustment import AdjustedPoses, FeatureTracks, StepPriors, adjust_poses
+from olt_generator.motion.bundle_adjustment import AdjustedPoses, StepPriors, adjust_poses
 from olt_generator.motion.evidence import DOUBTFUL_LOG_SCALE, Evidence, doubt_standstill, find_doubts
 from olt_generator.motion.features import Gray
 from olt_generator.motion.mounting import align_mounting
@@ -34,6 +34,7 @@ from olt_generator.motion.steps import (
     radians_per_pixel,
     speaks_against_standstill,
 )
+from olt_generator.motion.track_equations import FeatureTracks
 from olt_generator.motion.two_view import TwoViewMotion, parallax_forward
 from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, make_pose
 

@@ -9,7 +9,9 @@ The grid is wider than the lane and cut into cells, each with its own shift, bec
 no road at all: a vehicle ahead, lorries on both sides, the light of the headlamps.
 """
 
+from copy import copy
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -96,7 +98,7 @@ class RoadGrid:
         Raises:
             InputError: no road is in view.
         """
-        self.camera, self.height, self.hidden = camera, height, hidden
+        self.camera, self.height, self._shows = camera, height, (~hidden).astype(np.uint8)
         ahead = np.arange(NEAREST_HEIGHTS * height, FARTHEST_HEIGHTS * height, SPACING_ALONG)
         _, visible = self._locate(axes, ahead, np.linspace(-OWN_LANE, OWN_LANE, 9))
         visible = visible.mean(axis=1) > 0.5
@@ -111,47 +113,79 @@ class RoadGrid:
         self.shifts: Array = np.arange(-rows, rows + 1, dtype=np.float64) * SPACING_ALONG
         """Distances driven (shifts,) that are tried, metres; negative ones are driven backward."""
 
+    def narrowed(self, farthest: float) -> "RoadGrid":
+        """The same grid with only the cells whose middles are at most this far to either side, metres."""
+        width = self.cell[1]
+        middle = self.across[::width] + 0.5 * (width - 1) * SPACING_ACROSS
+        narrow = copy(self)
+        narrow.across = self.across[np.repeat(np.abs(middle) <= farthest, width)]
+        return narrow
+
     def rectify(self, gray: Gray, axes: RoadFrame) -> RoadPicture:
         """The road seen from above."""
         pixels, seen = self._locate(axes, self.along, self.across)
-        table = pixels.astype(np.float32)
         # Half a pixel beyond the middle of the last one is still in the picture.
         border = cv2.BORDER_REPLICATE
-        picture = cv2.remap(gray, table[..., 0], table[..., 1], cv2.INTER_LINEAR, borderMode=border).astype(np.float32)
+        table = pixels[..., 0], pixels[..., 1]
+        picture = cv2.remap(gray, *table, cv2.INTER_LINEAR, borderMode=border).astype(np.float32)
         size = (round(DETAIL_METRES / SPACING_ACROSS), round(DETAIL_METRES / SPACING_ALONG))
+        if seen.all():
+            return RoadPicture(picture - cv2.blur(picture, size), seen)
         share = np.maximum(cv2.blur(seen.astype(np.float32), size), 1e-6)
         mean = cv2.blur(np.where(seen, picture, np.float32(0.0)), size) / share
         return RoadPicture(np.where(seen, picture - mean, np.float32(0.0)), seen)
 
     def match(self, first: RoadPicture, second: RoadPicture) -> CellMatches:
-        """Correlation of the cells of the second picture that show something, for every shift."""
-        length, width = self.cell
-        starts = range(0, len(self.along) - length + 1, length)
-        columns = range(0, len(self.across) - width + 1, width)
-        middle = len(self.shifts) // 2
-        found = np.full((len(columns), len(starts), len(self.shifts)), np.nan)
-        seen_before, seen_after = (
-            cv2.boxFilter(picture.seen.astype(np.float32), -1, (width, length), anchor=(0, 0)) >= LEAST_SEEN
-            for picture in (first, second)
-        )
-        for column, across in enumerate(columns):
-            strip = first.detail[:, across : across + width]
-            tried = seen_before[: len(self.along) - length + 1, across]
-            for row, start in enumerate(starts):
-                cell = second.detail[start : start + length, across : across + width]
-                if not seen_after[start, across] or cell.std() < LEAST_CONTRAST:
-                    continue
-                scores = cv2.matchTemplate(strip, cell, cv2.TM_CCOEFF_NORMED)[:, 0]
-                at = middle - start
-                found[column, row, at : at + len(scores)] = np.where(tried, scores, np.nan)
-        half = 0.5 * CELL_METRES[0], 0.5 * CELL_METRES[1]
-        return CellMatches(self.along[starts] + half[0], self.across[columns] + half[1], found)
+        """Correlation of the cells of the second picture that show something, for every shift.
 
-    def _locate(self, axes: RoadFrame, along: Array, across: Array) -> tuple[Array, NDArray[np.bool_]]:
-        points = along[:, None, None] * axes.along + across[:, None] * axes.left - self.height * axes.up
-        pixels, inside = self.camera.project(points)
-        column, row = np.moveaxis(np.where(inside[..., None], np.rint(pixels), 0.0).astype(np.intp), -1, 0)
-        return pixels, inside & ~self.hidden[row, column]
+        Normalised as `cv2.TM_CCOEFF_NORMED` is; all cells of a column are one product of matrices.
+        """
+        length, width = self.cell
+        rows, columns = len(self.along) // length, len(self.across) // width
+        size = length * width
+        cells = self._cut(second.detail)[:, : rows * length].reshape(columns, rows, size)
+        cells = cells - cells.mean(axis=-1, keepdims=True)
+        contrast = np.sqrt(np.mean(cells**2, axis=-1))
+        shows = (contrast >= LEAST_CONTRAST) & (self._sum_windows(second.seen)[:, ::length] >= LEAST_SEEN * size)
+        cells /= np.maximum(contrast, LEAST_CONTRAST)[..., None] * np.sqrt(size)
+        strips = self._cut(first.detail).reshape(columns, -1)
+        # A copy: overlapping windows are no matrix to BLAS.
+        windows = np.ascontiguousarray(np.lib.stride_tricks.sliding_window_view(strips, size, axis=1)[:, ::width])
+        total, squares = self._sum_windows(first.detail), self._sum_windows(first.detail**2)
+        spread = np.sqrt(np.maximum(squares - total**2 / size, 1e-6 * size))
+        tried = self._sum_windows(first.seen) >= LEAST_SEEN * size
+        scores = np.where(tried, np.matmul(windows, np.swapaxes(cells, 1, 2)).transpose(2, 0, 1) / spread, np.nan)
+        middle = len(self.shifts) // 2
+        found = np.full((columns, rows, len(self.shifts)), np.nan)
+        for row in range(rows):
+            at = middle - row * length
+            found[:, row, at : at + scores.shape[-1]] = np.where(shows[:, row, None], scores[row], np.nan)
+        starts = length * np.arange(rows), width * np.arange(columns)
+        half = 0.5 * CELL_METRES[0], 0.5 * CELL_METRES[1]
+        return CellMatches(self.along[starts[0]] + half[0], self.across[starts[1]] + half[1], found)
+
+    def _cut(self, picture: NDArray[np.float32]) -> NDArray[np.float32]:
+        """A picture (along, across) in columns of cells (columns, along, width)."""
+        width = self.cell[1]
+        return np.ascontiguousarray(picture.reshape(len(picture), -1, width).swapaxes(0, 1))
+
+    def _sum_windows(self, picture: NDArray[np.float32] | NDArray[np.bool_]) -> Array:
+        """Sums (columns, starts) over pieces of the size of a cell that start at each row of a picture."""
+        length, width = self.cell
+        sums = picture.reshape(len(picture), -1, width).sum(axis=2, dtype=np.float64).T
+        until = np.cumsum(sums, axis=1)
+        until[:, length:] -= until[:, :-length].copy()
+        return until[:, length - 1 :]
+
+    def _locate(self, axes: RoadFrame, along: Array, across: Array) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+        """Pixels (along, across, 2) of places on the road, and which of them show it."""
+        ahead = axes.along[:, None] * along
+        aside = axes.left[:, None] * across - self.height * axes.up[:, None]
+        # Single precision moves a place by less than a thousandth of a pixel.
+        points: NDArray[Any] = ahead.astype(np.float32)[:, :, None] + aside.astype(np.float32)[:, None]
+        pixels, inside = self.camera.project(np.moveaxis(points, 0, -1))
+        table = pixels.astype(np.float32)
+        return table, inside & (cv2.remap(self._shows, table[..., 0], table[..., 1], cv2.INTER_NEAREST) > 0)
 
 
 def find_peak(scores: Array, low: int, high: int) -> float | None:

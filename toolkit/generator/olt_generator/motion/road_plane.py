@@ -21,7 +21,7 @@ from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import SuperLU, splu
 
 from olt_generator.motion.features import Gray
-from olt_generator.motion.road_grid import SPACING_ALONG, RoadGrid, find_peak, road_frame
+from olt_generator.motion.road_grid import CELL_METRES, SPACING_ALONG, RoadGrid, find_peak, road_frame
 from olt_generator.poses import Array, invert
 
 # Driven between the frames of a pair, in camera heights, and the most keyframes between them.
@@ -122,6 +122,8 @@ def measure_scale(
 
 def match_road(grays: Sequence[Gray], T_world_camera: Array, grid: RoadGrid, up: Array) -> RoadMatches:
     """Match the road between every keyframe and the next one some metres on; arguments as of `measure_scale`."""
+    # A cell more to either side: what is lighter or darker than its surroundings is told by these.
+    grid = grid.narrowed(FARTHEST_ACROSS_LANE + CELL_METRES[1])
     rows: list[tuple[float, ...]] = []
     positions = T_world_camera[:, :3, 3]
     for start, position in enumerate(positions[:-1]):

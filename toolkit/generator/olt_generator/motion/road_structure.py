@@ -10,7 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_generator.motion.bundle_adjustment import AdjustedPoses, FeatureTracks, track_residuals
+from olt_generator.motion.bundle_adjustment import AdjustedPoses, track_residuals
+from olt_generator.motion.track_equations import FeatureTracks
 from olt_generator.poses import Array
 
 # Points are used where the directions to them differ by so many times their noise, and agree to so many.

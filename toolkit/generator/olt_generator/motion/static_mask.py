@@ -23,13 +23,14 @@ BELOW_HORIZON = np.radians(5.0)
 
 
 def choose_moving(grays: Sequence[Gray], keyframes: Sequence[int]) -> list[int]:
-    """Those of the keyframes in which the scene moves; only some, spread over the clip, are looked at."""
+    """Those of the keyframes in which the scene moves; only some, spread over the clip, are looked at, at half size."""
     pairs = list(pairwise(keyframes))
     moving = []
     for key, later in pairs[:: -(-len(pairs) // MOST_FRAMES)]:
-        corners = detect_corners(grays[key], 1)
-        moved, found = track_corners(grays[key], grays[later], corners)
-        flow = np.linalg.norm(moved - corners, axis=1)[found]
+        first, second = (np.asarray(cv2.pyrDown(grays[index]), np.uint8) for index in (key, later))
+        corners = detect_corners(first, 1)
+        moved, found = track_corners(first, second, corners)
+        flow = 2.0 * np.linalg.norm(moved - corners, axis=1)[found]
         if len(flow) > 0 and np.percentile(flow, 100.0 * (1.0 - MOVING_SHARE)) > MOVING_PIXELS:
             moving.append(key)
     return moving

@@ -1,6 +1,7 @@
 """The motion of the camera in single steps: from the last keyframe to each frame, up to its length and its sign."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,6 +128,7 @@ def speaks_against_standstill(step: Step, camera: Camera, up: Array) -> bool:
     return len(moved) > 0 and bool(np.mean(moved > MOVING_PIXELS * radians_per_pixel(camera)) > MOVING_SHARE)
 
 
+@lru_cache(maxsize=32)
 def radians_per_pixel(camera: Camera) -> float:
     """Angle between neighbouring pixels in the middle of the image."""
     u, v = 0.5 * (camera.width - 1), 0.5 * (camera.height - 1)

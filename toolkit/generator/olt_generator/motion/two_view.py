@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from olt_generator.poses import Array
-from olt_generator.twists import cross_matrix
+from olt_generator.twists import cross_matrix, cross_rows, dot_rows
 
 # Perspective coordinates stretch towards the edge of a wide lens: the first guess is made inside this cone.
 MAX_GUESS_ANGLE = np.radians(60.0)
@@ -53,7 +53,7 @@ def estimate_motion(rays_a: Array, rays_b: Array, sigma: float) -> TwoViewMotion
     guess = _guess_essential(rays_a, rays_b, 2.0 * sigma)
     if guess is None:
         return None
-    linearise = partial(_linearise, rays_a, rays_b)
+    linearise = partial(_linearise, np.ascontiguousarray(rays_a.T), np.ascontiguousarray(rays_b.T))
     R, t = refine_motion(*guess, linearise, sigma, MAX_REFINEMENTS, CONVERGED_RADIANS)
     inliers = np.abs(epipolar_sines(rays_a, rays_b, R, t)) < INLIER_SIGMAS * sigma
     return TwoViewMotion(R, -R.T @ t, inliers)
@@ -84,10 +84,10 @@ def refine_motion(
     t (3,) along the two directions (2, 3) across it.
     """
     for _ in range(rounds):
-        across = np.linalg.svd(t[None])[2][1:]
+        across = _across(t)
         residual, jacobian = linearise(R, t, across)
         weighted = jacobian * (1.0 / (1.0 + (residual / sigma) ** 2) ** 2)[:, None]
-        step = -np.linalg.pinv(weighted.T @ jacobian) @ (weighted.T @ residual)
+        step = -np.linalg.pinv(weighted.T @ jacobian, hermitian=True) @ (weighted.T @ residual)
         R, t = Rotation.from_rotvec(step[:3]).as_matrix() @ R, t + step[3:] @ across
         t /= np.linalg.norm(t)
         if np.abs(step).max() < converged:
@@ -97,9 +97,8 @@ def refine_motion(
 
 def epipolar_sines(rays_a: Array, rays_b: Array, R_b_a: Array, t: Array) -> Array:
     """Sine (n,) of the angle of each ray in b to its epipolar plane: b . (t x R a) / |t x R a|."""
-    normals = np.cross(t, rays_a @ R_b_a.T)
-    length = np.maximum(np.linalg.norm(normals, axis=1), 1e-9)
-    return np.einsum("ij,ij->i", rays_b, normals) / length
+    normals = cross_matrix(t) @ R_b_a @ rays_a.T
+    return dot_rows(rays_b.T, normals) / np.maximum(np.sqrt(dot_rows(normals, normals)), 1e-9)
 
 
 def _guess_essential(rays_a: Array, rays_b: Array, threshold: float) -> tuple[Array, Array] | None:
@@ -118,17 +117,24 @@ def _guess_essential(rays_a: Array, rays_b: Array, threshold: float) -> tuple[Ar
     return np.asarray(R, dtype=np.float64), np.asarray(t[:, 0], dtype=np.float64)
 
 
+def _across(t: Array) -> Array:
+    """Two directions (2, 3) at right angles to the unit vector t (3,) and to each other."""
+    first = cross_matrix(t)[np.argmin(np.abs(t))]
+    first /= np.linalg.norm(first)
+    return np.stack([first, cross_matrix(t) @ first])
+
+
 def _linearise(rays_a: Array, rays_b: Array, R: Array, t: Array, across: Array) -> tuple[Array, Array]:
-    """Epipolar sines (n,) and how they change (n, 5) with a turn after R and a step of t `across` it.
+    """Epipolar sines (n,) of rays (3, n), and how they change (n, 5) with a turn after R and a step of t `across` it.
 
     With p = R a, n = t x p and s = b . n / |n|, ds = g . dn for g = (b - s n / |n|) / |n|. A turn moves n by
     t x (turn x p), so that ds = turn . (p x (g x t)); a step of t moves it by step x p, so that ds = step . (p x g).
     """
-    turned, cross_t = rays_a @ R.T, cross_matrix(t)
-    normals = turned @ cross_t.T
-    length = np.maximum(np.linalg.norm(normals, axis=1), 1e-9)[:, None]
+    turned, cross_t = R @ rays_a, cross_matrix(t)
+    normals = cross_t @ turned
+    length = np.maximum(np.sqrt(dot_rows(normals, normals)), 1e-9)
     normals /= length
-    sines = np.einsum("ij,ij->i", rays_b, normals)
-    slope = (rays_b - sines[:, None] * normals) / length
-    by_turn, by_step = np.cross(turned, slope @ cross_t), np.cross(turned, slope) @ across.T
-    return sines, np.concatenate([by_turn, by_step], axis=1, dtype=np.float64)
+    sines = dot_rows(rays_b, normals)
+    slope = (rays_b - sines * normals) / length
+    by_turn, by_step = cross_rows(turned, cross_t.T @ slope), across @ cross_rows(turned, slope)
+    return sines, np.concatenate([by_turn, by_step]).T
