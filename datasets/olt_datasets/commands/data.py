@@ -214,7 +214,10 @@ def build(
     from olt_toolkit import BuildOptions, DatasetPlace
     from olt_toolkit.clips.build_job import BuildJob
     from olt_toolkit.clips.table import read_clip_table
+    from olt_toolkit.recordings.recording import refuse_unused
 
+    if kind is BuiltKind.GT:
+        refuse_unused(building.given_of_synthesis(), "clips of kind GT take true views and measured motion as they are")
     job = BuildJob(
         place=DatasetPlace(root, cache.expanduser(), source),
         key="",

@@ -118,9 +118,11 @@ def _input_sections(pictures: Path, clip: dict[str, Any]) -> list[Section]:
         Table(("quantity", "before smoothing", "after"), quantities),
         Table(("view", "kind", "observed", "invented", "not seen", "PSNR (dB)", "PSNR observed (dB)"), views),
     ]
-    assumed = [Text("What was assumed, not measured:"), Bullets(clip["assumptions"])]
+    doubts = [f"{doubt['what']}: {doubt['why']}" for doubt in clip["doubts"]]
+    lists = {"What was assumed, not measured:": clip["assumptions"], "What is in doubt:": doubts}
+    told = [block for title, lines in lists.items() for block in (Text(title), Bullets(lines or ["nothing"]))]
     return [
-        Section("Four views from one", [*shown.values(), *assumed]),
+        Section("Four views from one", [*shown.values(), *told]),
         Section("Trajectory and clip", [*drawings, *tables]),
     ]
 

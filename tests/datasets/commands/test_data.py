@@ -43,6 +43,8 @@ def test_from_a_data_set_to_built_clips(toy, tmp_path):
     assert (summary["clips"], summary["clips_with_samples"], summary["samples"]) == (4, 2, 2)
     unsplit = run("build", table, "--root", root, "--kind", "GT", "--out", store, *options)
     assert "run `olt data split` before" in str(unsplit.exception)
+    unused = run("build", table, "--root", root, "--kind", "GT", "--out", store, "--front", "as-is", *options)
+    assert "--front: clips of kind GT take true views" in str(unused.exception)
 
     result = run("split", table, "--rule", "seen", "--test", 0.5, "--out", table, "--json")
     assert json.loads(result.stdout)["clips"] == {"train": 2, "test": 2}

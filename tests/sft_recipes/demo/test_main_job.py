@@ -99,6 +99,7 @@ def comparable(summary):
 def test_the_main_job_runs_resumes_and_does_not_depend_on_the_number_of_workers(tmp_path):
     summary = run_demo(tmp_path / "one", SMALL, workers=1)
     assert (tmp_path / "one" / "report.html").stat().st_size > 10_000
+    assert "What is in doubt:" in (tmp_path / "one" / "report.html").read_text()
     assert comparable(json.loads((tmp_path / "one" / "summary.json").read_text())) == comparable(summary)
     assert summary["input"]["pose_errors"]["metric"]["ate_m"] < 5.0
     assert summary["input"]["clip"]["views"][FRONT_WIDE]["kind"] == "rendered"

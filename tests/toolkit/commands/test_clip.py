@@ -240,6 +240,14 @@ def test_a_folder_gives_one_clip_for_each_recording(drives):
     assert "town.drive" in build(drives, "--out", drives / "clips", "--workers", 1).stdout
 
 
+def test_another_front_view_is_another_clip_of_the_same_store(drives):
+    store = drives / "clips"
+    assert build(drives, "--out", store, "--workers", 1).exit_code == 0
+    again = build(drives, "--out", store, "--workers", 1, "--front", "as-is", "--json")
+    assert {outcome["state"] for outcome in json.loads(again.stdout)["recordings"]} == {"built"}
+    assert len(ClipStore(store).clips()) == 6
+
+
 def test_an_interrupted_folder_run_goes_on_and_ends_the_same(drives, source, monkeypatch):
     whole, resumed = drives / "whole", drives / "resumed"
     assert build(drives, "--out", whole, "--workers", 1).exit_code == 0

@@ -12,8 +12,8 @@ from typing import Any, Literal
 
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
-from olt_toolkit.clips.builder import build_clip, clip_kind
-from olt_toolkit.clips.clip import ClipInfo, make_clip_id
+from olt_toolkit.clips.builder import build_clip, clip_id_of
+from olt_toolkit.clips.clip import ClipInfo
 from olt_toolkit.clips.estimators import Estimators
 from olt_toolkit.clips.pictures import animation_path, write_clip_pictures
 from olt_toolkit.clips.store import ClipStore
@@ -78,8 +78,7 @@ class BuildJob:
     @property
     def clip_id(self) -> str:
         """Id of the clip that will be built; an `InputError` where no reader knows the data set."""
-        source = self.source or self.place.open().source
-        return make_clip_id(source, self.name, clip_kind(self.options), self.options.seed)
+        return clip_id_of(self.source or self.place.open().source, self.name, self.options)
 
     def open(self) -> Recording:
         """Open what the clip is built of; an `InputError` where it cannot be used, or is not of the `source`."""

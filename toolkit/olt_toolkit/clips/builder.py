@@ -28,6 +28,7 @@ from olt_toolkit.clips.views import BuildOptions, View, ViewMaker
 from olt_toolkit.policy.window import grid_frame_indices, sampled_frame_indices
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.ftheta_fit import fit_ftheta
+from olt_toolkit.rigs.names import FrontLens
 from olt_toolkit.runtime.steps import OnStep, Steps, unnoticed
 
 Indices = NDArray[np.int64]
@@ -145,6 +146,16 @@ def clip_kind(options: BuildOptions) -> ClipKind:
     return "GT" if options.use_reference_views else "Syn"
 
 
+def clip_id_of(source: str, name: str, options: BuildOptions) -> str:
+    """The id of the clip of that name that these options make of a recording that `source` reads.
+
+    Clips of one recording with different front views are different clips; a true front view is the same with each.
+    """
+    kind = clip_kind(options)
+    changed = kind != "GT" and options.front is not FrontLens.AS_NAMED
+    return make_clip_id(source, name, kind, options.seed, *([options.front.value] if changed else []))
+
+
 def _measure_motion(
     recording: Recording, options: BuildOptions, steps: Steps
 ) -> tuple[RecoveredMotion | None, EgoMotion, Trajectory, Array]:
@@ -196,7 +207,7 @@ def _assemble(
     rate = float(max(1, round(1e6 / float(np.median(np.diff(times_us))))))
     wanted = {camera: views[camera] for camera in options.cameras}
     return Clip(
-        clip_id=make_clip_id(recording.source, name, kind, options.seed),
+        clip_id=clip_id_of(recording.source, name, options),
         name=name,
         scene_id=options.scene_id or recording.name,
         source=recording.source,

@@ -86,6 +86,14 @@ class BuildingOptions(CameraOptions):
         """Which options were given that tell how a recording is read, and where its motion comes from."""
         return self.given() | {"--poses": self.poses is not PoseEstimator.ODOMETRY}
 
+    def given_of_synthesis(self) -> dict[str, bool]:
+        """Which options were given that tell how views are made, where they and the motion are not known."""
+        return {
+            "--front": self.front is not FrontLens.AS_NAMED,
+            "--poses": self.poses is not PoseEstimator.ODOMETRY,
+            "--depth": self.depth is not DepthEstimator.GEOMETRIC,
+        }
+
     def opening(self, duration: float = float("inf")) -> "OpenOptions":
         """How a drive is opened, with the true views of the rig's cameras where they are known."""
         from dataclasses import replace

@@ -133,7 +133,7 @@ def _print_result(result: dict[str, Any]) -> None:
     summary = result["summary"]
     if summary["mean_ate_m"] is not None:
         print_line(
-            f"{summary['clips']} clips: ATE {summary['mean_ate_m']:.2f} m (worst {summary['worst_ate_m']:.2f} m), "
+            f"clips: {summary['clips']}, ATE {summary['mean_ate_m']:.2f} m (worst {summary['worst_ate_m']:.2f} m), "
             f"translation by step {summary['mean_step_translation_percent']:.2f} %"
         )
     for clip in clips:
