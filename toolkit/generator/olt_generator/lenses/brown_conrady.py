@@ -54,7 +54,7 @@ class BrownConradyCamera(FocalCamera):
             pixels[..., 0] = self.fx * distorted_x + self.cx
             pixels[..., 1] = self.fy * distorted_y + self.cy
             in_range = in_front & self._unfolded(x, y)
-        return pixels, in_range & inside_image(pixels, self.width, self.height)
+        return pixels, in_range & inside_image(pixels[..., 0], pixels[..., 1], self.width, self.height)
 
     def rays(self, pixels: Array) -> Array:
         """See `Camera.rays`."""

@@ -115,7 +115,6 @@ def pixel_rays(camera: Camera) -> Array:
     return rays
 
 
-def inside_image(pixels: Array, width: int, height: int) -> Mask:
-    """Which pixels (..., 2) lie in an image, from the outer edge of its first to that of its last pixel."""
-    u, v = pixels[..., 0], pixels[..., 1]
+def inside_image(u: Array, v: Array, width: int, height: int) -> Mask:
+    """Which pixels (u, v), each (...), lie in an image, from the outer edge of its first to that of its last pixel."""
     return (u >= -0.5) & (u < width - 0.5) & (v >= -0.5) & (v < height - 0.5)

@@ -60,7 +60,7 @@ class KannalaBrandtCamera(FocalCamera):
             pixels[..., 0] = self.cx + self.fx * scale * x
             pixels[..., 1] = self.cy + self.fy * scale * y
         in_range = (angle <= self._limits[0]) & ((across > 0.0) | (z > 0.0))
-        return pixels, in_range & inside_image(pixels, self.width, self.height)
+        return pixels, in_range & inside_image(pixels[..., 0], pixels[..., 1], self.width, self.height)
 
     def rays(self, pixels: Array) -> Array:
         """See `Camera.rays`."""

@@ -40,9 +40,10 @@ class PinholeCamera(FocalCamera):
         safe = np.where(in_front, z, 1.0)
         pixels = np.empty((*z.shape, 2))
         with np.errstate(invalid="ignore", over="ignore"):
-            pixels[..., 0] = self.fx * points_camera[..., 0] / safe + self.cx
-            pixels[..., 1] = self.fy * points_camera[..., 1] / safe + self.cy
-        return pixels, in_front & inside_image(pixels, self.width, self.height)
+            u = self.fx * points_camera[..., 0] / safe + self.cx
+            v = self.fy * points_camera[..., 1] / safe + self.cy
+        pixels[..., 0], pixels[..., 1] = u, v
+        return pixels, in_front & inside_image(u, v, self.width, self.height)
 
     def rays(self, pixels: Array) -> Array:
         """See `Camera.rays`; every pixel has one."""

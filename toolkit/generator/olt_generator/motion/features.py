@@ -18,8 +18,8 @@ BORDER_PIXELS = 8
 SPACING_PIXELS = 6
 CORNER_WINDOW = 5
 MIN_CORNER_STRENGTH = 1e-5
-# A multiple of eight, which OpenCV works on at a time: rows of 15 pixels take twice as long.
-TRACK_WINDOW = (16, 16)
+# OpenCV works on eight pixels of a row at a time and on what is left one by one: 15 take longer than 17.
+TRACK_WINDOW = (17, 17)
 PYRAMID_LEVELS = 4
 TRACK_STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 30, 0.01)
 MAX_RETURN_PIXELS = 0.5

@@ -160,8 +160,8 @@ def _sum_pairs(residual: Array, derivative: Array, tracks: FeatureTracks, n: int
     span = tracks.span
     blocks, gradient = np.zeros((n, span, 6, 6)), np.zeros((n, 6))
     anchor = tracks.anchor[tracks.point]
-    starts = np.flatnonzero(np.diff(anchor * n + tracks.frame, prepend=-1))
-    for start, end in zip(starts, np.append(starts[1:], len(anchor)), strict=True):
+    pair = anchor * n + tracks.frame
+    for start, end in pairwise(np.flatnonzero(np.diff(pair, prepend=-1, append=-1)).tolist()):
         J, r = derivative[:, :, start:end], residual[:, start:end]
         information = J[0] @ J[0].T + J[1] @ J[1].T
         slope = J[0] @ r[0] + J[1] @ r[1]
