@@ -13,7 +13,7 @@ from olt_generator.motion.road_structure import Plane
 # A course of the speed is in doubt where another one has more than this share of its votes.
 LARGEST_RIVAL = 0.6
 # A direction is in doubt where the opposite one is less improbable than this, as a logarithm, for a step.
-LEAST_DIRECTION_LOG_ODDS = 1.0
+LEAST_DIRECTION_LOG_ODDS = 3.0
 # A speed is in doubt where fewer of its steps than this are told by the road.
 LEAST_TOLD = 0.5
 # A road's texture and its points are in doubt where they put it at heights that differ by more, as a logarithm, or

@@ -42,6 +42,8 @@ from olt_generator.poses import R_FORWARD_CAMERA, Array, aim_camera, invert, mak
 LEAST_OBSERVATIONS = 2
 # Slower than this is standstill, m/s; faster than that the road moves in the picture.
 STANDSTILL_SPEED = 0.05
+# Slower than this no point moves by pixels between keyframes, m/s.
+CRAWLING_SPEED = 0.3
 DRIVING_SPEED = 1.0
 # A step farther than this from what a vehicle can do that rolls is found again as a step of such a vehicle, radians.
 LARGEST_SLIP = np.radians(1.5)
@@ -202,7 +204,7 @@ def _against_standstill(clip: KeyframeSteps, road: RoadSpeed) -> float:
     """Share of the steps in which the vehicle stands only for want of road, or while what cannot move then does."""
     against, up = 0, clip.T_rig_camera[2, :3]
     for step, speed, told in zip(clip.steps, road.speed, road.log_odds, strict=True):
-        if abs(speed) < STANDSTILL_SPEED or not step.moves:
+        if abs(speed) < CRAWLING_SPEED or not step.moves:
             untold = step.moves and told < LEAST_LOG_ODDS
             against += untold or speaks_against_standstill(step, clip.camera, up)
     return against / len(clip.steps)

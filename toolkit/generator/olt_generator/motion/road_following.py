@@ -3,18 +3,24 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from olt_generator.motion.features import Gray
 from olt_generator.motion.road_grid import RoadGrid, road_frame
-from olt_generator.motion.road_speed import RoadSpeed, count_votes, estimate_speed
+from olt_generator.motion.road_speed import LongerVotes, RoadSpeed, count_votes, estimate_speed
 from olt_generator.motion.steps import Step
 from olt_generator.poses import Array
 
 # Directions of steps that agree to this are told apart from those that what moves by itself has bent.
 AGREEING_DIRECTIONS = np.radians(10.0)
+# A step goes aside by so much at most: by shaking, and the more the more it turns, because the camera is ahead of the
+# axle. What goes farther aside follows something that moves by itself.
+MOST_ASIDE, MOST_ASIDE_BY_TURN = np.radians(5.0), 5.0
 # Motion that is slower than this is measured over more than one step: over so many metres, and at most so many steps.
 SLOW_SPEED = 5.0
 SLOW_METRES = 0.8
+# Votes over a single step count where it is longer than the first of these, and in full from the second on, metres.
+TOLD_METRES = (0.15, 0.3)
 MOST_STEPS = 8
 
 
@@ -61,15 +67,18 @@ def follow_road(
     slow = moves & (np.abs(speed.speed) < SLOW_SPEED)
     if not slow.any():
         return speed
-    lasts = seconds.copy()
+    longer = LongerVotes(np.zeros_like(votes), seconds.copy())
     for step in np.flatnonzero(slow).tolist():
         wanted = round(SLOW_METRES / max(abs(float(speed.speed[step])) * float(seconds[step]), 1e-6))
         count = min(int(np.clip(wanted, 1, MOST_STEPS)), len(steps))
         first = int(np.clip(step - (count - 1) // 2, 0, len(steps) - count))
         last = first + count
-        votes[step] = _vote(grays, seconds, steps, directions, grid, travel, up, first, last)
-        lasts[step] = seconds[first:last].sum()
-    return estimate_speed(votes, grid.shifts, seconds, lasts)
+        if count > 1:
+            longer.votes[step] = _vote(grays, seconds, steps, directions, grid, travel, up, first, last)
+            longer.lasts[step] = seconds[first:last].sum()
+            driven = abs(float(speed.speed[step])) * float(seconds[step])
+            votes[step] *= float(np.interp(driven, TOLD_METRES, [0.0, 1.0]))
+    return estimate_speed(votes, grid.shifts, seconds, longer)
 
 
 def _vote(
@@ -88,7 +97,8 @@ def _vote(
     for step, direction in zip(steps[first:last], directions[first:last], strict=True):
         moved += turned.T @ direction
         turned = step.motion.R_b_a @ turned
-    straight = moved @ travel > np.cos(AGREEING_DIRECTIONS) * max(float(np.linalg.norm(moved)), 1e-9)
-    axes = road_frame(travel, up, moved if straight else travel)
+    aside = float(np.arccos(np.clip(moved @ travel / max(float(np.linalg.norm(moved)), 1e-9), -1.0, 1.0)))
+    possible = aside < MOST_ASIDE + MOST_ASIDE_BY_TURN * Rotation.from_matrix(turned).magnitude()
+    axes = road_frame(travel, up, moved if possible else travel)
     matches = grid.match(grid.rectify(grays[first], axes), grid.rectify(grays[last], axes.rotated(turned)))
     return count_votes(matches, float(seconds[first:last].sum()))

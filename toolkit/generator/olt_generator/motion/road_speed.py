@@ -94,34 +94,57 @@ class RoadSpeed:
     rival_log_odds: float
 
 
-def estimate_speed(votes: Array, shifts: Array, seconds: Array, lasts: Array | None = None) -> RoadSpeed:
+@dataclass(frozen=True)
+class LongerVotes:
+    """Votes taken over more than one step, for steps over which little is driven.
+
+    Attributes:
+        votes: (n, shifts) log odds about each step; nothing where none were taken.
+        lasts: (n,) time over which they were taken, about the middle of the step, in seconds.
+    """
+
+    votes: Array
+    lasts: Array
+
+
+def estimate_speed(votes: Array, shifts: Array, seconds: Array, longer: LongerVotes | None = None) -> RoadSpeed:
     """The most probable course of the speed.
 
-    A most probable path through the votes settles which shift is meant; its exact place is then measured and weighed
-    against a random walk of the speed.
+    A most probable path through the votes settles which shift is meant; its exact place is then measured, over the
+    longer time where that tells it, and weighed against a random walk of the speed.
 
     Args:
         votes: (n, shifts) log odds of each step (`count_votes`).
         shifts: (shifts,) metres, evenly spaced.
         seconds: (n,) duration of each step.
-        lasts: (n,) time over which its votes were taken, about its middle; None for its duration.
+        longer: more votes for some of the steps.
     """
-    lasts = seconds if lasts is None else lasts
-    here = np.array(
-        [np.interp(SPEEDS * last, shifts, row, left=0.0, right=0.0) for row, last in zip(votes, lasts, strict=True)]
-    )
+    here = _votes_for(SPEEDS[None], votes, shifts, seconds)
+    lasts = seconds
+    if longer is not None:
+        here += _votes_for(SPEEDS[None], longer.votes, shifts, longer.lasts)
     rough, course = _most_probable_path(here, seconds)
+    weight = np.take_along_axis(here, np.searchsorted(SPEEDS, rough)[:, None], axis=1)[:, 0]
+    if longer is not None:
+        told = _votes_for(rough[:, None], longer.votes, shifts, longer.lasts)[:, 0] > LEAST_LOG_ODDS
+        votes, lasts = np.where(told[:, None], longer.votes, votes), np.where(told, longer.lasts, seconds)
     forward, backward = (_most_probable_path(here[:, side], seconds, SPEEDS[side])[1] for side in _SIDES)
     near = np.abs(SPEEDS - rough[:, None]) < np.maximum(RIVAL_METRES / lasts, RIVAL_SHARE * np.abs(rough))[:, None]
     rival = _most_probable_path(np.where(near, -np.inf, here), seconds)[1]
-    measured, sigma, weight = np.zeros((3, len(votes)))
-    for step, row in enumerate(votes):
-        measured[step], sigma[step] = _measure_peak(row, shifts, rough[step] * lasts[step])
-        weight[step] = np.interp(rough[step] * lasts[step], shifts, row, left=0.0, right=0.0)
-    measured, sigma = measured / lasts, sigma / lasts
+    measured, sigma = (
+        np.array([_measure_peak(row, shifts, expected) for row, expected in zip(votes, rough * lasts, strict=True)]).T
+        / lasts
+    )
     used = weight > LEAST_LOG_ODDS
     speed, deviation = _smooth_speeds(np.where(used, measured, rough), np.where(used, sigma, np.inf), seconds)
     return RoadSpeed(speed, deviation, weight, course, forward - backward, rival)
+
+
+def _votes_for(speeds: Array, votes: Array, shifts: Array, lasts: Array) -> Array:
+    """Votes (n, speeds) for speeds (1 or n, speeds), none for those that are beyond the shifts."""
+    wanted = np.broadcast_to(speeds, (len(votes), speeds.shape[1])) * lasts[:, None]
+    rows = [np.interp(row, shifts, vote, left=0.0, right=0.0) for row, vote in zip(wanted, votes, strict=True)]
+    return np.array(rows)
 
 
 def _most_probable_path(votes: Array, seconds: Array, speeds: Array = SPEEDS) -> tuple[Array, float]:

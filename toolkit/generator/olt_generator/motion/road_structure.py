@@ -21,7 +21,7 @@ LARGEST_RESIDUAL = 3.0
 FARTHEST_ACROSS, FARTHEST_ALONG = 3.0, 15.0
 # The heights of a plane's points scatter by so much, as a logarithm; planes are looked for over this range of heights.
 PLANE_WIDTH = 0.3
-SEARCHED = np.log([0.02, 5.0])
+SEARCHED = np.log([0.001, 5.0])
 LEAST_POINTS = 20
 
 
