@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from olt_generator.motion.road_grid import CellMatches
-from olt_generator.motion.road_speed import count_votes, estimate_speed
+from olt_generator.motion.road_speed import LongerVotes, count_votes, estimate_speed
 
 SHIFTS = 0.05 * np.arange(-100, 101)
 ALONG = 6.0 + 2.0 * np.arange(5)
@@ -159,7 +159,17 @@ def test_forward_is_more_probable_where_the_votes_do_not_tell():
 
 def test_votes_over_several_steps_count_for_their_time():
     speeds = np.full(10, 0.8)
-    lasts = np.full(10, 0.8)
-    found = follow(cast(speeds, lasts=0.8), lasts=lasts)
+    longer = LongerVotes(cast(speeds, lasts=0.8), np.full(10, 0.8))
+    found = follow(cast(speeds), longer=longer)
     assert found.speed == pytest.approx(speeds, abs=0.05)
     assert np.all(found.sigma < follow(cast(speeds)).sigma)
+    assert found.log_odds == pytest.approx(2.0 * follow(cast(speeds)).log_odds, rel=0.2)
+
+
+def test_votes_over_one_step_are_added_to_those_over_several():
+    """Neither alone tells the speed from another; together they do."""
+    single = cast(np.full(10, 3.0)) + cast(np.full(10, 1.0), 19.0)
+    longer = LongerVotes(
+        cast(np.full(10, 3.0), 15.0, lasts=0.3) + cast(np.full(10, 0.0), 19.0, lasts=0.3), np.full(10, 0.3)
+    )
+    assert follow(single, longer=longer).speed == pytest.approx(np.full(10, 3.0), abs=0.1)
