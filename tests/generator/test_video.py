@@ -9,6 +9,8 @@ import pytest
 from olt_generator.errors import InputError
 from olt_generator.video import read_video, write_video
 
+from .decoding.mp4_boxes import copy_video
+
 
 def moving_picture(count, height=48, width=64):
     rows, columns = np.mgrid[0:height, 0:width]
@@ -79,14 +81,7 @@ def test_rotation_metadata_is_honoured(tmp_path):
     frames = moving_picture(3)
     frames[:, :10, :10] = 255
     write_video(tmp_path / "flat.mp4", frames, 30)
-    with av.open(str(tmp_path / "flat.mp4")) as source, av.open(str(tmp_path / "turned.mp4"), "w") as target:
-        stream = source.streams.video[0]
-        copy = target.add_stream_from_template(stream)
-        copy.set_display_rotation(90)
-        for packet in source.demux(stream):
-            if packet.dts is not None:
-                packet.stream = copy
-                target.mux(packet)
+    copy_video(tmp_path / "flat.mp4", tmp_path / "turned.mp4", rotation=90)
     turned = read_video(tmp_path / "turned.mp4").frames
     flat = read_video(tmp_path / "flat.mp4").frames
     assert np.array_equal(turned, np.rot90(flat, 1, axes=(1, 2)))
@@ -123,15 +118,7 @@ def test_truncated_file_is_refused(tmp_path):
 
 def test_file_cut_off_behind_its_index_is_refused(tmp_path):
     write_video(tmp_path / "clip.mp4", moving_picture(60), 30)
-    with av.open(str(tmp_path / "clip.mp4")) as source:
-        target = av.open(str(tmp_path / "index_first.mp4"), "w", options={"movflags": "faststart"})
-        stream = source.streams.video[0]
-        copy = target.add_stream_from_template(stream)
-        for packet in source.demux(stream):
-            if packet.dts is not None:
-                packet.stream = copy
-                target.mux(packet)
-        target.close()
+    copy_video(tmp_path / "clip.mp4", tmp_path / "index_first.mp4", movflags="faststart")
     content = (tmp_path / "index_first.mp4").read_bytes()
     (tmp_path / "cut.mp4").write_bytes(content[: content.find(b"mdat") + len(content) // 3])
     with pytest.raises(InputError, match="cut off"):

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.hard_clips.filming import make_clip
 from olt_closed_loop.hard_clips.specification import ClipSpecification
-from olt_generator.camera_spread import CameraSpread
 from olt_generator.errors import InputError
 from olt_generator.motion.odometry import estimate_odometry
 from olt_generator.motion.pose_metrics import compare_trajectories
 from olt_generator.motion.pose_sources import PoseEstimate
-from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
+from olt_toolkit.clips.motion_uncertainty import ScaleUncertainty, total_covariance
 from olt_toolkit.recordings.drives import open_recording
 from olt_toolkit.recordings.recording import Recording
 
@@ -112,7 +111,8 @@ def measure_motion(recording: Recording, kind: str, estimate: Estimator | None =
         return ClipErrors(recording.name, kind, len(recording.frames), seconds, refused=str(refusal))
     seconds = (time.process_time() - start) / len(recording.frames)
     doubts = tuple(f"{doubt.what}: {doubt.why}" for doubt in (*recording.doubts, *found.doubts))
-    sigma = total_scale_sigma(found, recording.spread)
+    scale_uncertainty = ScaleUncertainty(found.scale_sigma, recording.spread)
+    sigma = scale_uncertainty.total
     measured = partial(
         ClipErrors, recording.name, kind, len(recording.frames), seconds, doubts=doubts, scale_sigma=sigma
     )
@@ -125,7 +125,7 @@ def measure_motion(recording: Recording, kind: str, estimate: Estimator | None =
     scale = float(np.sum(positions * exact) / np.sum(exact**2)) if reach >= SHORTEST_REACH else None
     error = float(np.log(scale)) if scale is not None and scale > 0.0 else None
     ate = compare_trajectories(found.trajectory, true).metric.ate_m
-    ate_sigma = stated_position_error(found, sigma)
+    ate_sigma = _stated_position_error(found, scale_uncertainty)
     return measured(
         reach_m=reach,
         log_scale_error=error,
@@ -137,24 +137,10 @@ def measure_motion(recording: Recording, kind: str, estimate: Estimator | None =
     )
 
 
-def total_scale_sigma(estimate: PoseEstimate, spread: CameraSpread) -> float | None:
-    """Relative standard deviation of the scale: of the fit, the camera's height and its focal length together."""
-    if estimate.scale_sigma is None:
-        return None
-    return float(np.linalg.norm([estimate.scale_sigma, spread.height.relative, spread.focal_length.relative]))
-
-
-def stated_position_error(estimate: PoseEstimate, scale_sigma: float | None) -> float | None:
-    """Root mean square position error in metres that the covariance and the scale's deviation promise.
-
-    None where the covariance is not known, or the scale of a motion is not.
-    """
-    positions = estimate.trajectory.in_first_frame().positions
-    if estimate.covariance is None or (scale_sigma is None and positions.any()):
-        return None
-    variance: Array = np.trace(estimate.covariance[:, :3, :3], axis1=1, axis2=2)
-    stretched = (scale_sigma or 0.0) ** 2 * np.sum(positions**2, axis=1)
-    return float(np.sqrt(np.mean(variance + stretched)))
+def _stated_position_error(found: PoseEstimate, scale: ScaleUncertainty) -> float | None:
+    """Root mean square position error in metres that the total covariance promises; None where it is not known."""
+    covariance = total_covariance(found, scale)
+    return None if covariance is None else float(np.sqrt(np.mean(np.trace(covariance[:, :3, :3], axis1=1, axis2=2))))
 
 
 def _estimate(recording: Recording) -> PoseEstimate:

@@ -15,6 +15,20 @@ def write_greys(path, count=75, b_frames=2, key_every=10, size=(48, 64), rate=RA
     return write_frames(path, frames, rate, b_frames, key_every, **options)
 
 
+def copy_video(source_path, path, rotation=None, metadata=None, **options):
+    """The coded frames of a video in a new file, with what is said of them there."""
+    with av.open(str(source_path)) as source, av.open(str(path), "w", options=options) as target:
+        target.metadata.update(metadata or {})
+        stream = source.streams.video[0]
+        copy = target.add_stream_from_template(stream)
+        if rotation is not None:
+            copy.set_display_rotation(rotation)
+        for packet in source.demux(stream):
+            if packet.dts is not None:
+                packet.stream = copy
+                target.mux(packet)
+
+
 def write_frames(path, frames, rate=RATE, b_frames=2, key_every=10, codec="libx264", layout="yuv420p", **options):
     with av.open(str(path), "w", options={"use_editlist": "0"} if path.suffix in (".mp4", ".mov") else {}) as container:
         stream = container.add_stream(codec, rate=rate)

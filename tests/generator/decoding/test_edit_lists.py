@@ -2,14 +2,13 @@
 
 import struct
 
-import av
 import numpy as np
 import pytest
 
 from olt_generator.errors import InputError
 from olt_generator.video import read_frame_times, read_video, read_video_window
 
-from .mp4_boxes import RATE, grey_numbers, set_edits, write_greys
+from .mp4_boxes import RATE, copy_video, grey_numbers, set_edits, write_greys
 
 COUNT = 75
 LISTS = {
@@ -99,15 +98,8 @@ def test_the_times_of_a_beginning_are_those_of_the_whole(tmp_path):
 def test_slow_motion_and_time_lapse_that_the_recorder_notes_are_refused(tmp_path, captured, accepted):
     path = tmp_path / "video.mp4"
     write_greys(tmp_path / "plain.mp4", 10)
-    tags = {"movflags": "use_metadata_tags"}
-    with av.open(str(tmp_path / "plain.mp4")) as source, av.open(str(path), "w", options=tags) as target:
-        target.metadata["com.android.capture.fps"] = captured
-        stream = source.streams.video[0]
-        copy = target.add_stream_from_template(stream)
-        for packet in source.demux(stream):
-            if packet.dts is not None:
-                packet.stream = copy
-                target.mux(packet)
+    tags = {"com.android.capture.fps": captured}
+    copy_video(tmp_path / "plain.mp4", path, metadata=tags, movflags="use_metadata_tags")
     if accepted:
         assert len(read_video(path).frames) == 10
         return

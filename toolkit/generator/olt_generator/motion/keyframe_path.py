@@ -158,15 +158,13 @@ def recover_path(clip: KeyframeSteps, rounds: int) -> KeyframePath:
 def _follow(clip: KeyframeSteps, seconds: Array) -> RoadSpeed:
     travel = usual_direction(clip.steps, clip.T_rig_camera[0, :3])
     # What stays in the picture is told from the road by its votes: a vehicle that stands sees the road stay too.
-    nothing = np.zeros((clip.camera.height, clip.camera.width), np.bool_)
-    grid = _lay_grid(clip.camera, travel, clip.T_rig_camera, nothing)
+    grid = _lay_grid(clip.camera, travel, clip.T_rig_camera)
     return follow_road(clip.grays, seconds, clip.steps, grid, travel, clip.T_rig_camera[2, :3])
 
 
 def _turn_with_road(clip: KeyframeSteps, driven: Array, mounting: Array) -> Iterator[Step]:
     """The steps, those that slip with the turn that the road tells and the points that agree with it."""
-    nothing = np.zeros((clip.camera.height, clip.camera.width), np.bool_)
-    grid = _lay_grid(clip.camera, mounting[0, :3], mounting, nothing)
+    grid = _lay_grid(clip.camera, mounting[0, :3], mounting)
     for key, (step, metres) in enumerate(zip(clip.steps, driven, strict=True)):
         if not step.moves or abs(metres) < LEAST_TO_SLIP or slip_angle(step, metres, mounting) < SUSPICIOUS_SLIP:
             yield step
@@ -230,7 +228,8 @@ def _settle(clip: KeyframeSteps, step: Step, driven: float, mounting: Array) -> 
     return replace(step, motion=motion, points=points, rays_key=rays_key, rays_current=rays_current)
 
 
-def _lay_grid(camera: Camera, forward: Array, T_rig_camera: Array, hidden: NDArray[np.bool_]) -> RoadGrid:
+def _lay_grid(camera: Camera, forward: Array, T_rig_camera: Array, hidden: NDArray[np.bool_] | None = None) -> RoadGrid:
+    hidden = np.zeros((camera.height, camera.width), np.bool_) if hidden is None else hidden
     axes = road_frame(forward, T_rig_camera[2, :3], forward)
     return RoadGrid(camera, float(T_rig_camera[2, 3]), axes, hidden)
 
