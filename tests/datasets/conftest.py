@@ -46,7 +46,7 @@ def _make_clip(
     scene_id: str | None = None,
     samples: int = 1,
     origin: ClipOrigin | None = None,
-    fingerprint: tuple[int, ...] | None = None,
+    fingerprint: bytes | None = None,
     doubts: tuple[str, ...] | None = None,
 ) -> ClipInfo:
     return ClipInfo(

@@ -29,7 +29,7 @@ Pairs = NDArray[np.int64]
 def find_near_duplicates(first: pl.Series, second: pl.Series) -> Pairs:
     """Places (m, 2), ascending, of the clips of two lists that are near-duplicates.
 
-    A fingerprint is a list of hashes, None where a clip has none.
+    A fingerprint is what `fingerprint_images` gives, None where a clip has none.
     """
     owners, hashes = _flatten(first)
     other_owners, other_hashes = _flatten(second)
@@ -58,10 +58,11 @@ def find_close_hashes(first: Hashes, second: Hashes) -> Pairs:
 
 def _flatten(fingerprints: pl.Series) -> tuple[NDArray[np.int64], Hashes]:
     """All hashes (n,) that can be compared, and the places (n,) of their clips."""
-    table = pl.DataFrame({"hash": fingerprints}).with_row_index("clip").explode("hash").drop_nulls()
-    hashes = table["hash"].to_numpy()
+    known = pl.DataFrame({"hash": fingerprints}).with_row_index("clip").drop_nulls()
+    hashes = np.frombuffer(b"".join(known["hash"]), ">u8").astype(np.uint64)
+    clips = np.repeat(known["clip"].to_numpy().astype(np.int64), known["hash"].bin.size().to_numpy() // 8)
     telling = np.bitwise_count(hashes) >= LEAST_SET_BITS
-    return table["clip"].to_numpy()[telling].astype(np.int64), hashes[telling]
+    return clips[telling], hashes[telling]
 
 
 def _bands(hashes: Hashes) -> list[NDArray[np.int64]]:

@@ -28,6 +28,10 @@ def flip(hashes, bits, count=5):
     return tuple(value ^ (2**bits - 1) for value in hashes[:count]) + draw_hashes("others")[count:]
 
 
+def pack(hashes):
+    return None if hashes is None else b"".join(value.to_bytes(8, "big") for value in hashes)
+
+
 @pytest.fixture(scope="module")
 def table(make_clip, make_table):
     return make_table(
@@ -103,9 +107,9 @@ def test_windows_that_share_a_moment_across_splits(make_clip, make_table, start,
 )
 def test_near_duplicates_of_another_scene_in_another_split(make_clip, make_table, fingerprint, leaks):
     table = make_table(
-        make_clip(1, fingerprint=draw_hashes("street")),
-        make_clip(2, fingerprint=fingerprint, split="test"),
-        make_clip(3, fingerprint=draw_hashes("street")),
+        make_clip(1, fingerprint=pack(draw_hashes("street"))),
+        make_clip(2, fingerprint=pack(fingerprint), split="test"),
+        make_clip(3, fingerprint=pack(draw_hashes("street"))),
         make_clip(4, fingerprint=None),
     )
     chosen = table.filter(pl.col("split") == "train")
@@ -113,7 +117,7 @@ def test_near_duplicates_of_another_scene_in_another_split(make_clip, make_table
 
 
 def test_images_without_structure_are_like_nothing(make_clip, make_table):
-    table = make_table(make_clip(1, fingerprint=(0,) * 5), make_clip(2, fingerprint=(0,) * 5, split="test"))
+    table = make_table(make_clip(1, fingerprint=bytes(40)), make_clip(2, fingerprint=bytes(40), split="test"))
     assert find_leaks(table[:1], table) == []
 
 
@@ -136,7 +140,7 @@ def test_close_hashes_are_all_those_that_differ_in_few_bits(first, changes):
 
 def test_the_search_in_parts_finds_what_it_finds_at_once(monkeypatch):
     hashes = make_generator("many").integers(0, 2**64, 400, dtype="uint64")
-    fingerprints = pl.Series(hashes.reshape(80, 5).tolist(), dtype=pl.List(pl.UInt64))
+    fingerprints = pl.Series([pack(row) for row in hashes.reshape(80, 5).tolist()], dtype=pl.Binary)
     found = find_near_duplicates(fingerprints, fingerprints)
     assert found.tolist() == [[place, place] for place in range(80)]
     monkeypatch.setattr("olt_datasets.tables.fingerprints._PAIRS_AT_ONCE", 3)
@@ -145,9 +149,9 @@ def test_the_search_in_parts_finds_what_it_finds_at_once(monkeypatch):
 
 def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
     clean = [
-        make_clip(1, fingerprint=draw_hashes(1)),
-        make_clip(2, fingerprint=draw_hashes(2), split="val"),
-        make_clip(3, fingerprint=draw_hashes(3), split="test", source="nexar"),
+        make_clip(1, fingerprint=pack(draw_hashes(1))),
+        make_clip(2, fingerprint=pack(draw_hashes(2)), split="val"),
+        make_clip(3, fingerprint=pack(draw_hashes(3)), split="test", source="nexar"),
         make_clip(4, scene_id="scene_1", origin=seconds(21, 30), split="test"),
         make_clip(5, split=None, scene_id="scene_1"),
     ]
@@ -155,7 +159,7 @@ def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
     planted = {
         "overlap": make_clip(6, scene_id="scene_2", split="test"),
         "twin": make_clip(7, scene_id="scene_1", kind="Syn", split="val"),
-        "near-duplicate": make_clip(8, fingerprint=draw_hashes(1), split="val"),
+        "near-duplicate": make_clip(8, fingerprint=pack(draw_hashes(1)), split="val"),
         "held out": make_clip(9, scene_id="held"),
         "external": make_clip(10, source="nexar"),
     }

@@ -268,7 +268,10 @@ class ClipInfo(ClipDescription):
         created_with: the code that wrote the clip (`runtime.version.code_version`).
         checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
             the description and the window of its drive where it is only indexed.
-        fingerprint: perceptual hashes of a few front images (`clips.image_hash`); None where none was decoded.
+        fingerprint: what the front images look like (`clips.image_hash`); None where none was decoded.
+        action_errors: for each of `sample_t0_us`, the mean distance (m) of its future from what the policy's action
+            space can express; None where the motion is not known yet.
+        build_options: how the clip was built, as JSON; None where it is only indexed.
     """
 
     duration_us: int
@@ -276,8 +279,10 @@ class ClipInfo(ClipDescription):
     no_sample_reason: str | None
     created_with: str
     checksum: str
-    fingerprint: tuple[int, ...] | None
+    fingerprint: bytes | None
     views: dict[str, ViewProvenance]
+    action_errors: tuple[float, ...] | None = None
+    build_options: str | None = None
 
 
 def make_clip_id(*keys: int | str) -> str:

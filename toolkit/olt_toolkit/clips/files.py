@@ -116,7 +116,7 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
     )
 
 
-def _fingerprint(stream: CameraStream) -> tuple[int, ...]:
+def _fingerprint(stream: CameraStream) -> bytes:
     """Of what was seen alone: black borders make images look alike."""
     if stream.origin is None:
         return fingerprint_images(stream.frames)

@@ -15,10 +15,10 @@ LEAST_FALL = 4
 """Grey levels of 256 by which brightness must fall, and more."""
 
 
-def fingerprint_images(frames: NDArray[np.uint8]) -> tuple[int, ...]:
-    """Hashes of a few images of a sequence (n, H, W, 3), at the middles of equal parts of it."""
+def fingerprint_images(frames: NDArray[np.uint8]) -> bytes:
+    """Hashes of a few images of a sequence (n, H, W, 3), at the middles of equal parts: big-endian, 8 bytes each."""
     middles = (2 * np.arange(FINGERPRINT_IMAGES) + 1) * len(frames) // (2 * FINGERPRINT_IMAGES)
-    return tuple(hash_image(frames[index]) for index in middles)
+    return b"".join(hash_image(frames[index]).to_bytes(8, "big") for index in middles)
 
 
 def hash_image(image: NDArray[np.uint8]) -> int:

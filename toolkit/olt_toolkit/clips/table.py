@@ -18,7 +18,7 @@ from olt_toolkit.clips.clip import ClipInfo, ClipKind, ClipOrigin, Split, ViewKi
 from olt_toolkit.clips.pai_tables import read_table
 
 CLIP_TABLE = "clips.parquet"
-TABLE_VERSION = 4
+TABLE_VERSION = 5
 VERSION_KEY = b"table_version"
 
 _VIEW = pa.struct(
@@ -56,13 +56,26 @@ SCHEMA = pa.schema(
         ("no_sample_reason", pa.string()),
         ("created_with", pa.string()),
         ("checksum", pa.string()),
-        ("fingerprint", pa.list_(pa.uint64())),
+        ("fingerprint", pa.binary()),
+        ("action_errors", pa.list_(pa.float64())),
+        ("build_options", pa.string()),
         ("views", pa.list_(_VIEW)),
     ],
     metadata={VERSION_KEY: str(TABLE_VERSION).encode()},
 )
 OPTIONAL_COLUMNS = frozenset(
-    {"split", "doubts", "scale_sigma", "acceleration_noise", "no_sample_reason", "country", "licence", "fingerprint"}
+    {
+        "split",
+        "doubts",
+        "scale_sigma",
+        "acceleration_noise",
+        "no_sample_reason",
+        "country",
+        "licence",
+        "fingerprint",
+        "action_errors",
+        "build_options",
+    }
 )
 
 
@@ -108,6 +121,6 @@ def _info(row: dict[str, Any], where: str) -> ClipInfo:
     row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
     row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
     row["doubts"] = None if row["doubts"] is None else tuple(row["doubts"])
-    row["fingerprint"] = None if row["fingerprint"] is None else tuple(row["fingerprint"])
+    row["action_errors"] = None if row["action_errors"] is None else tuple(row["action_errors"])
     origin = ClipOrigin(**{field.name: row.pop(field.name) for field in fields(ClipOrigin)})
     return ClipInfo(**row, origin=origin)
