@@ -1,0 +1,103 @@
+"""What the images of all cameras of a clip say of it, gathered once for all checks that look at them."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from olt_generator.poses import Array, planar_pose
+from olt_toolkit.clips.clip import EgoMotion
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.verification.gains import STRETCHES, Gain, over_cameras, stretch_gains, sum_up
+from olt_toolkit.clips.verification.image_evidence import AS_SAID, Hypothesis, ImageEvidence
+from olt_toolkit.clips.verification.image_steps import CameraImages, follow_points, read_camera_images
+from olt_toolkit.rigs.rig import MountedCamera
+
+# Motions that are tried where none is believed: speeds (m/s) and yaw rates (rad/s).
+SPEEDS: Array = np.array([-3.0, 0.0, 1.0, 2.0, 3.5, 5.0, 7.0, 9.0, 11.5, 14.0, 17.0, 20.0, 24.0, 28.0, 33.0, 39.0])
+YAW_RATES: Array = np.array([-0.7, -0.5, -0.35, -0.24, -0.16, -0.1, -0.05, 0.0, 0.05, 0.1, 0.16, 0.24, 0.35, 0.5, 0.7])
+# Of the steps and of their points, only one in so many is held against each of these motions.
+THINNED_STEPS, THINNED_POINTS = 2, 2
+
+
+@dataclass(frozen=True)
+class ClipEvidence:
+    """The cameras of a clip, their images, and the evidence of each; in the order of the clip table."""
+
+    clip_id: str
+    ego_motion: EgoMotion
+    mounted: dict[str, MountedCamera]
+    images: dict[str, CameraImages]
+    evidence: dict[str, ImageEvidence]
+
+    @cached_property
+    def said(self) -> dict[str, Array]:
+        """Log-likelihood (n,) of the points, by camera, if the clip is what it says."""
+        return {name: evidence.of(AS_SAID) for name, evidence in self.evidence.items()}
+
+    @cached_property
+    def way(self) -> float:
+        """Metres that the vehicle drives, as the clip says, while the front images are taken."""
+        return self.ego_motion.trajectory.path_length
+
+    @cached_property
+    def _known_gains(self) -> dict[tuple[str, Hypothesis], Array]:
+        return {}
+
+    def gains(self, camera: str, hypothesis: Hypothesis) -> Array:
+        """Gains by stretch of a hypothesis about one camera; worked out once."""
+        if (camera, hypothesis) not in self._known_gains:
+            evidence = self.evidence[camera]
+            found = stretch_gains(evidence.steps, self.said[camera], evidence.of(hypothesis))
+            self._known_gains[camera, hypothesis] = found
+        return self._known_gains[camera, hypothesis]
+
+    def gain(self, camera: str, hypothesis: Hypothesis) -> Gain:
+        """Gain of a hypothesis about one camera."""
+        return sum_up(self.gains(camera, hypothesis))
+
+    def joint_gain(self, hypothesis: Hypothesis) -> Gain:
+        """Gain of a hypothesis about the motion, over all cameras."""
+        return sum_up(over_cameras([self.gains(camera, hypothesis) for camera in self.evidence]))
+
+    def free_gains(self, camera: str) -> Array:
+        """Gains by stretch of the best steady motion in each of them; worked out once."""
+        if camera not in self._known_free_gains:
+            self._known_free_gains[camera] = self._try_motions(camera)
+        return self._known_free_gains[camera]
+
+    @cached_property
+    def _known_free_gains(self) -> dict[str, Array]:
+        return {}
+
+    def _try_motions(self, camera: str) -> Array:
+        evidence = self.evidence[camera].thinned(THINNED_STEPS, THINNED_POINTS)
+        steps, said = evidence.steps, evidence.of(AS_SAID)
+        times_us = steps.images.times_us
+        seconds = (times_us[steps.second] - times_us[steps.first]) * 1e-6
+        best = np.full((STRETCHES, 4), -np.inf)
+        for speed in SPEEDS:
+            for yaw_rate in YAW_RATES:
+                way = speed * seconds
+                turned = yaw_rate * seconds
+                motion = evidence.of_motion(planar_pose(way, 0.5 * turned * way, turned))
+                gains = stretch_gains(steps, said, motion)
+                best = np.where(gains[:, :1] > best[:, :1], gains, best)
+        return np.where(np.isfinite(best[:, :1]), best, [np.nan, 0.0, np.nan, np.nan])
+
+
+def gather_evidence(store: ClipStore, clip_id: str) -> ClipEvidence:
+    """Decode the images of all cameras of a clip and follow points in them.
+
+    Raises:
+        InputError: the clip's files are damaged.
+    """
+    cameras, ego_motion = store.info(clip_id).views, store.read_ego_motion(clip_id)
+    images = {camera: read_camera_images(store, clip_id, camera) for camera in cameras}
+    return ClipEvidence(
+        clip_id,
+        ego_motion,
+        {camera: store.read_camera(clip_id, camera) for camera in cameras},
+        images,
+        {camera: ImageEvidence(follow_points(seen), ego_motion) for camera, seen in images.items()},
+    )

@@ -1,0 +1,118 @@
+"""Whether the front-tele view lies inside the front-wide view, where both cameras' calibration puts it.
+
+Both cameras sit so close together that they see nearly the same; the front-wide image is turned into what the tele
+camera should see and held against what it shows. So that neither light nor the general look of a road count, slow
+changes of brightness are taken out first. What is found is compared with what is wrong: places in the front view where
+the tele does not look, the mirrored tele image, and the front view at other times.
+"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_generator.cameras import remap_table
+from olt_generator.poses import Array
+from olt_toolkit.clips.verification.image_steps import CameraImages
+
+# Pairs of images that are compared, spread over the clip.
+MOST_PAIRS = 16
+# Images of a pair are at most so far apart in time.
+LONGEST_APART_US = 60_000
+# Width of the compared tele image, and how far around its place the front view is searched, in its widths.
+WIDTH, MARGIN = 120, 0.5
+# Brightness is compared after changes slower than so many pixels have been taken out.
+DETAIL_PIXELS = 6.0
+# The tele image lies at its place if it is no farther away, pixels: near things are seen from the side.
+AT_PLACE = 5
+# An image whose detail has a smaller standard deviation, grey levels, shows nothing to compare.
+LEAST_CONTRAST = 2.0
+# Shifts in time that are tried, seconds.
+SHIFTS = (-1.0, -0.7, -0.5, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
+
+
+@dataclass(frozen=True)
+class TeleMatch:
+    """Correlations of the tele image with the front view, for each of (p,) pairs of images; NaN where not compared.
+
+    Attributes:
+        at_place: where it should lie.
+        elsewhere: the best one at any other place.
+        mirrored: the best one of the mirrored image, anywhere.
+        shifted: (p, len(SHIFTS)) where it should lie, with the front view later by `SHIFTS` seconds.
+    """
+
+    at_place: Array
+    elsewhere: Array
+    mirrored: Array
+    shifted: Array
+
+
+def match_tele(front: CameraImages, tele: CameraImages) -> TeleMatch:
+    """Hold the tele images against the front view."""
+    lens = tele.lens.resized(WIDTH, round(tele.lens.height * WIDTH / tele.lens.width))
+    across, down = round(MARGIN * lens.width), round(MARGIN * lens.height)
+    searched = lens.cropped(-across, -down, lens.width + 2 * across, lens.height + 2 * down)
+    table, seen = remap_table(front.lens, searched, front.T_rig_camera[:3, :3].T @ tele.T_rig_camera[:3, :3])
+    partners = nearest_images(front.times_us, tele.times_us)
+    together = np.flatnonzero(np.abs(front.times_us[partners] - tele.times_us) <= LONGEST_APART_US)
+    chosen = together[np.unique(np.linspace(0, len(together) - 1, min(MOST_PAIRS, len(together))).round().astype(int))]
+
+    def in_front(index: int) -> NDArray[np.float32]:
+        warped = cv2.remap(front.grays[index], table, None, cv2.INTER_LINEAR)  # type: ignore[arg-type]
+        return np.where(seen, detail(warped), 0.0).astype(np.float32)
+
+    rows = [
+        _match(
+            detail(cv2.resize(tele.grays[index], (lens.width, lens.height), interpolation=cv2.INTER_AREA)),
+            [in_front(int(partners[index])), *(in_front(i) if i >= 0 else None for i in _shifted(front, tele, index))],
+            (down, across),
+        )
+        for index in chosen.tolist()
+    ]
+    table_of = np.array(rows).reshape(len(rows), 3 + len(SHIFTS))
+    return TeleMatch(table_of[:, 0], table_of[:, 1], table_of[:, 2], table_of[:, 3:])
+
+
+def nearest_images(times_us: NDArray[np.int64], wanted_us: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Numbers (m,) of the images at times (n,) that are nearest to the wanted times (m,)."""
+    after = np.clip(np.searchsorted(times_us, wanted_us), 1, max(len(times_us) - 1, 1))
+    before = after - 1
+    after = np.minimum(after, len(times_us) - 1)
+    return np.where(wanted_us - times_us[before] <= times_us[after] - wanted_us, before, after)
+
+
+def detail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """An image (h, w) without its slow changes of brightness."""
+    bright = image.astype(np.float32)
+    return bright - cv2.GaussianBlur(bright, (0, 0), DETAIL_PIXELS)
+
+
+def _shifted(front: CameraImages, tele: CameraImages, index: int) -> list[int]:
+    """The front images at each of `SHIFTS`, -1 where there is none."""
+    wanted = tele.times_us[index] + np.round(np.array(SHIFTS) * 1e6).astype(np.int64)
+    found = nearest_images(front.times_us, wanted)
+    return np.where(np.abs(front.times_us[found] - wanted) <= LONGEST_APART_US, found, -1).tolist()
+
+
+def _match(
+    tele: NDArray[np.float32], fronts: list[NDArray[np.float32] | None], place: tuple[int, int]
+) -> list[float]:
+    """At place, elsewhere, mirrored, and at place at other times."""
+    now = fronts[0]
+    assert now is not None
+    if tele.std() < LEAST_CONTRAST or now.std() < LEAST_CONTRAST:
+        return [np.nan] * (3 + len(SHIFTS))
+    surface = cv2.matchTemplate(now, tele, cv2.TM_CCOEFF_NORMED)
+    rows, columns = (slice(max(0, middle - AT_PLACE), middle + AT_PLACE + 1) for middle in place)
+    around = surface.copy()
+    rows_around, columns_around = (slice(max(0, middle - 2 * AT_PLACE), middle + 2 * AT_PLACE + 1) for middle in place)
+    around[rows_around, columns_around] = -1.0
+    mirrored = cv2.matchTemplate(now, np.ascontiguousarray(tele[:, ::-1]), cv2.TM_CCOEFF_NORMED)
+    window = (slice(rows.start, rows.stop + tele.shape[0] - 1), slice(columns.start, columns.stop + tele.shape[1] - 1))
+    shifted = [
+        np.nan if other is None else float(cv2.matchTemplate(other[window], tele, cv2.TM_CCOEFF_NORMED).max())
+        for other in fronts[1:]
+    ]
+    return [float(surface[rows, columns].max()), float(around.max()), float(mirrored.max()), *shifted]
