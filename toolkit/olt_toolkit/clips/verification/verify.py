@@ -65,6 +65,22 @@ def verify_prepared(store: ClipStore, clip_id: str, groups: Collection[str] = GR
         return _at(store.root, verify_store(alone.root, groups), Path(folder))
 
 
+def verify_before_commit(store: ClipStore, clip_id: str) -> dict[str, int]:
+    """Look at a prepared clip, and discard it where a check fails.
+
+    Returns:
+        How many checks passed, and how many could not be made.
+
+    Raises:
+        InputError: a check failed; the clip is no longer prepared.
+    """
+    report = verify_prepared(store, clip_id)
+    if report.failures:
+        store.discard(clip_id)
+    refuse_failed(report, f"clip {clip_id}", "it is not kept; mend its recording, or build with --no-verify")
+    return {verdict.name.lower(): report.count(verdict) for verdict in (Verdict.PASSED, Verdict.NOT_COMPARED)}
+
+
 def verify_store(
     root: Path,
     groups: Collection[str] = GROUPS,
