@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from olt_toolkit.commands.clip_options import JsonOption
+from olt_toolkit.commands.clip_options import JsonOption, NoVerifyOption
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.recordings.labels import Split
 from olt_toolkit.rigs.names import ContractName
@@ -31,6 +31,7 @@ def export(
         ContractName, typer.Option(help="The policy whose cameras every clip must have.")
     ] = ContractName.ALPAMAYO_R1,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged clips and list them.")] = False,
+    no_verify: NoVerifyOption = False,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     as_json: JsonOption = False,
@@ -63,6 +64,7 @@ def export(
             workers or default_workers(),
             engine,
             lambda share: progress.update(task, completed=round(100 * share)),
+            verify=not no_verify,
         )
     if as_json:
         print_json(summary)
@@ -95,6 +97,11 @@ def _show(summary: dict[str, Any]) -> None:
         episodes = ", ".join(f"{name} {count}" for name, count in summary["episodes"].items())
         print_line(f"{title} as episodes: {episodes}")
         print_line(f"{summary['frames']} frames, {summary['samples']} of them sample times (is_sample)")
+    verified = summary["verification"]
+    if verified is None:
+        print_line("not verified (--no-verify)")
+    else:
+        print_line(f"verified: {verified['passed']} checks passed, {verified['not_compared']} not compared")
     for omission in summary["left_out"]:
         print_line(f"left out: {word_omission(Omission(**omission))}")
     for licence, count in summary["licences"].items():

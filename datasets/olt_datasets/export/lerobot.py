@@ -26,7 +26,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from olt_datasets.export.contents import Contents, ExportItem
+from olt_datasets.export.look import halves, look_at_export
 from olt_datasets.export.writing import finished_part, naming, note_finished, write_export, write_file
+from olt_datasets.verification.file_list import write_file_list
+from olt_datasets.verification.lerobot import verify_lerobot
 from olt_generator import InputError, write_video
 from olt_generator.poses import Array, invert, yaw_of
 from olt_generator.progress import Progress, silent
@@ -207,18 +210,20 @@ def export_lerobot(
     engine: Engine = Engine.LOCAL,
     on_progress: Progress = silent,
     image_size: tuple[int, int] = POLICY_IMAGE_SIZE,
+    verify: bool = True,
 ) -> dict[str, Any]:
     """Write the clips to `out`, with images of a height and width, and else as `export_pai` does.
 
     Raises:
-        InputError: `out` holds something else, a clip is damaged and `keep_going` is off, no clip is left, or a file
-            cannot be written; names the file.
+        InputError: `out` holds something else, a clip is damaged and `keep_going` is off, no clip is left, a file
+            cannot be written, or a check fails; names the file.
     """
+    on_written, on_verified = halves(on_progress, verify)
     contents = contents.with_one_item_per_clip()
 
     def write(root: Path) -> dict[str, Any]:
         write_one = partial(write_clip, root, image_size, keep_going, contents.contract)
-        clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_progress, engine)
+        clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_written, engine)
         components = [group.component for group in contents.groups for _ in group.items]
         stores = {item.store: ClipStore(item.store) for item in contents.items}
         done = [clip for clip in clips if isinstance(clip, ClipFrames)]
@@ -234,9 +239,11 @@ def export_lerobot(
         _write_meta(root, contents, episodes, tasks, columns, image_size)
         pairs = zip(contents.items, clips, strict=True)
         failures = {item.clip_id: reason for item, reason in pairs if isinstance(reason, str)}
-        return _summarize(contents, done, episodes) | {"failures": failures}
+        write_file_list(root)
+        verified = look_at_export(verify_lerobot, root, out, workers, on_verified, engine) if verify else None
+        return _summarize(contents, done, episodes) | {"failures": failures, "verification": verified}
 
-    return write_export("lerobot", contents, list(image_size), out, write)
+    return write_export("lerobot", contents, {"size": list(image_size), "verify": verify}, out, write)
 
 
 def _write_data(root: Path, episodes: Sequence[_Episode], tasks: Sequence[str]) -> Columns:

@@ -21,8 +21,8 @@ from olt_toolkit.clips.clip import ClipKind, Split
 from olt_toolkit.clips.table import CLIP_TABLE, OPTIONAL_COLUMNS, VERSION_KEY, check_table_version
 from olt_toolkit.clips.table import SCHEMA as STORED_SCHEMA
 
-# The provenance of every view stays in the store; no mixture depends on it.
-SCHEMA = pl.DataFrame(STORED_SCHEMA.empty_table()).drop("views").schema
+# The provenance of every view and the checksums of files stay in the store; no mixture depends on them.
+SCHEMA = pl.DataFrame(STORED_SCHEMA.empty_table()).drop("views", "file_checksums").schema
 TABLE_SUFFIX = ".parquet"
 
 

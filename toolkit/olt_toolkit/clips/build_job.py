@@ -18,6 +18,7 @@ from olt_toolkit.clips.estimators import Estimators
 from olt_toolkit.clips.pictures import animation_path, write_clip_pictures
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.summary import summarize_build
+from olt_toolkit.clips.verification.verify import verify_before_commit
 from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import DatasetPlace, open_start
@@ -57,6 +58,7 @@ class BuildJob:
         measured_motion: whether motion that the data set measured goes before what `estimators` say.
         source: the reader that the data set must have; None for any.
         keep_going: whether input that cannot be used is a result instead of an error.
+        verify: whether the clip is looked at before it may be committed; one that fails is not kept.
     """
 
     place: DatasetPlace
@@ -69,6 +71,7 @@ class BuildJob:
     measured_motion: bool = False
     source: str | None = None
     keep_going: bool = False
+    verify: bool = True
 
     @property
     def name(self) -> str:
@@ -105,9 +108,16 @@ class BuildJob:
         images, origins = built.clip.images, built.clip.origins
         times_us = next(iter(built.clip.streams.values())).timestamps_us
         pictures = write_clip_pictures(self.store / PREVIEWS, self.name, images, origins, times_us)
-        seconds = {"prepare": prepared - start, "pictures": time.perf_counter() - prepared}
+        drawn = time.perf_counter()
+        verified = verify_before_commit(ClipStore(self.store), info.clip_id) if self.verify else None
+        seconds = {"prepare": prepared - start, "pictures": drawn - prepared, "verify": time.perf_counter() - drawn}
         sources = {"poses": str(self.estimators.poses), "depth": str(self.estimators.depth)}
-        return summarize_build(built, info) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
+        return summarize_build(built, info) | {
+            "sources": sources,
+            "pictures": pictures,
+            "verification": verified,
+            "store_seconds": seconds,
+        }
 
     def run(self) -> BuildResult:
         """Build and prepare the clip on one thread, unless an earlier run did; an error unless the job keeps going."""
@@ -117,6 +127,8 @@ class BuildJob:
             found = self._find(store)
             if found is not None:
                 self._check_cameras(found)
+                if self.verify and found.clip_id not in store:
+                    verify_before_commit(store, found.clip_id)
                 return BuildResult(path, "found", self.clip_id)
             return BuildResult(path, "built", self.clip_id, self.prepare(self.open()))
         except InputError as error:

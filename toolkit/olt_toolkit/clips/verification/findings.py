@@ -30,3 +30,19 @@ class Finding:
     detail: str
     measured: float | None = None
     limit: float | None = None
+
+
+def judge(check: str, where: str, measured: float, limit: float, detail: str) -> Finding:
+    """A measurement that fails beyond its limit, and where it is no number; `detail` names it, its unit and advice."""
+    verdict = Verdict.PASSED if measured <= limit else Verdict.FAILED
+    return Finding(check, where, verdict, detail, measured, limit)
+
+
+def not_compared(check: str, where: str, why: str) -> Finding:
+    """A check that could not be made, with the reason."""
+    return Finding(check, where, Verdict.NOT_COMPARED, why)
+
+
+def state(check: str, where: str, holds: bool, detail: str) -> Finding:
+    """A check that measures nothing: it holds or it does not."""
+    return Finding(check, where, Verdict.PASSED if holds else Verdict.FAILED, detail)
