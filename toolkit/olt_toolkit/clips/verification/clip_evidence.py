@@ -9,6 +9,7 @@ from olt_generator.poses import Array, planar_pose
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.gains import STRETCHES, Gain, over_cameras, stretch_gains, sum_up
+from olt_toolkit.clips.verification.hypotheses import motion_of
 from olt_toolkit.clips.verification.image_evidence import AS_SAID, Hypothesis, ImageEvidence
 from olt_toolkit.clips.verification.image_steps import CameraImages, follow_points, read_camera_images
 from olt_toolkit.rigs.rig import MountedCamera
@@ -18,17 +19,23 @@ SPEEDS: Array = np.array([-3.0, 0.0, 1.0, 2.0, 3.5, 5.0, 7.0, 9.0, 11.5, 14.0, 1
 YAW_RATES: Array = np.array([-0.7, -0.5, -0.35, -0.24, -0.16, -0.1, -0.05, 0.0, 0.05, 0.1, 0.16, 0.24, 0.35, 0.5, 0.7])
 # Of the steps and of their points, only one in so many is held against each of these motions.
 THINNED_STEPS, THINNED_POINTS = 2, 2
+# Videos are held against the motions of so many other clips of the store.
+OTHER_CLIPS = 8
 
 
 @dataclass(frozen=True)
 class ClipEvidence:
-    """The cameras of a clip, their images, and the evidence of each; in the order of the clip table."""
+    """The cameras of a clip, their images, and the evidence of each; in the order of the clip table.
+
+    `other_motions` are those of clips beside it in its store, by name.
+    """
 
     clip_id: str
     ego_motion: EgoMotion
     mounted: dict[str, MountedCamera]
     images: dict[str, CameraImages]
     evidence: dict[str, ImageEvidence]
+    other_motions: dict[str, Hypothesis]
 
     @cached_property
     def said(self) -> dict[str, Array]:
@@ -100,4 +107,14 @@ def gather_evidence(store: ClipStore, clip_id: str) -> ClipEvidence:
         {camera: store.read_camera(clip_id, camera) for camera in cameras},
         images,
         {camera: ImageEvidence(follow_points(seen), ego_motion) for camera, seen in images.items()},
+        _read_other_motions(store, clip_id),
     )
+
+
+def _read_other_motions(store: ClipStore, clip_id: str) -> dict[str, Hypothesis]:
+    """The motions of the clips nearest in the clip table: videos are mixed up within one run of a program."""
+    clips = store.clips()
+    place = next(index for index, info in enumerate(clips) if info.clip_id == clip_id)
+    first = max(0, min(place - OTHER_CLIPS // 2, len(clips) - 1 - OTHER_CLIPS))
+    others = [info for info in clips[first : first + OTHER_CLIPS + 1] if info.clip_id != clip_id]
+    return {info.name: motion_of(store.read_ego_motion(info.clip_id)) for info in others}

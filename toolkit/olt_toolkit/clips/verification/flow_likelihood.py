@@ -51,8 +51,8 @@ def log_likelihood(rays: Array, moved: Array, steps: Array, weights: Weights, sp
     mixed, square = np.sum(turned * shifted, axis=1)[:, None], np.sum(shifted**2, axis=1)[:, None]
     inverse = INVERSE_DISTANCES
     length = np.sqrt(np.maximum(1.0 - 2.0 * inverse * mixed + inverse**2 * square, 1e-12))
-    # One minus the cosine is half the square of a small angle; only what is left of the difference fits single precision.
-    error = (1.0 - (along - inverse * across) / length) / -spread[:, :1] ** 2
+    # One minus the cosine is half the square of a small angle.
+    error = (1.0 - (along - inverse * across) / length) / -(spread[:, :1] ** 2)
     exponent = np.minimum(error, 0.0).astype(np.float32)
     fits = np.einsum("nk,nk->n", weights, np.exp(exponent)) * _density(spread[:, 1])
     # Rays beyond the range of a lens say nothing.

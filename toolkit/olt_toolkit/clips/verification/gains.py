@@ -14,7 +14,7 @@ from olt_generator.poses import Array
 from olt_toolkit.clips.verification.image_steps import ImageSteps
 
 # A clip is taken apart into so many stretches of equal time; fewer than this must tell something.
-STRETCHES = 8
+STRETCHES = 16
 LEAST_TELLING = 3
 # A stretch tells something where its gain is at least this share of the largest.
 TELLING_SHARE = 0.1
@@ -50,17 +50,19 @@ class Gain:
     telling: int
     against: float
 
-    def wins(self, least: float) -> bool:
-        """Whether the hypothesis explains the images better, by at least so many nats a point."""
-        return self._is_clear(1.0) and self.mean > least and not self.against > MOST_DEFENDED
+    def wins(self, least: float, clear: float = CLEAR) -> bool:
+        """Whether the hypothesis explains the images better: by so many nats a point and `clear` nats in all."""
+        return (
+            self.telling >= LEAST_TELLING
+            and self.mean > least
+            and self.evidence > clear
+            and self.agreement > AGREEMENT
+            and not self.against > MOST_DEFENDED
+        )
 
     def loses(self, least: float) -> bool:
         """Whether what the clip says explains the images better, by at least so many nats a point."""
-        return self._is_clear(-1.0) and self.mean < -least
-
-    def _is_clear(self, sign: float) -> bool:
-        enough = self.telling >= LEAST_TELLING
-        return enough and sign * self.evidence > CLEAR and sign * self.agreement > AGREEMENT
+        return self.mean < -least and self.evidence < -CLEAR and self.agreement < -AGREEMENT
 
 
 NOTHING = Gain(0.0, 0.0, 0.0, 0, float("nan"))

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from olt_generator.poses import Array, make_pose
+from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.clips.verification.image_evidence import Hypothesis, Poses, Times
 
 PoseAt = Callable[[Times], Poses]
@@ -54,3 +55,9 @@ def motion_reversed(span_us: tuple[int, int]) -> Hypothesis:
     """The motion is given backward in time over its span."""
     total = span_us[0] + span_us[1]
     return Hypothesis(motion=lambda poses, times_us: poses(total - times_us))
+
+
+def motion_of(other: EgoMotion) -> Hypothesis:
+    """The vehicle moved as another clip says."""
+    low, high = other.span_us
+    return Hypothesis(motion=lambda _, times_us: other.interpolate(np.clip(times_us, low, high)), span_us=(low, high))

@@ -23,7 +23,7 @@ Times = NDArray[np.int64]
 Poses = Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Hypothesis:
     """What might be true of a camera's images and the ego motion; all defaults are what the clip says.
 
@@ -32,13 +32,14 @@ class Hypothesis:
         motion: from what the clip says to the true rig poses (m, 4, 4) at clip times (m,).
         camera: whose images they are; None for the one that they are said to be of.
         mirrored: whether the images are mirrored left to right.
+        span_us: clip times that the true motion covers; None for those that the clip's does.
     """
 
     times: Callable[[Times], Times] = lambda times_us: times_us
     motion: Callable[[Callable[[Times], Poses], Times], Poses] = lambda poses, times_us: poses(times_us)
     camera: MountedCamera | None = None
     mirrored: bool = False
-
+    span_us: tuple[int, int] | None = None
 
     @property
     def is_said_view(self) -> bool:
@@ -91,7 +92,7 @@ class ImageEvidence:
     def of(self, hypothesis: Hypothesis) -> Array:
         """Log-likelihood (n,) of each point; NaN where the motion does not cover its step."""
         first_us, second_us = self._step_times(hypothesis)
-        low, high = self.ego_motion.span_us
+        low, high = hypothesis.span_us or self.ego_motion.span_us
         known = (np.minimum(first_us, second_us) >= low) & (np.maximum(first_us, second_us) <= high)
         before, after = (hypothesis.motion(self._poses, times_us) for times_us in (first_us, second_us))
         likelihood = self.of_motion(invert(before) @ after, hypothesis)

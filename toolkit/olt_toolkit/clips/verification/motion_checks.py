@@ -1,12 +1,12 @@
 """Checks of what the images show of the motion against the motion that the clip says, and of their times and order."""
 
-
 import numpy as np
 
+from olt_toolkit.clips.verification.calibration_checks import field_of_view
 from olt_toolkit.clips.verification.clip_evidence import ClipEvidence
-from olt_toolkit.clips.verification.findings import Finding, Verdict
+from olt_toolkit.clips.verification.findings import Finding, Verdict, not_compared
 from olt_toolkit.clips.verification.frame_order import find_order
-from olt_toolkit.clips.verification.gains import Gain, over_cameras, sum_up
+from olt_toolkit.clips.verification.gains import CLEAR, Gain, over_cameras, sum_up
 from olt_toolkit.clips.verification.hypotheses import (
     FRAMES_REVERSED,
     IMAGES_MIRRORED,
@@ -25,12 +25,24 @@ MIRRORED = "mirrored images"
 MOTION = "motion in images"
 THIS_CLIP = "video of this clip"
 
+MIRROR_IMAGE = "the motion is mirrored left to right"
+WRONG_TURNS = "its turns have the wrong sign"
+OTHER_WAY = "the vehicle drives the other way"
+MOVES_LITTLE = "what is seen does not move enough to tell"
+
 # Nats a point by which a fault must explain the images better: where it changes directions, where it changes only how
 # far things move (what is known of distances tells that), where it shifts by little, and where any motion is tried.
 LEAST_GAIN, LEAST_SCALE_GAIN, LEAST_SHIFT_GAIN, LEAST_FREE_GAIN = 0.25, 0.3, 0.02, 0.6
+# The same for the rate of one camera, whose view traffic that moves along may fill.
+LEAST_RATE_GAIN = 0.5
 # Nats a point by which what the clip says must explain them better for the fault to be ruled out.
 LEAST_LOSS = 0.1
-SHIFTS = tuple(round(sign * 0.1 * count, 1) for count in range(1, 11) for sign in (-1.0, 1.0))
+# Nats in all from which on a shift in time is believed, which shows only while the motion changes.
+CLEAR_SHIFT = 25.0
+# A camera with a narrower field of view, degrees, may show nothing but the vehicle ahead, which turns and brakes with
+# its own: that tells no times.
+NARROW = 45.0
+SHIFTS = tuple(round(0.1 * count, 1) for count in range(1, 11))
 RATES = (1 / 3, 0.5, 2.0, 3.0)
 SCALES = (0.001, 0.01, 0.1, 0.3048, 0.5, 2.0, 3.28, 10.0, 100.0, 1000.0)
 # Where the most similar image of fewer than this share is a neighbour, images are shuffled; chance gives a sixth.
@@ -47,12 +59,12 @@ def check_frame_order(clip: ClipEvidence, camera: str) -> Finding:
     order = find_order(clip.images[camera], clip.ego_motion)
     count = int(order.moving.sum())
     if count < 8:
-        return _not_compared(FRAME_ORDER, camera, _why_still(clip))
+        return not_compared(FRAME_ORDER, camera, _why_still(clip) or MOVES_LITTLE)
     if order.nearest < LEAST_NEAREST:
         detail = f"only {order.nearest:.0%} of the images resemble a neighbour most; they are shuffled, take them again"
         return Finding(FRAME_ORDER, camera, Verdict.FAILED, detail, order.nearest, LEAST_NEAREST)
     if order.difference < LEAST_DIFFERENCE:
-        return _not_compared(FRAME_ORDER, camera, "the images show too little that changes from one to the next")
+        return not_compared(FRAME_ORDER, camera, "the images show too little that changes from one to the next")
     shares = order.exchanged.sum() / count, order.repeated.sum() / count
     for share, most, flags, says in (
         (shares[0], MOST_EXCHANGED, order.exchanged, "lie before the one that they follow"),
@@ -67,7 +79,7 @@ def check_frame_order(clip: ClipEvidence, camera: str) -> Finding:
         return _failed(FRAME_ORDER, camera, "its frames run backward in time", gain, LEAST_GAIN)
     if gain.loses(LEAST_LOSS):
         return _passed(FRAME_ORDER, camera, "no image is repeated or out of place, and time runs forward", gain)
-    return _not_compared(FRAME_ORDER, camera, "in order, but nothing tells whether time runs forward or backward")
+    return not_compared(FRAME_ORDER, camera, "in order, but nothing tells whether time runs forward or backward")
 
 
 def check_mirrored(clip: ClipEvidence, camera: str) -> Finding:
@@ -77,107 +89,109 @@ def check_mirrored(clip: ClipEvidence, camera: str) -> Finding:
         return _failed(MIRRORED, camera, "its images are mirrored left to right", gain, LEAST_GAIN)
     if gain.loses(LEAST_LOSS):
         return _passed(MIRRORED, camera, "left and right are where the motion says", gain)
-    why = "nothing tells left from right in a camera that looks where a straight drive leads"
-    return _not_compared(MIRRORED, camera, why if clip.way >= LEAST_WAY else _why_still(clip))
+    why = "a straight drive looks the same in the mirror of a camera that looks ahead or back"
+    return not_compared(MIRRORED, camera, _why_still(clip) or why)
 
 
 def check_frame_times(clip: ClipEvidence, camera: str) -> Finding:
     """The camera neither early nor late nor at another rate than the motion."""
-    rates = {f"time passes {rate:.2g} times as fast as it says": (at_rate(rate), LEAST_SCALE_GAIN) for rate in RATES}
+    across = np.degrees(field_of_view(clip.mounted[camera].camera))
+    if across < NARROW:
+        why = f"it sees {across:.0f} degrees: a vehicle ahead may fill that, and moves with its own"
+        return not_compared(FRAME_TIMES, camera, why)
+    rates = {f"time passes {rate:.2g} times as fast as it says": clip.gain(camera, at_rate(rate)) for rate in RATES}
     shifts = {
-        f"it is {abs(shift):.1f} s {'late' if shift > 0.0 else 'early'}": (shifted(shift), LEAST_SHIFT_GAIN)
-        for shift in SHIFTS
+        (seconds, word): clip.gain(camera, shifted(sign * seconds))
+        for seconds in SHIFTS
+        for sign, word in ((1.0, "late"), (-1.0, "early"))
     }
-    gains = {says: clip.gain(camera, hypothesis) for says, (hypothesis, _) in (rates | shifts).items()}
-    winners = {says: gain for says, gain in gains.items() if gain.wins((rates | shifts)[says][1])}
-    if winners:
-        says = max(winners, key=lambda says: winners[says].evidence)
-        return _failed(FRAME_TIMES, camera, says, winners[says], (rates | shifts)[says][1])
-    excluded = [abs(shift) for shift in SHIFTS if _both_lose(clip, camera, gains, abs(shift))]
-    if excluded:
-        detail = f"it is neither early nor late by {min(excluded):.1f} s or more"
-        worst = max((gains[says] for says in shifts), key=lambda gain: gain.mean)
-        return _passed(FRAME_TIMES, camera, detail, worst)
-    why = "the vehicle drives too evenly for a shift in time to show"
-    return _not_compared(FRAME_TIMES, camera, why if clip.way >= LEAST_WAY else _why_still(clip))
+    found = [(says, gain, LEAST_RATE_GAIN) for says, gain in rates.items() if gain.wins(LEAST_RATE_GAIN)]
+    found += [
+        (f"it is {seconds:.1f} s {word}", gain, LEAST_SHIFT_GAIN)
+        for (seconds, word), gain in shifts.items()
+        if gain.wins(LEAST_SHIFT_GAIN, CLEAR_SHIFT)
+    ]
+    if found:
+        return _failed(FRAME_TIMES, camera, *max(found, key=lambda each: each[1].evidence))
+    ruled_out = [seconds for seconds in SHIFTS if all(shifts[seconds, word].loses(0.0) for word in ("late", "early"))]
+    if ruled_out:
+        least = min(ruled_out)
+        gain = max((shifts[least, word] for word in ("late", "early")), key=lambda gain: gain.mean)
+        return _passed(FRAME_TIMES, camera, f"neither early nor late by {least:.1f} s", gain)
+    return not_compared(FRAME_TIMES, camera, _why_still(clip) or "the drive is too even for a shift in time to show")
 
 
 def check_motion(clip: ClipEvidence) -> Finding:
     """The motion that the clip says, in the frame, unit, handedness and time of its images."""
-    names = "all cameras" if len(clip.evidence) > 1 else next(iter(clip.evidence))
-    where = f"ego motion, {names}"
+    where = f"ego motion against {len(clip.evidence)} cameras"
     faults = _motion_faults(clip)
-    gains = {says: clip.joint_gain(hypothesis) for says, (hypothesis, _) in faults.items()}
-    winners = {says: gain for says, gain in gains.items() if gain.wins(faults[says][1])}
-    if winners:
-        says = max(winners, key=lambda says: winners[says].evidence)
-        return _failed(MOTION, where, says, winners[says], faults[says][1])
+    gains = {says: clip.joint_gain(hypothesis) for says, (hypothesis, *_) in faults.items()}
+    found = [(says, gain, faults[says][1]) for says, gain in gains.items() if gain.wins(*faults[says][1:])]
     free = sum_up(over_cameras([clip.free_gains(camera) for camera in clip.evidence]))
-    if free.wins(LEAST_FREE_GAIN):
-        says = "another motion explains them in every part of the clip: it belongs to another clip, or they do"
-        return _failed(MOTION, where, says, free, LEAST_FREE_GAIN)
-    ruled_out = [says for says, gain in gains.items() if gain.loses(LEAST_LOSS)]
-    if "the motion runs backward in time" in ruled_out or "the vehicle drives the other way" in ruled_out:
-        untold = [says for says in ("the motion is mirrored left to right",) if says not in ruled_out]
-        note = "; not told: whether " + ", ".join(untold) if untold else ""
-        return _passed(MOTION, where, f"the images move as the motion says{note}", gains["the vehicle drives the other way"])
-    return _not_compared(MOTION, where, _why_still(clip))
+    if clip.way >= LEAST_WAY and free.wins(LEAST_FREE_GAIN) and not found:
+        found = [
+            ("another motion explains them in every part of the clip: it is another clip's", free, LEAST_FREE_GAIN)
+        ]
+    if found:
+        return _failed(MOTION, where, *max(found, key=lambda each: each[1].evidence))
+    if not gains[OTHER_WAY].loses(LEAST_LOSS):
+        return not_compared(MOTION, where, _why_still(clip) or MOVES_LITTLE)
+    untold = [says for says in (MIRROR_IMAGE, WRONG_TURNS) if not gains[says].loses(LEAST_LOSS)]
+    note = f"; too straight to tell whether {', or '.join(untold)}" if untold else ""
+    return _passed(MOTION, where, f"the images move as the motion says{note}", gains[OTHER_WAY])
 
 
 def check_this_clip(clip: ClipEvidence, camera: str) -> Finding:
-    """The images of one camera show the motion of the clip and no other."""
-    free = sum_up(clip.free_gains(camera))
-    if free.wins(LEAST_FREE_GAIN) and _is_steady(free):
-        says = "another motion explains them in every part of the clip: the video belongs to another one"
-        return _failed(THIS_CLIP, camera, says, free, LEAST_FREE_GAIN)
-    if clip.gain(camera, scaled(0.0)).loses(LEAST_LOSS) and clip.gain(camera, scaled(-1.0)).loses(LEAST_LOSS):
-        return _passed(THIS_CLIP, camera, "they show the motion of the clip, as far as motion tells clips apart", free)
-    return _not_compared(THIS_CLIP, camera, _why_still(clip))
+    """The images of one camera show the motion of their clip, and not that of another one of the store."""
+    gains = {name: clip.gain(camera, motion) for name, motion in clip.other_motions.items()}
+    found = {name: gain for name, gain in gains.items() if gain.wins(LEAST_GAIN)}
+    if found:
+        name = max(found, key=lambda name: found[name].evidence)
+        return _failed(THIS_CLIP, camera, f"the images show the motion of clip {name}", found[name], LEAST_GAIN)
+    told = [name for name, gain in gains.items() if gain.loses(LEAST_LOSS)]
+    if not gains:
+        return not_compared(THIS_CLIP, camera, "the store holds no other clip")
+    if not told:
+        why = "what is seen fits the motions of all other clips as well"
+        return not_compared(THIS_CLIP, camera, _why_still(clip) or why)
+    worst = max((gains[name] for name in told), key=lambda gain: gain.mean)
+    return _passed(THIS_CLIP, camera, f"its motion fits better than that of {len(told)} of {len(gains)} others", worst)
 
 
-def _is_steady(gain: Gain) -> bool:
-    return gain.agreement > 0.95
-
-
-def _motion_faults(clip: ClipEvidence) -> dict[str, tuple[Hypothesis, float]]:
-    """The faults of a motion that are tried, in words, and the gain from which on each is believed."""
+def _motion_faults(clip: ClipEvidence) -> dict[str, tuple[Hypothesis, float, float]]:
+    """The faults of a motion that are tried, in words, and the gain and evidence from which on each is believed."""
     faults = {
-        "the motion is mirrored left to right": (MOTION_MIRRORED, LEAST_GAIN),
-        "its turns have the wrong sign": (TURNS_INVERTED, LEAST_GAIN),
-        "the vehicle drives the other way": (scaled(-1.0), LEAST_GAIN),
-        "the motion runs backward in time": (motion_reversed(clip.ego_motion.span_us), LEAST_GAIN),
+        MIRROR_IMAGE: (MOTION_MIRRORED, LEAST_GAIN, CLEAR),
+        WRONG_TURNS: (TURNS_INVERTED, LEAST_GAIN, CLEAR),
+        OTHER_WAY: (scaled(-1.0), LEAST_GAIN, CLEAR),
+        "the motion runs backward in time": (motion_reversed(clip.ego_motion.span_us), LEAST_GAIN, CLEAR),
     }
     for scale in SCALES:
-        faults[f"the vehicle drives {scale:.4g} times as far as it says"] = (scaled(scale), LEAST_SCALE_GAIN)
-    for shift in SHIFTS:
-        says = f"the images are {abs(shift):.1f} s {'late' if shift > 0.0 else 'early'} against the motion"
-        faults[says] = (shifted(shift), LEAST_SHIFT_GAIN)
+        says = f"the vehicle drives {scale:.4g} times as far as it says"
+        faults[says] = (scaled(scale), LEAST_SCALE_GAIN, CLEAR)
+    for seconds in SHIFTS:
+        for sign, word in ((1.0, "late"), (-1.0, "early")):
+            says = f"the images are {seconds:.1f} s {word} against the motion"
+            faults[says] = (shifted(sign * seconds), LEAST_SHIFT_GAIN, CLEAR_SHIFT)
+    for name, motion in clip.other_motions.items():
+        faults[f"it is the motion of clip {name} that the images show"] = (motion, LEAST_GAIN, CLEAR)
     return faults
 
 
-def _both_lose(clip: ClipEvidence, camera: str, gains: dict[str, Gain], seconds: float) -> bool:
-    return all(gains[f"it is {seconds:.1f} s {word}"].loses(0.0) for word in ("late", "early"))
-
-
-def _why_still(clip: ClipEvidence) -> str:
+def _why_still(clip: ClipEvidence) -> str | None:
+    """Why the images tell nothing of the motion, where the whole clip says why."""
     if clip.way < LEAST_WAY:
         return f"the vehicle stands: it drives {clip.way:.1f} m"
     points = sum(len(evidence.steps.step) for evidence in clip.evidence.values())
     if points < 15 * sum(len(evidence.steps.first) for evidence in clip.evidence.values()):
         return "too few points can be followed: the images are dark, show no texture, or lie too far apart in time"
-    return "what is seen does not move enough to tell"
+    return None
 
 
 def _failed(check: str, where: str, says: str, gain: Gain, limit: float) -> Finding:
-    detail = f"{says}: that explains the images better by {gain.mean:.2f} nats a point; correct it or leave the clip out"
+    detail = f"{says}: this explains the images better by {gain.mean:.2f} nats a point; mend it or leave the clip out"
     return Finding(check, where, Verdict.FAILED, detail, gain.mean, limit)
 
 
 def _passed(check: str, where: str, says: str, gain: Gain) -> Finding:
     return Finding(check, where, Verdict.PASSED, says, gain.mean)
-
-
-def _not_compared(check: str, where: str, why: str) -> Finding:
-    return Finding(check, where, Verdict.NOT_COMPARED, why)
-
-

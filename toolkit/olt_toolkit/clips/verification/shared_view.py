@@ -96,9 +96,7 @@ def _shifted(front: CameraImages, tele: CameraImages, index: int) -> list[int]:
     return np.where(np.abs(front.times_us[found] - wanted) <= LONGEST_APART_US, found, -1).tolist()
 
 
-def _match(
-    tele: NDArray[np.float32], fronts: list[NDArray[np.float32] | None], place: tuple[int, int]
-) -> list[float]:
+def _match(tele: NDArray[np.float32], fronts: list[NDArray[np.float32] | None], place: tuple[int, int]) -> list[float]:
     """At place, elsewhere, mirrored, and at place at other times."""
     now = fronts[0]
     assert now is not None
