@@ -99,7 +99,8 @@ def _images(driven: Array, generator: np.random.Generator) -> NDArray[np.uint8]:
     """A strip of texture (n, H, W, 3) that moves by 4 pixels a metre, with some noise of an imager."""
     strip = gaussian_filter1d(generator.normal(size=(_HEIGHT, 4 * int(driven[-1] + 2) + 2 * _WIDTH)), 1.5, axis=1)
     strip = np.clip(128.0 + 60.0 * strip / strip.std(), 0.0, 255.0)
-    first = np.round(4.0 * driven).astype(int)
-    frames = np.stack([strip[:, start : start + _WIDTH] for start in first])
+    columns = 4.0 * driven[:, None] + np.arange(_WIDTH)
+    place = np.arange(strip.shape[1])
+    frames = np.stack([np.interp(columns, place, row) for row in strip], axis=1)
     frames = frames + generator.normal(scale=2.0, size=frames.shape)
     return np.repeat(np.clip(frames, 0.0, 255.0).astype(np.uint8)[..., None], 3, axis=-1)

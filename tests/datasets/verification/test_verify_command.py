@@ -75,6 +75,13 @@ def test_what_is_not_there_or_not_known(tmp_path, store):
         run(store, "--checks", "colours")
 
 
+def test_a_lerobot_set_without_a_column_that_is_needed_is_refused(lerobot, tmp_path):
+    shutil.copytree(lerobot, tmp_path / "bad")
+    _change_data(lambda table: table.drop_columns(["task_index"]))(tmp_path / "bad")
+    with pytest.raises(InputError, match="column task_index is missing"):
+        run(tmp_path / "bad")
+
+
 def test_a_check_that_was_asked_for_and_could_be_made_nowhere_is_no_success(lerobot):
     status, out = run(lerobot, "--checks", "images")
     assert status == 1 and "not compared" in out
@@ -162,7 +169,7 @@ def _cut_video(root):
         (_change_info, {"number of frames"}, "tables"),
         (_change_stats, {"statistics"}, "tables"),
         (_change_data(lambda table: table.slice(1)), {"number of frames", "rows of episodes"}, "tables"),
-        (_change_data(lambda table: table.drop_columns(["task_index"])), {"columns"}, "tables"),
+        (_change_data(lambda table: table.drop_columns(["is_sample"])), {"columns"}, "tables"),
         (
             _changed_vectors("observation.state", lambda values: values[:, ::-1]),
             {"history ends at the origin"},
