@@ -31,6 +31,10 @@ INFO_FILE = "meta/info.json"
 STATISTICS_ERROR = 1e-3
 """Relative to the spread of a column, of the statistics that the data set states of it."""
 
+_ROW = ("index", "episode_index", "frame_index", "timestamp", "task_index")
+_EPISODE = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index")
+_PLACE = ("chunk_index", "file_index", "to_timestamp")
+
 VideoJob = tuple[str, Path, int, tuple[int, int], float]
 """Name of the camera, its file, frames that episodes promise of it, width and height, frames per second."""
 
@@ -44,8 +48,10 @@ def verify_lerobot(
 ) -> Report:
     """Look at a LeRobot data set; InputError where `meta/info.json` or the tables of episodes cannot be read."""
     info = _read_info(root)
-    episodes = _read_parts(root / "meta" / "episodes")
-    data = _read_parts(root / "data")
+    videos = [key for key, feature in info["features"].items() if feature["dtype"] == "video"]
+    places = [f"videos/{key}/{name}" for key in videos for name in _PLACE]
+    episodes = _read_parts(root / "meta" / "episodes", [*_EPISODE, *places])
+    data = _read_parts(root / "data", [*_ROW])
     report = Report()
     if STORE_GROUP in groups:
         report.add(check_tables(root, info, episodes, data))
@@ -105,7 +111,7 @@ def check_statistics(root: Path, info: dict[str, Any], data: pa.Table) -> Iterat
         yield state("statistics", str(path), False, f"cannot be read ({error}); export again")
         return
     for name, feature in info["features"].items():
-        if feature["dtype"] in ("video", "bool"):
+        if feature["dtype"] in ("video", "bool") or name not in data.column_names:
             continue
         values = column_values(data, name).reshape(len(data), -1)
         spread = values.std(axis=0) + 1e-6 * np.abs(values).max(axis=0) + 1e-9
@@ -129,7 +135,7 @@ def list_videos(info: dict[str, Any], episodes: pa.Table, root: Path) -> list[Vi
     for key, feature in info["features"].items():
         if feature["dtype"] != "video":
             continue
-        columns = [f"videos/{key}/{name}" for name in ("chunk_index", "file_index", "to_timestamp")]
+        columns = [f"videos/{key}/{name}" for name in _PLACE]
         frames: dict[tuple[int, int], float] = {}
         for chunk, file, end in zip(*(episodes[name].to_pylist() for name in columns), strict=True):
             frames[chunk, file] = max(frames.get((chunk, file), 0.0), end)
@@ -218,12 +224,16 @@ def _read_info(root: Path) -> dict[str, Any]:
     return info
 
 
-def _read_parts(folder: Path) -> pa.Table:
-    """All tables below a folder, in the order of their numbers, as one."""
+def _read_parts(folder: Path, columns: list[str]) -> pa.Table:
+    """All tables below a folder, in the order of their numbers, as one with at least these columns."""
     parts = sorted(folder.glob("chunk-*/file-*.parquet"))
     if not parts:
         raise InputError(f"{folder}: no table chunk-*/file-*.parquet; export again")
     try:
-        return pa.concat_tables([pq.read_table(part) for part in parts])
+        table = pa.concat_tables([pq.read_table(part) for part in parts])
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{folder}: its tables cannot be read ({error}); export again") from error
+    missing = [name for name in columns if name not in table.column_names or table[name].null_count]
+    if missing:
+        raise InputError(f"{folder}: column {', '.join(missing)} is missing, or has missing values; export again")
+    return table

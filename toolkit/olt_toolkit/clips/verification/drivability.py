@@ -34,10 +34,11 @@ TURN_ERROR = 0.35
 """Relative, of turns of the way against turns of the heading."""
 
 _SLOW_STEPS, _FAST_STEPS = 5, 2  # of the grid: 0.5 s and 0.2 s
-_CHORD = 2.0  # metres over which the direction of the way is taken
-_LEAST_TURN = 0.03  # radians (root mean square) from which on left can be told from right
+_CHORD = 4.0  # metres over which the direction of the way is taken
+_LEAST_TURN = 0.05  # radians (root mean square) from which on left can be told from right
 _HEADING_NOISE = 0.05  # radians in 0.5 s, of a vehicle that stands
 _BACKWARD_NOISE = 0.5  # metres
+_STANDS = 0.3  # m/s
 
 
 def check_poses(motion: EgoMotion, where: str) -> Iterator[Finding]:
@@ -98,8 +99,11 @@ def check_heading(poses: Array, where: str) -> Iterator[Finding]:
 
 def check_repeated_poses(motion: EgoMotion, where: str) -> Finding:
     """Whether positions stand still, to the last bit, while the velocity column says that the vehicle moves."""
+    speed = np.linalg.norm(motion.velocity, axis=1)
+    if speed.max() <= _STANDS:
+        return not_compared("repeated poses", where, f"the vehicle never moves by more than {_STANDS:g} m/s")
     still = (np.diff(motion.trajectory.positions, axis=0) == 0.0).all(axis=1)
-    moves = np.linalg.norm(motion.velocity, axis=1) > 0.3
+    moves = speed > _STANDS
     repeated = np.flatnonzero(still & moves[1:] & moves[:-1])
     at = f", first in row {repeated[0] + 1}" if len(repeated) else ""
     return judge("repeated poses", where, float(len(repeated)), 0.0, f"rows repeat the pose before them{at}")

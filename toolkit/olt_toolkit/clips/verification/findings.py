@@ -1,5 +1,6 @@
 """What a check says: passed, failed, or not compared and why."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -34,6 +35,8 @@ class Finding:
 
 def judge(check: str, where: str, measured: float, limit: float, detail: str) -> Finding:
     """A measurement that fails beyond its limit, and where it is no number; `detail` names it, its unit and advice."""
+    if not math.isfinite(measured):
+        return Finding(check, where, Verdict.FAILED, f"{detail} (what was measured is no number)", None, limit)
     verdict = Verdict.PASSED if measured <= limit else Verdict.FAILED
     return Finding(check, where, verdict, detail, measured, limit)
 

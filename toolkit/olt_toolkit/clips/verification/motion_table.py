@@ -28,7 +28,7 @@ CURVATURE_ERROR = 0.4
 
 _WINDOW_SECONDS = 1.0
 _LEAST_WAY, _WAY_FLOOR = 0.1, 1.0  # metres in a second
-_LEAST_CHANGE, _CHANGE_FLOOR = 0.1, 0.5  # m/s in a second
+_LEAST_CHANGE, _CHANGE_FLOOR = 0.25, 0.5  # m/s in a second
 _LEAST_TURN, _TURN_FLOOR = 0.01, 0.05  # radians in a second
 
 

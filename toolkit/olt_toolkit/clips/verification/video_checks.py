@@ -26,7 +26,7 @@ LONGEST_STILL = 0.095
 _SHRINK = 4  # along both sides, before images are compared
 _SAME_IMAGE = 0.02  # of the usual change from image to image
 _LEAST_CHANGE = 0.3  # grey levels, of most changes; below, images are too plain to tell
-_SLOWEST = 1.0  # m/s at which images of a moving vehicle change
+_SLOWEST = 2.0  # m/s at which images of a moving vehicle change
 _LEAST_SEEN = 0.1  # share of a frame that was observed and not invented
 
 
