@@ -1,5 +1,6 @@
 """What the images of all cameras of a clip say of it, gathered once for all checks that look at them."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -93,13 +94,13 @@ class ClipEvidence:
         return np.where(np.isfinite(best[:, :1]), best, [np.nan, 0.0, np.nan, np.nan])
 
 
-def gather_evidence(store: ClipStore, clip_id: str) -> ClipEvidence:
-    """Decode the images of all cameras of a clip and follow points in them.
+def gather_evidence(store: ClipStore, clip_id: str, cameras: Sequence[str]) -> ClipEvidence:
+    """Decode the images of some cameras of a clip and follow points in them.
 
     Raises:
         InputError: the clip's files are damaged.
     """
-    cameras, ego_motion = store.info(clip_id).views, store.read_ego_motion(clip_id)
+    ego_motion = store.read_ego_motion(clip_id)
     images = {camera: read_camera_images(store, clip_id, camera) for camera in cameras}
     return ClipEvidence(
         clip_id,
