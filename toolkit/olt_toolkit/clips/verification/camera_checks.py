@@ -11,7 +11,14 @@ from olt_toolkit.clips.verification.clip_evidence import ClipEvidence
 from olt_toolkit.clips.verification.findings import Finding, Verdict, not_compared
 from olt_toolkit.clips.verification.gains import Gain, over_cameras, sum_up
 from olt_toolkit.clips.verification.image_evidence import Hypothesis
-from olt_toolkit.clips.verification.shared_view import SHIFTS, TeleMatch, match_tele, nearest_images
+from olt_toolkit.clips.verification.shared_view import (
+    LEAST_PAIRS,
+    SHIFTS,
+    TeleMatch,
+    match_tele,
+    nearest_images,
+    surely_above,
+)
 from olt_toolkit.rigs.rig import FRONT_TELE, FRONT_WIDE
 
 CAMERA_NAME = "camera shows what its name says"
@@ -27,9 +34,6 @@ SAME_DIFFERENCE = 1.0
 # The tele image is inside the front view where it correlates so well and is not where it correlates less; between them
 # nothing is said. Elsewhere, mirrored or at other times the correlation must be lower, or higher, by the margin.
 INSIDE, OUTSIDE, MARGIN = 0.5, 0.35, 0.08
-# How sure a difference of correlations must be, in standard errors over pairs of images.
-CERTAIN = 4.0
-LEAST_PAIRS = 5
 
 
 def check_names(clip: ClipEvidence) -> Iterator[Finding]:
@@ -110,7 +114,7 @@ def _judge_place(match: TeleMatch, known: Array) -> Finding:
         "the tele camera looks elsewhere than its calibration says": match.elsewhere[known],
     }
     for says, rival in rivals.items():
-        if _surely_above(rival - match.at_place[known], MARGIN) and rival.mean() > OUTSIDE:
+        if surely_above(rival - match.at_place[known], MARGIN) and rival.mean() > OUTSIDE:
             detail = f"{says}, or the images are mirrored: it correlates {rival.mean():.2f} so and {here:.2f} as said"
             return Finding(TELE_INSIDE, FRONT_TELE, Verdict.FAILED, detail, here, INSIDE)
     if here < OUTSIDE:
@@ -130,24 +134,16 @@ def _judge_tele_times(match: TeleMatch) -> Finding:
     gains = match.shifted - match.at_place[:, None]
     means = np.array([np.nanmean(column) if np.isfinite(column).any() else -np.inf for column in gains.T])
     best = int(np.argmax(means))
-    if _surely_above(gains[:, best], 0.02):
+    if surely_above(gains[:, best], 0.02):
         when = f"{abs(SHIFTS[best]):.1f} s {'later' if SHIFTS[best] > 0.0 else 'earlier'}"
         detail = f"the tele view shows what the front view shows {when}; correct the times of one of them"
         return Finding(TELE_TIMES, FRONT_TELE, Verdict.FAILED, detail, float(means[best]), 0.02)
-    told = [abs(shift) for shift, column in zip(SHIFTS, gains.T, strict=True) if _surely_above(-column, 0.02)]
+    told = [abs(shift) for shift, column in zip(SHIFTS, gains.T, strict=True) if surely_above(-column, 0.02)]
     both = [shift for shift in told if told.count(shift) == 2]
     if both:
         detail = f"neither is later than the other by {min(both):.1f} s"
         return Finding(TELE_TIMES, FRONT_TELE, Verdict.PASSED, detail, float(means[best]), 0.02)
     return not_compared(TELE_TIMES, FRONT_TELE, "the front views hardly change with time, or do not match")
-
-
-def _surely_above(values: Array, least: float) -> bool:
-    known = values[np.isfinite(values)]
-    if len(known) < LEAST_PAIRS:
-        return False
-    error = max(float(known.std(ddof=1)) / np.sqrt(len(known)), 1e-6)
-    return float(known.mean()) > least and float(known.mean()) > CERTAIN * error
 
 
 def _best_names(names: list[str], gains: dict[tuple[str, str], Array]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from olt_toolkit.clips.verification.motion_checks import (
     check_motion,
     check_this_clip,
 )
-
+from olt_toolkit.clips.verification.neighbour_checks import check_neighbours
 
 # In narrower images, pixels, too little can be followed.
 LEAST_WIDTH = 160
@@ -43,6 +43,7 @@ def _check_all(clip: ClipEvidence) -> Iterator[Finding]:
     yield from check_names(clip)
     yield from check_own_videos(clip)
     yield from check_tele(clip)
+    yield from check_neighbours(clip)
     for camera in clip.evidence:
         for check in (check_frame_order, check_frame_times, check_mirrored, check_this_clip):
             yield check(clip, camera)

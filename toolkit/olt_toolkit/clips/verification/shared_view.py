@@ -28,6 +28,9 @@ DETAIL_PIXELS = 6.0
 AT_PLACE = 5
 # An image whose detail has a smaller standard deviation, grey levels, shows nothing to compare.
 LEAST_CONTRAST = 2.0
+# How sure a difference of correlations must be, in standard errors over pairs of images, and how many it takes.
+CERTAIN = 4.0
+LEAST_PAIRS = 5
 # Shifts in time that are tried, seconds.
 SHIFTS = (-1.0, -0.7, -0.5, -0.3, -0.2, -0.1, 0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 
@@ -81,6 +84,15 @@ def nearest_images(times_us: NDArray[np.int64], wanted_us: NDArray[np.int64]) ->
     before = after - 1
     after = np.minimum(after, len(times_us) - 1)
     return np.where(wanted_us - times_us[before] <= times_us[after] - wanted_us, before, after)
+
+
+def surely_above(values: Array, least: float) -> bool:
+    """Whether the mean of differences (p,) of correlations is above `least`, and clearly above 0 for its spread."""
+    known = values[np.isfinite(values)]
+    if len(known) < LEAST_PAIRS:
+        return False
+    error = max(float(known.std(ddof=1)) / np.sqrt(len(known)), 1e-6)
+    return float(known.mean()) > least and float(known.mean()) > CERTAIN * error
 
 
 def detail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
