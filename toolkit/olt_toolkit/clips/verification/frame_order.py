@@ -36,7 +36,9 @@ class FrameOrder:
         exchanged: (m,) moving images that would fit better behind the next one.
         nearest: share of the moving images whose most similar neighbour is the one before or after it, among `REACH`
             on either side; NaN where none moves.
-        difference: how much neighbours differ, grey levels, median of those that move; NaN where none does.
+        difference: how much neighbours differ, grey levels: exceeded by one in ten of those that move, so that it is
+            that of others where most are repeated; NaN where none moves.
+        contrast: standard deviation of the images, grey levels, median.
     """
 
     moving: NDArray[np.bool_]
@@ -44,6 +46,7 @@ class FrameOrder:
     exchanged: NDArray[np.bool_]
     nearest: float
     difference: float
+    contrast: float
 
 
 def find_order(images: CameraImages, ego_motion: EgoMotion) -> FrameOrder:
@@ -54,11 +57,12 @@ def find_order(images: CameraImages, ego_motion: EgoMotion) -> FrameOrder:
     positions = ego_motion.interpolate(np.clip(images.times_us, low, high))[:, :3, 3]
     way = np.linalg.norm(np.diff(positions, axis=0), axis=1)
     moving = np.append(way >= LEAST_WAY, False)
+    contrast = float(np.median(images.grays[:: max(1, count // 8)].std(axis=(1, 2))))
     if not moving.any():
-        return FrameOrder(moving, np.zeros(count, bool), np.zeros(count, bool), float("nan"), float("nan"))
-    difference = float(np.median(apart[moving, 0]))
+        return FrameOrder(moving, np.zeros(count, bool), np.zeros(count, bool), float("nan"), float("nan"), contrast)
+    difference = float(np.percentile(apart[moving, 0], 90.0))
     repeated = moving & (apart[:, 0] < REPEATED_SHARE * difference)
-    return FrameOrder(moving, repeated, moving & _exchanged(apart), _nearest_share(apart, moving), difference)
+    return FrameOrder(moving, repeated, moving & _exchanged(apart), _nearest_share(apart, moving), difference, contrast)
 
 
 def _differences(grays: NDArray[np.uint8]) -> Array:

@@ -49,6 +49,8 @@ SCALES = (0.001, 0.01, 0.1, 0.3048, 0.5, 2.0, 3.28, 10.0, 100.0, 1000.0)
 LEAST_NEAREST = 0.6
 # Below this difference of neighbours, grey levels, a picture shows too little to tell a repeated one.
 LEAST_DIFFERENCE = 0.6
+# Below this difference images do not change at all, if they have at least this contrast, grey levels.
+STILL, LEAST_CONTRAST = 0.05, 5.0
 # From this share on images that have changed places or repeat the one before are a fault.
 MOST_EXCHANGED, MOST_REPEATED = 0.02, 0.02
 LEAST_WAY = 5.0
@@ -60,11 +62,14 @@ def check_frame_order(clip: ClipEvidence, camera: str) -> Finding:
     count = int(order.moving.sum())
     if count < 8:
         return not_compared(FRAME_ORDER, camera, _why_still(clip) or MOVES_LITTLE)
-    if order.nearest < LEAST_NEAREST:
-        detail = f"only {order.nearest:.0%} of the images resemble a neighbour most; they are shuffled, take them again"
-        return Finding(FRAME_ORDER, camera, Verdict.FAILED, detail, order.nearest, LEAST_NEAREST)
+    if order.difference < STILL and order.contrast > LEAST_CONTRAST:
+        detail = "the images do not change although the vehicle moves; the video is frozen, take it again"
+        return Finding(FRAME_ORDER, camera, Verdict.FAILED, detail, order.difference, STILL)
     if order.difference < LEAST_DIFFERENCE:
         return not_compared(FRAME_ORDER, camera, "the images show too little that changes from one to the next")
+    if order.nearest < LEAST_NEAREST and order.repeated.sum() < MOST_REPEATED * count:
+        detail = f"only {order.nearest:.0%} of the images resemble a neighbour most; they are shuffled, take them again"
+        return Finding(FRAME_ORDER, camera, Verdict.FAILED, detail, order.nearest, LEAST_NEAREST)
     shares = order.exchanged.sum() / count, order.repeated.sum() / count
     for share, most, flags, says in (
         (shares[0], MOST_EXCHANGED, order.exchanged, "lie before the one that they follow"),
@@ -103,20 +108,22 @@ def check_frame_times(clip: ClipEvidence, camera: str) -> Finding:
     shifts = {
         (seconds, word): clip.gain(camera, shifted(sign * seconds))
         for seconds in SHIFTS
-        for sign, word in ((1.0, "late"), (-1.0, "early"))
+        for sign, word in ((1.0, "later"), (-1.0, "earlier"))
     }
     found = [(says, gain, LEAST_RATE_GAIN) for says, gain in rates.items() if gain.wins(LEAST_RATE_GAIN)]
     found += [
-        (f"it is {seconds:.1f} s {word}", gain, LEAST_SHIFT_GAIN)
+        (f"its images were taken {seconds:.1f} s {word} than it says", gain, LEAST_SHIFT_GAIN)
         for (seconds, word), gain in shifts.items()
         if gain.wins(LEAST_SHIFT_GAIN, CLEAR_SHIFT)
     ]
     if found:
         return _failed(FRAME_TIMES, camera, *max(found, key=lambda each: each[1].evidence))
-    ruled_out = [seconds for seconds in SHIFTS if all(shifts[seconds, word].loses(0.0) for word in ("late", "early"))]
+    ruled_out = [
+        seconds for seconds in SHIFTS if all(shifts[seconds, word].loses(0.0) for word in ("later", "earlier"))
+    ]
     if ruled_out:
         least = min(ruled_out)
-        gain = max((shifts[least, word] for word in ("late", "early")), key=lambda gain: gain.mean)
+        gain = max((shifts[least, word] for word in ("later", "earlier")), key=lambda gain: gain.mean)
         return _passed(FRAME_TIMES, camera, f"neither early nor late by {least:.1f} s", gain)
     return not_compared(FRAME_TIMES, camera, _why_still(clip) or "the drive is too even for a shift in time to show")
 
@@ -170,8 +177,8 @@ def _motion_faults(clip: ClipEvidence) -> dict[str, tuple[Hypothesis, float, flo
         says = f"the vehicle drives {scale:.4g} times as far as it says"
         faults[says] = (scaled(scale), LEAST_SCALE_GAIN, CLEAR)
     for seconds in SHIFTS:
-        for sign, word in ((1.0, "late"), (-1.0, "early")):
-            says = f"the images are {seconds:.1f} s {word} against the motion"
+        for sign, word in ((1.0, "later"), (-1.0, "earlier")):
+            says = f"the images were taken {seconds:.1f} s {word} than the motion says"
             faults[says] = (shifted(sign * seconds), LEAST_SHIFT_GAIN, CLEAR_SHIFT)
     for name, motion in clip.other_motions.items():
         faults[f"it is the motion of clip {name} that the images show"] = (motion, LEAST_GAIN, CLEAR)

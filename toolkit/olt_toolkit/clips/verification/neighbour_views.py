@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from olt_generator.cameras import FthetaCamera, remap_table
 from olt_generator.poses import Array, camera_pose_in_rig
 from olt_toolkit.clips.verification.image_steps import CameraImages
-from olt_toolkit.clips.verification.shared_view import LONGEST_APART_US, SHIFTS, detail, nearest_images
+from olt_toolkit.clips.verification.shared_view import LONGEST_APART_US, SHIFTS, detail, nearest_images, warp
+
+Table = tuple[NDArray[np.float32], NDArray[np.bool_]]
 
 # Pairs of images that are compared, spread over the clip.
 MOST_PAIRS = 16
@@ -46,7 +48,7 @@ class NeighbourMatch:
 
 
 def common_view(first: CameraImages, second: CameraImages) -> tuple[FthetaCamera, Array] | None:
-    """A camera that sees what both cameras see along the horizon, and its rotation (3, 3) in the rig; None if little."""
+    """A camera that sees what both see along the horizon, and its rotation (3, 3) in the rig; None if that is little."""
     spans = [_azimuths(images) for images in (first, second)]
     turn = 360.0 * round((spans[0].mean() - spans[1].mean()) / 360.0)
     low, high = max(spans[0][0], spans[1][0] + turn) + BORDER, min(spans[0][1], spans[1][1] + turn) - BORDER

@@ -63,8 +63,7 @@ def match_tele(front: CameraImages, tele: CameraImages) -> TeleMatch:
     chosen = together[np.unique(np.linspace(0, len(together) - 1, min(MOST_PAIRS, len(together))).round().astype(int))]
 
     def in_front(index: int) -> NDArray[np.float32]:
-        warped = cv2.remap(front.grays[index], table, None, cv2.INTER_LINEAR)  # type: ignore[arg-type]
-        return np.where(seen, detail(warped), 0.0).astype(np.float32)
+        return np.where(seen, detail(warp(front.grays[index], table)), 0.0).astype(np.float32)
 
     rows = [
         _match(
@@ -93,6 +92,13 @@ def surely_above(values: Array, least: float) -> bool:
         return False
     error = max(float(known.std(ddof=1)) / np.sqrt(len(known)), 1e-6)
     return float(known.mean()) > least and float(known.mean()) > CERTAIN * error
+
+
+def warp(image: NDArray[np.uint8], table: NDArray[np.float32]) -> NDArray[np.uint8]:
+    """An image (h, w) as a `remap_table` says."""
+    # Two maps, because `cv2.remap` of OpenCV 5 takes an empty second one for something else and says nothing.
+    maps = cv2.convertMaps(table[..., 0], table[..., 1], cv2.CV_16SC2)
+    return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.uint8)
 
 
 def detail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
