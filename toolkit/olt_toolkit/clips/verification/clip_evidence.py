@@ -6,9 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
+from olt_generator.cameras import Camera
 from olt_generator.poses import Array, planar_pose
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.verification.calibration_checks import field_of_view
 from olt_toolkit.clips.verification.gains import STRETCHES, Gain, over_cameras, stretch_gains, sum_up
 from olt_toolkit.clips.verification.hypotheses import motion_of
 from olt_toolkit.clips.verification.image_evidence import AS_SAID, Hypothesis, ImageEvidence
@@ -22,6 +24,15 @@ YAW_RATES: Array = np.array([-0.7, -0.5, -0.35, -0.24, -0.16, -0.1, -0.05, 0.0, 
 THINNED_STEPS, THINNED_POINTS = 2, 2
 # Videos are held against the motions of so many other clips of the store.
 OTHER_CLIPS = 8
+
+# A camera with a narrower field of view, radians, may show nothing but the vehicle ahead, which turns and brakes with
+# its own.
+NARROW = float(np.radians(45.0))
+
+
+def is_narrow(lens: Camera) -> bool:
+    """Whether a vehicle ahead may fill the view."""
+    return field_of_view(lens) < NARROW
 
 
 @dataclass(frozen=True)
@@ -64,21 +75,21 @@ class ClipEvidence:
         """Gain of a hypothesis about one camera."""
         return sum_up(self.gains(camera, hypothesis))
 
+    @cached_property
+    def wide(self) -> tuple[str, ...]:
+        """The cameras that tell of the motion: one with a narrow view may show the vehicle ahead and nothing else."""
+        return tuple(camera for camera, mounted in self.mounted.items() if not is_narrow(mounted.camera))
+
     def joint_gain(self, hypothesis: Hypothesis) -> Gain:
-        """Gain of a hypothesis about the motion, over all cameras."""
-        return sum_up(over_cameras([self.gains(camera, hypothesis) for camera in self.evidence]))
+        """Gain of a hypothesis about the motion, over all wide cameras."""
+        return sum_up(over_cameras([self.gains(camera, hypothesis) for camera in self.wide]))
+
+    def joint_free_gain(self) -> Gain:
+        """Gain of the best steady motions in each stretch, over all wide cameras."""
+        return sum_up(over_cameras([self.free_gains(camera) for camera in self.wide]))
 
     def free_gains(self, camera: str) -> Array:
-        """Gains by stretch of the best steady motion in each of them; worked out once."""
-        if camera not in self._known_free_gains:
-            self._known_free_gains[camera] = self._try_motions(camera)
-        return self._known_free_gains[camera]
-
-    @cached_property
-    def _known_free_gains(self) -> dict[str, Array]:
-        return {}
-
-    def _try_motions(self, camera: str) -> Array:
+        """Gains by stretch of the best steady motion in each of them."""
         evidence = self.evidence[camera].thinned(THINNED_STEPS, THINNED_POINTS)
         steps, said = evidence.steps, evidence.of(AS_SAID)
         times_us = steps.images.times_us

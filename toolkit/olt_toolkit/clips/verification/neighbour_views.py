@@ -14,9 +14,7 @@ from numpy.typing import NDArray
 from olt_generator.cameras import FthetaCamera, remap_table
 from olt_generator.poses import Array, camera_pose_in_rig
 from olt_toolkit.clips.verification.image_steps import CameraImages
-from olt_toolkit.clips.verification.shared_view import LONGEST_APART_US, SHIFTS, detail, nearest_images, warp
-
-Table = tuple[NDArray[np.float32], NDArray[np.bool_]]
+from olt_toolkit.clips.verification.shared_view import LONGEST_APART_US, SHIFTS, nearest_images, turned_detail
 
 # Pairs of images that are compared, spread over the clip.
 MOST_PAIRS = 16
@@ -48,7 +46,7 @@ class NeighbourMatch:
 
 
 def common_view(first: CameraImages, second: CameraImages) -> tuple[FthetaCamera, Array] | None:
-    """A camera that sees what both see along the horizon, and its rotation (3, 3) in the rig; None if that is little."""
+    """A camera that sees what both see along the horizon, and its rotation (3, 3) in the rig; None if it is little."""
     spans = [_azimuths(images) for images in (first, second)]
     turn = 360.0 * round((spans[0].mean() - spans[1].mean()) / 360.0)
     low, high = max(spans[0][0], spans[1][0] + turn) + BORDER, min(spans[0][1], spans[1][1] + turn) - BORDER
@@ -78,8 +76,8 @@ def match_neighbours(first: CameraImages, second: CameraImages) -> NeighbourMatc
         found = nearest_images(first.times_us, wanted)
         near = np.abs(first.times_us[found] - wanted) <= LONGEST_APART_US
         frames = [int(partners[index]), *np.where(near, found, -1).tolist()]
-        views = [None if frame < 0 else _view(first, frame, tables[0]) for frame in frames]
-        patch_view = _view(second, index, tables[1])
+        views = [None if frame < 0 else turned_detail(first, frame, tables[0]) for frame in frames]
+        patch_view = turned_detail(second, index, tables[1])
         places = _patches(patch_view, both)
         rows.append(_correlate(views, patch_view, places))
     table = np.array(rows).reshape(len(rows), 2 + len(SHIFTS))
@@ -92,19 +90,6 @@ def _azimuths(images: CameraImages) -> Array:
     edges = images.lens.rays(np.array([[images.lens.width - 1.0, middle], [images.lens.cx, middle], [0.0, middle]]))
     right, centre, left = np.degrees(np.arctan2(*(edges @ images.T_rig_camera[:3, :3].T).T[[1, 0]]))
     return np.array([centre - (centre - right) % 360.0, centre + (left - centre) % 360.0])
-
-
-def _view(
-    images: CameraImages, frame: int, table: tuple[NDArray[np.float32], NDArray[np.bool_]]
-) -> NDArray[np.float32]:
-    maps, seen = table
-    image = images.grays[frame]
-    warped = cv2.remap(image, maps, None, cv2.INTER_LINEAR)  # type: ignore[arg-type]
-    known = seen
-    observed = images.seen_in(frame)
-    if observed is not None:
-        known = known & (cv2.remap(observed.astype(np.uint8), maps, None, cv2.INTER_NEAREST) > 0)  # type: ignore[arg-type]
-    return np.where(known, detail(np.asarray(warped, np.uint8)), 0.0).astype(np.float32)
 
 
 def _patches(view: NDArray[np.float32], both: NDArray[np.bool_]) -> list[tuple[int, int]]:

@@ -16,6 +16,8 @@ from olt_generator.cameras import remap_table
 from olt_generator.poses import Array
 from olt_toolkit.clips.verification.image_steps import CameraImages
 
+Table = tuple[NDArray[np.float32], NDArray[np.bool_]]
+
 # Pairs of images that are compared, spread over the clip.
 MOST_PAIRS = 16
 # Images of a pair are at most so far apart in time.
@@ -24,6 +26,8 @@ LONGEST_APART_US = 60_000
 WIDTH, MARGIN = 120, 0.5
 # Brightness is compared after changes slower than so many pixels have been taken out.
 DETAIL_PIXELS = 6.0
+# Pixels that are left out along the border of what was seen: twice as far as the border reaches.
+_BORDER = 2 * int(DETAIL_PIXELS) + 1
 # The tele image lies at its place if it is no farther away, pixels: near things are seen from the side.
 AT_PLACE = 5
 # An image whose detail has a smaller standard deviation, grey levels, shows nothing to compare.
@@ -57,17 +61,17 @@ def match_tele(front: CameraImages, tele: CameraImages) -> TeleMatch:
     lens = tele.lens.resized(WIDTH, round(tele.lens.height * WIDTH / tele.lens.width))
     across, down = round(MARGIN * lens.width), round(MARGIN * lens.height)
     searched = lens.cropped(-across, -down, lens.width + 2 * across, lens.height + 2 * down)
-    table, seen = remap_table(front.lens, searched, front.T_rig_camera[:3, :3].T @ tele.T_rig_camera[:3, :3])
+    table = remap_table(front.lens, searched, front.T_rig_camera[:3, :3].T @ tele.T_rig_camera[:3, :3])
     partners = nearest_images(front.times_us, tele.times_us)
     together = np.flatnonzero(np.abs(front.times_us[partners] - tele.times_us) <= LONGEST_APART_US)
     chosen = together[np.unique(np.linspace(0, len(together) - 1, min(MOST_PAIRS, len(together))).round().astype(int))]
 
     def in_front(index: int) -> NDArray[np.float32]:
-        return np.where(seen, detail(warp(front.grays[index], table)), 0.0).astype(np.float32)
+        return turned_detail(front, index, table)
 
     rows = [
         _match(
-            detail(cv2.resize(tele.grays[index], (lens.width, lens.height), interpolation=cv2.INTER_AREA)),
+            _shrunk_detail(tele, index, (lens.width, lens.height)),
             [in_front(int(partners[index])), *(in_front(i) if i >= 0 else None for i in _shifted(front, tele, index))],
             (down, across),
         )
@@ -99,6 +103,29 @@ def warp(image: NDArray[np.uint8], table: NDArray[np.float32]) -> NDArray[np.uin
     # Two maps, because `cv2.remap` of OpenCV 5 takes an empty second one for something else and says nothing.
     maps = cv2.convertMaps(table[..., 0], table[..., 1], cv2.CV_16SC2)
     return np.asarray(cv2.remap(image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT), np.uint8)
+
+
+def turned_detail(images: CameraImages, frame: int, table: Table) -> NDArray[np.float32]:
+    """Detail of one image turned into another view by a `remap_table`; 0 where no camera saw anything."""
+    maps, known = table
+    observed = images.seen_in(frame)
+    if observed is not None:
+        known = known & (warp(observed.astype(np.uint8), maps) > 0)
+    return _within(detail(warp(images.grays[frame], maps)), known)
+
+
+def _shrunk_detail(images: CameraImages, frame: int, size: tuple[int, int]) -> NDArray[np.float32]:
+    bright = detail(np.asarray(cv2.resize(images.grays[frame], size, interpolation=cv2.INTER_AREA), np.uint8))
+    observed = images.seen_in(frame)
+    if observed is None:
+        return bright
+    return _within(bright, cv2.resize(observed.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0)
+
+
+def _within(bright: NDArray[np.float32], known: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """Detail (h, w) well inside of what was seen, whose border is none; 0 elsewhere."""
+    inside = cv2.erode(known.astype(np.uint8), np.ones((_BORDER, _BORDER), np.uint8), borderValue=1) > 0
+    return np.where(inside, bright, 0.0).astype(np.float32)
 
 
 def detail(image: NDArray[np.uint8]) -> NDArray[np.float32]:
