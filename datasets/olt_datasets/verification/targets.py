@@ -1,6 +1,7 @@
 """Verifies a folder or file by what it is: a clip store or PhysicalAI-AV tree, a LeRobot data set, or a mixture."""
 
 from collections.abc import Collection
+from functools import partial
 from pathlib import Path
 
 import polars as pl
@@ -65,9 +66,13 @@ def _verify_mixture(path: Path, groups: Collection[str], workers: int, on_progre
         report.add([judge("clips of the mixture", f"{path}: {store.root}", float(len(missing)), 0.0, detail)])
         present = [clip_id for clip_id in clip_ids if clip_id in store]
         report.add(_check_samples(path, store, of_store.filter(pl.col("clip_id").is_in(present))))
-        share = lambda part, done=done: on_progress((done + part) / len(parts))  # noqa: E731
-        report.merge(verify_store(store.root, groups, workers, share, engine, present))
+        on_part = partial(_tell_part, on_progress, done, len(parts))
+        report.merge(verify_store(store.root, groups, workers, on_part, engine, present))
     return report
+
+
+def _tell_part(on_progress: Progress, done: int, parts: int, share: float) -> None:
+    on_progress((done + share) / parts)
 
 
 def _check_samples(path: Path, store: ClipStore, samples: pl.DataFrame) -> list[Finding]:

@@ -87,6 +87,10 @@ def test_what_no_vehicle_does_fails(change, check):
     assert check in failed(Trajectory(trajectory.timestamps_us, change(trajectory.T_world_rig.copy())))
 
 
+def test_curvature_of_a_vehicle_that_creeps_is_a_convention_and_not_compared():
+    assert findings(drive(0.2, 0.25))["curvature column"].verdict is Verdict.NOT_COMPARED
+
+
 def test_spinning_on_the_spot_fails():
     times_us = np.arange(0, 5_000_001, 100_000)
     trajectory = Trajectory(times_us, planar_pose(0.0 * times_us, 0.0, 0.5e-6 * times_us))

@@ -7,7 +7,7 @@ from scipy.integrate import cumulative_trapezoid
 
 from olt_generator.poses import Array, yaw_of
 from olt_toolkit.clips import pai_tables as tables
-from olt_toolkit.clips.clip import EgoMotion
+from olt_toolkit.clips.clip import STANDSTILL_SPEED, EgoMotion
 from olt_toolkit.clips.pai_layout import EGOMOTION
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.drivability import check_poses, check_repeated_poses
@@ -27,6 +27,7 @@ CURVATURE_ERROR = 0.4
 """Relative, of the turn in a second."""
 
 _WINDOW_SECONDS = 1.0
+_SLOWEST_CURVE = 2.0 * STANDSTILL_SPEED  # m/s
 _LEAST_WAY, _WAY_FLOOR = 0.1, 1.0  # metres in a second
 _LEAST_CHANGE, _CHANGE_FLOOR = 0.25, 0.5  # m/s in a second
 _LEAST_TURN, _TURN_FLOOR = 0.01, 0.05  # radians in a second
@@ -85,6 +86,8 @@ def check_columns(motion: EgoMotion, where: str) -> Iterator[Finding]:
         return change(cumulative_trapezoid(values, times, axis=0, initial=0.0))
 
     speed = np.linalg.norm(motion.velocity, axis=1)
+    # The curvature of a vehicle that stands is 0 by convention, whatever its heading does.
+    drives = (speed[begin] > _SLOWEST_CURVE) & (speed[end] > _SLOWEST_CURVE)
     yield _compare(
         checks[0],
         where,
@@ -103,8 +106,8 @@ def check_columns(motion: EgoMotion, where: str) -> Iterator[Finding]:
         checks[2],
         where,
         (
-            change(np.unwrap(yaw_of(motion.trajectory.T_world_rig)))[:, None],
-            integral(motion.curvature * speed)[:, None],
+            change(np.unwrap(yaw_of(motion.trajectory.T_world_rig)))[drives, None],
+            integral(motion.curvature * speed)[drives, None],
         ),
         (_LEAST_TURN, _TURN_FLOOR, CURVATURE_ERROR),
         ("the vehicle does not turn", "curvature must be 1/m, positive to the left"),
@@ -116,6 +119,8 @@ def _compare(
 ) -> Finding:
     """Hold changes (n, k) in each second against the integrals of another column, relative to the larger of both."""
     (least, floor, limit), (why_not, advice) = limits, words
+    if len(pair[0]) == 0:
+        return not_compared(check, where, "the vehicle stands")
     sizes = [float(np.sqrt((values**2).sum(axis=1).mean())) for values in pair]
     if max(sizes) < least:
         return not_compared(check, where, f"{why_not}: {max(sizes):.2g} in a second at most, of {least:g} needed")
