@@ -110,7 +110,9 @@ def follow_points(images: CameraImages) -> ImageSteps:
     """Follow points over single steps that are spread over the clip."""
     near = np.flatnonzero(np.diff(images.times_us) <= LONGEST_STEP_US)
     chosen = near[np.unique(np.linspace(0, len(near) - 1, min(MOST_STEPS, len(near))).round().astype(int))]
-    step, pixels, moved = [np.zeros(0, np.int64)], [np.zeros((0, 2))], [np.zeros((0, 2))]
+    step: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
+    pixels: list[Array] = [np.zeros((0, 2))]
+    moved: list[Array] = [np.zeros((0, 2))]
     kernel = np.ones((2 * _MASK_MARGIN + 1,) * 2, np.uint8)
     for number, frame in enumerate(chosen.tolist()):
         before, after = images.grays[frame], images.grays[frame + 1]
@@ -120,10 +122,12 @@ def follow_points(images: CameraImages) -> ImageSteps:
             hidden = cv2.dilate(unseen.astype(np.uint8), kernel) > 0
         corners = _thin(detect_corners(before, 1, hidden))
         followed, found = track_corners(before, after, corners)
-        step.append(np.full(np.count_nonzero(found), number))
+        step.append(np.full(np.count_nonzero(found), number, np.int64))
         pixels.append(corners[found].astype(np.float64))
         moved.append(followed[found].astype(np.float64))
-    return ImageSteps(images, chosen, chosen + 1, *(np.concatenate(parts) for parts in (step, pixels, moved)))
+    return ImageSteps(
+        images, chosen, chosen + 1, np.concatenate(step), np.concatenate(pixels), np.concatenate(moved)
+    )
 
 
 def _thin(pixels: Pixels) -> Pixels:

@@ -42,8 +42,9 @@ CLEAR_SHIFT = 25.0
 SHIFTS = tuple(round(0.1 * count, 1) for count in range(1, 11))
 RATES = (1 / 3, 0.5, 2.0, 3.0)
 SCALES = (0.001, 0.01, 0.1, 0.3048, 0.5, 2.0, 3.28, 10.0, 100.0, 1000.0)
-# Where the most similar image of fewer than this share is a neighbour, images are shuffled; chance gives a sixth.
-LEAST_NEAREST = 0.6
+# Where the most similar image of fewer than this share is a neighbour, images are shuffled: chance gives a sixth. Where
+# it is one for fewer than the second share, what is seen moves too far to tell.
+SHUFFLED, LEAST_NEAREST = 0.35, 0.7
 # Below this difference of neighbours, grey levels, a picture shows too little to tell a repeated one.
 LEAST_DIFFERENCE = 0.6
 # Below this difference images do not change at all, if they have at least this contrast, grey levels.
@@ -64,9 +65,9 @@ def check_frame_order(clip: ClipEvidence, camera: str) -> Finding:
         return Finding(FRAME_ORDER, camera, Verdict.FAILED, detail, order.difference, STILL)
     if order.difference < LEAST_DIFFERENCE:
         return not_compared(FRAME_ORDER, camera, "the images show too little that changes from one to the next")
-    if order.nearest < LEAST_NEAREST and order.repeated.sum() < MOST_REPEATED * count:
+    if order.nearest < SHUFFLED and order.repeated.sum() < MOST_REPEATED * count:
         detail = f"only {order.nearest:.0%} of the images resemble a neighbour most; they are shuffled, take them again"
-        return Finding(FRAME_ORDER, camera, Verdict.FAILED, detail, order.nearest, LEAST_NEAREST)
+        return Finding(FRAME_ORDER, camera, Verdict.FAILED, detail, order.nearest, SHUFFLED)
     shares = order.exchanged.sum() / count, order.repeated.sum() / count
     for share, most, flags, says in (
         (shares[0], MOST_EXCHANGED, order.exchanged, "lie before the one that they follow"),
@@ -79,9 +80,9 @@ def check_frame_order(clip: ClipEvidence, camera: str) -> Finding:
     gain = clip.gain(camera, FRAMES_REVERSED)
     if gain.wins(LEAST_GAIN):
         return _failed(FRAME_ORDER, camera, "its frames run backward in time", gain, LEAST_GAIN)
-    if gain.loses(LEAST_LOSS):
+    if gain.loses(LEAST_LOSS) and order.nearest > LEAST_NEAREST:
         return _passed(FRAME_ORDER, camera, "no image is repeated or out of place, and time runs forward", gain)
-    return not_compared(FRAME_ORDER, camera, "in order, but nothing tells whether time runs forward or backward")
+    return not_compared(FRAME_ORDER, camera, "nothing tells the order of its images, or whether time runs forward")
 
 
 def check_mirrored(clip: ClipEvidence, camera: str) -> Finding:
