@@ -9,7 +9,7 @@ from scipy.optimize import linear_sum_assignment
 from olt_generator.poses import Array
 from olt_toolkit.clips.verification.clip_evidence import ClipEvidence
 from olt_toolkit.clips.verification.findings import Finding, Verdict, not_compared
-from olt_toolkit.clips.verification.gains import Gain, over_cameras, sum_up
+from olt_toolkit.clips.verification.gains import average, sum_up
 from olt_toolkit.clips.verification.image_evidence import Hypothesis
 from olt_toolkit.clips.verification.shared_view import (
     LEAST_PAIRS,
@@ -59,9 +59,7 @@ def check_names(clip: ClipEvidence) -> Iterator[Finding]:
             yield Finding(CAMERA_NAME, name, Verdict.FAILED, detail, gain.mean, LEAST_GAIN)
             continue
         exchanges = {
-            other: sum_up(np.nanmean([gains[name, other], gains[other, name]], axis=0))
-            for other in names
-            if other != name
+            other: sum_up(average([gains[name, other], gains[other, name]])) for other in names if other != name
         }
         untold = [other for other, gain in exchanges.items() if not gain.loses(LEAST_LOSS)]
         if untold:
@@ -157,12 +155,5 @@ def _best_names(names: list[str], gains: dict[tuple[str, str], Array]) -> dict[s
     if not changed:
         return as_said
     best = {name: names[place] for name, place in zip(names, order, strict=True)}
-    together = _together([gains[name, best[name]] for name in changed])
+    together = sum_up(average([gains[name, best[name]] for name in changed]))
     return best if together.wins(LEAST_GAIN) else as_said
-
-
-def _together(gains: list[Array]) -> Gain:
-    """The gain of several cameras of which each must gain."""
-    joint = over_cameras(gains)
-    joint[:, 0] = np.mean([found[:, 0] for found in gains], axis=0)
-    return sum_up(joint)

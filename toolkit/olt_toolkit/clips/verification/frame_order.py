@@ -23,7 +23,7 @@ LEAST_WAY = 0.25
 # A repeated image differs from the one before by less than this share of what images usually do.
 REPEATED_SHARE = 0.08
 # Two images have changed places if they lie so much nearer to the images beyond the other than to their own.
-CHANGED_SHARE = 0.85
+CHANGED_SHARE = 0.8
 
 
 @dataclass(frozen=True)

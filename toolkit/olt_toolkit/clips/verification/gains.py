@@ -5,7 +5,7 @@ independent witnesses. So gains are taken over stretches of the clip, and a hypo
 nearly all of the stretches that tell anything say the same and all steps together say it clearly.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -110,9 +110,18 @@ def sum_up(gains: Array) -> Gain:
 
 def over_cameras(gains: Sequence[Array]) -> Array:
     """Gains (STRETCHES, 4) that hold for cameras together: the medians, which a single faulty camera does not move."""
+    return _combine(gains, np.nanmedian)
+
+
+def average(gains: Sequence[Array]) -> Array:
+    """Mean gains (STRETCHES, 4) of several cameras that would all be at fault."""
+    return _combine(gains, np.nanmean)
+
+
+def _combine(gains: Sequence[Array], statistic: Callable[..., Array]) -> Array:
     stacked = np.stack(gains)
     known = np.isfinite(stacked[..., 0]).any(axis=0)
     joint = np.full(stacked.shape[1:], np.nan)
-    joint[known] = np.nanmedian(stacked[:, known], axis=0)
+    joint[known] = statistic(stacked[:, known], axis=0)
     joint[:, 1] = stacked[..., 1].max(axis=0)
     return joint

@@ -125,9 +125,7 @@ def follow_points(images: CameraImages) -> ImageSteps:
         step.append(np.full(np.count_nonzero(found), number, np.int64))
         pixels.append(corners[found].astype(np.float64))
         moved.append(followed[found].astype(np.float64))
-    return ImageSteps(
-        images, chosen, chosen + 1, np.concatenate(step), np.concatenate(pixels), np.concatenate(moved)
-    )
+    return ImageSteps(images, chosen, chosen + 1, np.concatenate(step), np.concatenate(pixels), np.concatenate(moved))
 
 
 def _thin(pixels: Pixels) -> Pixels:
