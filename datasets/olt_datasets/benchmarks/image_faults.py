@@ -17,7 +17,7 @@ from olt_datasets.benchmarks.video_surgery import change_frames
 from olt_toolkit.clips.pai_layout import EGOMOTION, STORED, VIDEO
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.camera_checks import CAMERA_NAME, OWN_VIDEO, TELE_INSIDE, TELE_TIMES
-from olt_toolkit.clips.verification.motion_checks import FRAME_ORDER, FRAME_TIMES, MIRRORED, MOTION, THIS_CLIP
+from olt_toolkit.clips.verification.motion_checks import FRAME_ORDER, FRAME_TIMES, MIRRORED, MOTION, MOTION_SCALE, MOTION_SIDES, MOTION_TIMES, THIS_CLIP
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
 
 Frames = NDArray[np.uint8]
@@ -140,12 +140,12 @@ IMAGE_FAULTS: tuple[Fault, ...] = (
         (FRAME_ORDER, FRAME_TIMES),
         IMAGES,
     ),
-    Fault("motion left-handed", _motion(_mirrored), (MOTION,), IMAGES),
+    Fault("motion left-handed", _motion(_mirrored), (MOTION_SIDES,), IMAGES),
     Fault("motion backward in time", _motion(_backward), (MOTION,), IMAGES),
-    Fault("motion in cm", _motion(_scaled(100.0)), (MOTION,), IMAGES),
-    Fault("motion of half the length", _motion(_scaled(0.5)), (MOTION,), IMAGES),
-    Fault("motion of twice the length", _motion(_scaled(2.0)), (MOTION,), IMAGES),
-    Fault("motion 0.3 s late", _motion(_delayed(0.3)), (MOTION,), IMAGES),
-    Fault("motion 1 s late", _motion(_delayed(1.0)), (MOTION,), IMAGES),
+    Fault("motion in cm", _motion(_scaled(100.0)), (MOTION_SCALE,), IMAGES),
+    Fault("motion of half the length", _motion(_scaled(0.5)), (MOTION_SCALE,), IMAGES),
+    Fault("motion of twice the length", _motion(_scaled(2.0)), (MOTION_SCALE,), IMAGES),
+    Fault("motion 0.3 s late", _motion(_delayed(0.3)), (MOTION_TIMES,), IMAGES),
+    Fault("motion 1 s late", _motion(_delayed(1.0)), (MOTION_TIMES,), IMAGES),
     Fault("motion of another clip, trusted", _of_another_clip(EGOMOTION, EGOMOTION), (MOTION,), IMAGES),
 )

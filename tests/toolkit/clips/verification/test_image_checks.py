@@ -11,14 +11,14 @@ from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.camera_checks import CAMERA_NAME, OWN_VIDEO, TELE_INSIDE, TELE_TIMES
 from olt_toolkit.clips.verification.findings import Verdict
 from olt_toolkit.clips.verification.image_checks import check_images
-from olt_toolkit.clips.verification.motion_checks import FRAME_ORDER, FRAME_TIMES, MIRRORED, MOTION, THIS_CLIP
+from olt_toolkit.clips.verification.motion_checks import FRAME_ORDER, FRAME_TIMES, MIRRORED, MOTION, MOTION_SCALE, MOTION_SIDES, MOTION_TIMES, THIS_CLIP
 from olt_toolkit.clips.verification.neighbour_checks import NEIGHBOURS
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
 
 from .blob_world import bend_motion, blob_clip
 
 ALL_CHECKS = {CAMERA_NAME, OWN_VIDEO, TELE_INSIDE, TELE_TIMES, NEIGHBOURS}
-ALL_CHECKS |= {FRAME_ORDER, FRAME_TIMES, MIRRORED, MOTION, THIS_CLIP}
+ALL_CHECKS |= {MOTION_SCALE, MOTION_SIDES, MOTION_TIMES, FRAME_ORDER, FRAME_TIMES, MIRRORED, MOTION, THIS_CLIP}
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
@@ -157,7 +157,7 @@ FAULTS = [
     (mirror_tele, {TELE_INSIDE}),
     (reverse_right, {FRAME_ORDER}),
     (freeze_all, {FRAME_ORDER}),
-    (mirror_motion, {MOTION}),
+    (mirror_motion, {MOTION_SIDES}),
 ]
 MORE_FAULTS = [
     (swap_fronts, {TELE_INSIDE}),
@@ -171,10 +171,10 @@ MORE_FAULTS = [
     (tele_of_other, {TELE_INSIDE}),
     (left_of_other, {THIS_CLIP}),
     (reverse_motion, {MOTION}),
-    (scale_motion(100.0), {MOTION}),
-    (scale_motion(0.01), {MOTION}),
-    (scale_motion(2.0), {MOTION}),
-    (scale_motion(0.5), {MOTION}),
+    (scale_motion(100.0), {MOTION_SCALE}),
+    (scale_motion(0.01), {MOTION_SCALE}),
+    (scale_motion(2.0), {MOTION_SCALE}),
+    (scale_motion(0.5), {MOTION_SCALE}),
     (motion_of_other, {MOTION}),
 ]
 

@@ -39,7 +39,7 @@ def check_images(store: ClipStore, clip_id: str) -> Iterator[Finding]:
 
 
 def _check_all(clip: ClipEvidence) -> Iterator[Finding]:
-    yield check_motion(clip)
+    yield from check_motion(clip)
     yield from check_names(clip)
     yield from check_own_videos(clip)
     yield from check_tele(clip)

@@ -1,11 +1,13 @@
 """Checks of what the images show of the motion against the motion that the clip says, and of their times and order."""
 
+from collections.abc import Callable, Iterator
+
 import numpy as np
 
 from olt_toolkit.clips.verification.clip_evidence import ClipEvidence
 from olt_toolkit.clips.verification.findings import Finding, Verdict, not_compared
 from olt_toolkit.clips.verification.frame_order import find_order
-from olt_toolkit.clips.verification.gains import CLEAR, NOTHING, Gain
+from olt_toolkit.clips.verification.gains import Gain
 from olt_toolkit.clips.verification.hypotheses import (
     FRAMES_REVERSED,
     IMAGES_MIRRORED,
@@ -22,11 +24,11 @@ FRAME_ORDER = "frame order"
 FRAME_TIMES = "frame times"
 MIRRORED = "mirrored images"
 MOTION = "motion in images"
+MOTION_SIDES = "left and right of the motion"
+MOTION_SCALE = "scale of the motion"
+MOTION_TIMES = "times of the motion"
 THIS_CLIP = "video of this clip"
 
-MIRROR_IMAGE = "the motion is mirrored left to right"
-WRONG_TURNS = "its turns have the wrong sign"
-OTHER_WAY = "the vehicle drives the other way"
 MAY_BE_FILLED = "its view is narrow: a vehicle ahead may fill it, which moves with its own"
 MOVES_LITTLE = "what is seen does not move enough to tell"
 
@@ -102,50 +104,79 @@ def check_frame_times(clip: ClipEvidence, camera: str) -> Finding:
     """The camera neither early nor late nor at another rate than the motion."""
     if camera not in clip.wide:
         return not_compared(FRAME_TIMES, camera, MAY_BE_FILLED)
-    rates = {f"time passes {rate:.2g} times as fast as it says": clip.gain(camera, at_rate(rate)) for rate in RATES}
-    shifts = {
-        (seconds, word): clip.gain(camera, shifted(sign * seconds))
-        for seconds in SHIFTS
-        for sign, word in ((1.0, "later"), (-1.0, "earlier"))
-    }
-    found = [(says, gain, LEAST_RATE_GAIN) for says, gain in rates.items() if gain.wins(LEAST_RATE_GAIN)]
-    found += [
-        (f"its images were taken {seconds:.1f} s {word} than it says", gain, LEAST_SHIFT_GAIN)
-        for (seconds, word), gain in shifts.items()
-        if gain.wins(LEAST_SHIFT_GAIN, CLEAR_SHIFT)
-    ]
+    rates = {rate: clip.gain(camera, at_rate(rate)) for rate in RATES}
+    found = {rate: gain for rate, gain in rates.items() if gain.wins(LEAST_RATE_GAIN)}
     if found:
-        return _failed(FRAME_TIMES, camera, *max(found, key=lambda each: each[1].evidence))
-    ruled_out = [
-        seconds for seconds in SHIFTS if all(shifts[seconds, word].loses(0.0) for word in ("later", "earlier"))
-    ]
-    if ruled_out:
-        least = min(ruled_out)
-        gain = max((shifts[least, word] for word in ("later", "earlier")), key=lambda gain: gain.mean)
-        return _passed(FRAME_TIMES, camera, f"neither early nor late by {least:.1f} s", gain)
-    return not_compared(FRAME_TIMES, camera, _why_still(clip) or "the drive is too even for a shift in time to show")
+        rate = max(found, key=lambda rate: found[rate].evidence)
+        says = f"time passes {rate:.2g} times as fast as it says"
+        return _failed(FRAME_TIMES, camera, says, found[rate], LEAST_RATE_GAIN)
+    return _judge_shifts(FRAME_TIMES, camera, lambda hypothesis: clip.gain(camera, hypothesis), _why_still(clip))
 
 
-def check_motion(clip: ClipEvidence) -> Finding:
-    """The motion that the clip says, in the frame, unit, handedness and time of its images."""
+def check_motion(clip: ClipEvidence) -> Iterator[Finding]:
+    """The motion that the clip says, in the direction, handedness, unit and time of its images."""
     where = f"ego motion against {', '.join(clip.wide) or 'no camera'}"
-    if not clip.wide:
-        return not_compared(MOTION, where, MAY_BE_FILLED)
-    faults = _motion_faults(clip)
-    gains = {says: clip.joint_gain(hypothesis) for says, (hypothesis, *_) in faults.items()}
-    found = [(says, gain, faults[says][1]) for says, gain in gains.items() if gain.wins(*faults[says][1:])]
-    free = NOTHING if found or clip.way < LEAST_WAY else clip.joint_free_gain()
-    if free.wins(LEAST_FREE_GAIN):
-        found = [
-            ("another motion explains them in every part of the clip: it is another clip's", free, LEAST_FREE_GAIN)
-        ]
+    for check, look in (
+        (MOTION, _check_direction),
+        (MOTION_SIDES, _check_sides),
+        (MOTION_SCALE, _check_scale),
+        (MOTION_TIMES, _check_times),
+    ):
+        yield look(clip, where) if clip.wide else not_compared(check, where, MAY_BE_FILLED)
+
+
+def _check_direction(clip: ClipEvidence, where: str) -> Finding:
+    faults = {
+        "the vehicle drives the other way": scaled(-1.0),
+        "the motion runs backward in time": motion_reversed(clip.ego_motion.span_us),
+    }
+    gains = {says: clip.joint_gain(hypothesis) for says, hypothesis in faults.items()}
+    ruled_out = all(gain.loses(LEAST_LOSS) for gain in gains.values())
+    gains |= {
+        f"it is the motion of clip {name} that the images show": clip.joint_gain(motion)
+        for name, motion in clip.other_motions.items()
+    }
+    found = [(says, gain, LEAST_GAIN) for says, gain in gains.items() if gain.wins(LEAST_GAIN)]
+    if not found and clip.way >= LEAST_WAY and (free := clip.joint_free_gain()).wins(LEAST_FREE_GAIN):
+        found = [("another motion explains them in every part of the clip: it is another clip's", free, LEAST_FREE_GAIN)]
     if found:
         return _failed(MOTION, where, *max(found, key=lambda each: each[1].evidence))
-    if not gains[OTHER_WAY].loses(LEAST_LOSS):
-        return not_compared(MOTION, where, _why_still(clip) or MOVES_LITTLE)
-    untold = [says for says in (MIRROR_IMAGE, WRONG_TURNS) if not gains[says].loses(LEAST_LOSS)]
-    note = f"; too straight to tell whether {', or '.join(untold)}" if untold else ""
-    return _passed(MOTION, where, f"the images move as the motion says{note}", gains[OTHER_WAY])
+    if ruled_out:
+        return _passed(MOTION, where, "the images move as the motion says", max(gains.values(), key=_mean))
+    return not_compared(MOTION, where, _why_still(clip) or MOVES_LITTLE)
+
+
+def _check_sides(clip: ClipEvidence, where: str) -> Finding:
+    gains = {
+        "the motion is mirrored left to right": clip.joint_gain(MOTION_MIRRORED),
+        "its turns have the wrong sign": clip.joint_gain(TURNS_INVERTED),
+    }
+    found = [(says, gain, LEAST_GAIN) for says, gain in gains.items() if gain.wins(LEAST_GAIN)]
+    if found:
+        return _failed(MOTION_SIDES, where, *max(found, key=lambda each: each[1].evidence))
+    if all(gain.loses(LEAST_LOSS) for gain in gains.values()):
+        return _passed(MOTION_SIDES, where, "it turns to the side that the images show", max(gains.values(), key=_mean))
+    return not_compared(MOTION_SIDES, where, _why_still(clip) or "the drive is too straight to tell left from right")
+
+
+def _check_scale(clip: ClipEvidence, where: str) -> Finding:
+    gains = {scale: clip.joint_gain(scaled(scale)) for scale in SCALES}
+    found = {scale: gain for scale, gain in gains.items() if gain.wins(LEAST_SCALE_GAIN)}
+    if found:
+        scale = max(found, key=lambda scale: found[scale].evidence)
+        says = f"the vehicle drives about {scale:.4g} times as far as it says"
+        return _failed(MOTION_SCALE, where, says, found[scale], LEAST_SCALE_GAIN)
+    smaller = [scale for scale in SCALES if scale < 1.0 and gains[scale].loses(LEAST_LOSS)]
+    larger = [scale for scale in SCALES if scale > 1.0 and gains[scale].loses(LEAST_LOSS)]
+    if smaller and larger:
+        low, high = max(smaller), min(larger)
+        says = f"it drives neither {low:.4g} times as far as it says nor {high:.4g} times"
+        return _passed(MOTION_SCALE, where, says, max((gains[low], gains[high]), key=_mean))
+    return not_compared(MOTION_SCALE, where, _why_still(clip) or "too little of the road is seen to tell how far")
+
+
+def _check_times(clip: ClipEvidence, where: str) -> Finding:
+    return _judge_shifts(MOTION_TIMES, where, clip.joint_gain, _why_still(clip))
 
 
 def check_this_clip(clip: ClipEvidence, camera: str) -> Finding:
@@ -167,24 +198,28 @@ def check_this_clip(clip: ClipEvidence, camera: str) -> Finding:
     return _passed(THIS_CLIP, camera, f"its motion fits better than that of {len(told)} of {len(gains)} others", worst)
 
 
-def _motion_faults(clip: ClipEvidence) -> dict[str, tuple[Hypothesis, float, float]]:
-    """The faults of a motion that are tried, in words, and the gain and evidence from which on each is believed."""
-    faults = {
-        MIRROR_IMAGE: (MOTION_MIRRORED, LEAST_GAIN, CLEAR),
-        WRONG_TURNS: (TURNS_INVERTED, LEAST_GAIN, CLEAR),
-        OTHER_WAY: (scaled(-1.0), LEAST_GAIN, CLEAR),
-        "the motion runs backward in time": (motion_reversed(clip.ego_motion.span_us), LEAST_GAIN, CLEAR),
+def _judge_shifts(check: str, where: str, gain_of: Callable[[Hypothesis], Gain], why: str | None) -> Finding:
+    """Whether images that were taken earlier or later than the clip says fit its motion better."""
+    gains = {
+        (seconds, word): gain_of(shifted(sign * seconds))
+        for seconds in SHIFTS
+        for sign, word in ((1.0, "later"), (-1.0, "earlier"))
     }
-    for scale in SCALES:
-        says = f"the vehicle drives {scale:.4g} times as far as it says"
-        faults[says] = (scaled(scale), LEAST_SCALE_GAIN, CLEAR)
-    for seconds in SHIFTS:
-        for sign, word in ((1.0, "later"), (-1.0, "earlier")):
-            says = f"the images were taken {seconds:.1f} s {word} than the motion says"
-            faults[says] = (shifted(sign * seconds), LEAST_SHIFT_GAIN, CLEAR_SHIFT)
-    for name, motion in clip.other_motions.items():
-        faults[f"it is the motion of clip {name} that the images show"] = (motion, LEAST_GAIN, CLEAR)
-    return faults
+    found = {shift: gain for shift, gain in gains.items() if gain.wins(LEAST_SHIFT_GAIN, CLEAR_SHIFT)}
+    if found:
+        seconds, word = max(found, key=lambda shift: found[shift].evidence)
+        says = f"the images were taken {seconds:.1f} s {word} than the motion says"
+        return _failed(check, where, says, found[seconds, word], LEAST_SHIFT_GAIN)
+    ruled_out = [seconds for seconds in SHIFTS if all(gains[seconds, word].loses(0.0) for word in ("later", "earlier"))]
+    if not ruled_out:
+        return not_compared(check, where, why or "the drive is too even for a shift in time to show")
+    least = min(ruled_out)
+    worst = max((gains[least, word] for word in ("later", "earlier")), key=_mean)
+    return _passed(check, where, f"the images were taken neither earlier nor later by {least:.1f} s", worst)
+
+
+def _mean(gain: Gain) -> float:
+    return gain.mean
 
 
 def _why_still(clip: ClipEvidence) -> str | None:
