@@ -48,7 +48,7 @@ def measure_store(number: int, seed: int, faults: Sequence[str]) -> StoreMeasure
         good = Path(folder) / "good"
         store = write_clean_store(good, number, seed)
         findings, seconds = _look_at_good(store)
-        outcomes = {
+        outcomes: dict[str, Outcome] = {
             fault.name: _plant(good, Path(folder) / "bad", fault, (number, seed))
             for fault in list_faults()
             if fault.name in faults
