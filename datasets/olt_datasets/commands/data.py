@@ -52,14 +52,17 @@ def index(
     ] = ContractName.ALPAMAYO_R1,
     cache: CacheOption = DEFAULT_CACHE,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged drives and list them.")] = False,
+    no_fingerprints: Annotated[
+        bool, typer.Option("--no-fingerprints", help="Decode no image; near-duplicates are not found then.")
+    ] = False,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     as_json: JsonOption = False,
 ) -> None:
-    """List all clips that a data set can be cut into, without decoding an image.
+    """List all clips that a data set can be cut into.
 
-    The table says of each clip at which times it will give a policy sample, or why at none. Exit status 1 if drives
-    failed with --keep-going.
+    Of the images a few small ones of each clip are decoded, to find clips that look alike. The table says of each clip
+    at which times it will give a policy sample, or why at none. Exit status 1 if drives failed with --keep-going.
     """
     from dataclasses import asdict
 
@@ -79,7 +82,10 @@ def index(
     cutting = Cutting(frames, stride, seconds, samples, find_contract(rig.value))
     place = DatasetPlace(root, cache.expanduser(), source)
     with show_progress("drives") as (on_progress, _):
-        summary = index_dataset(place, out, cutting, workers or default_workers(), on_progress, keep_going, engine)
+        summary = index_dataset(
+            *(place, out, cutting, workers or default_workers(), on_progress, keep_going, engine),
+            with_fingerprints=not no_fingerprints,
+        )
     if as_json:
         print_json({"table": str(out), **asdict(summary)})
     else:
@@ -88,10 +94,13 @@ def index(
             f"{summary.clips_with_samples} of them give {summary.samples} policy samples; the others say why not"
         )
         print_line(f"{summary.kept} rows were kept from the table as it was")
+        print_line(f"{summary.fingerprints} clips have a fingerprint, by which near-duplicates are found")
         example = "".join(f", as {key}" for key in summary.without_clips[:1])
         print_line(f"{len(summary.without_clips)} drives fill no window{example}")
         for omission in summary.left_out:
             print_line(f"left out: {word_omission(omission)}")
+        for key, message in summary.unreadable.items():
+            print_line(f"left out: fingerprints of {key}: {message}")
         for key, message in summary.failed.items():
             print_line(f"failed: {key}: {message}")
     if summary.failed:
