@@ -49,7 +49,8 @@ def film(look, front_us):
 class ToyDataset:
     """Drives by key; `broken` keys cannot be described, and `opened` and `peeked` keep what was opened and peeked at.
 
-    `looks` tells what drives look like; by default each like no other. The images of `unreadable` keys are damaged.
+    `looks` tells what drives look like; by default each like no other. `damaged_us` tells by key at which time an image
+    is damaged.
     """
 
     drives: dict[str, Drive]
@@ -59,7 +60,7 @@ class ToyDataset:
     opened: list = field(default_factory=list)
     peeked: list = field(default_factory=list)
     looks: dict = field(default_factory=dict)
-    unreadable: tuple[str, ...] = ()
+    damaged_us: dict[str, int] = field(default_factory=dict)
 
     def keys(self):
         return sorted([*self.drives, *self.broken])
@@ -71,10 +72,10 @@ class ToyDataset:
 
     def peek(self, key, times_us, width, reach_us):
         self.peeked.append((key, times_us.tolist()))
-        if key in self.unreadable:
-            raise InputError(f"{key}: an image is damaged")
         front_us = self.drives[key].front_us
         shown_us = front_us[np.abs(front_us[:, None] - times_us).argmin(axis=0)]
+        if self.damaged_us.get(key) in shown_us:
+            raise InputError(f"{key}: the image at {self.damaged_us[key]} us is damaged")
         return film(self.looks.get(key, key), shown_us), shown_us
 
     def open(self, key, window_us, options):
