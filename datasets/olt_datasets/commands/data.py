@@ -1,11 +1,11 @@
 """`olt data`: index data sets, label and split them, check them for leaks, build their clips and export them."""
 
-from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from olt_datasets.commands.comparing import AllowUncomparedOption
 from olt_datasets.commands.export import export
 from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, BuiltKind, SampleChoice, SplitRule
 from olt_toolkit.commands.clip import build_all
@@ -172,28 +172,27 @@ def check(
     external: Annotated[
         list[str] | None, typer.Option(help="A source that is not trained on; repeat for more than one.")
     ] = None,
+    allow_uncompared: AllowUncomparedOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List everything that leaks from one split into another. Exit status 1 if anything does.
+    """List everything that leaks from one split into another, and say what was compared to find it.
 
     GT and Syn clips of the same moments, windows of a scene that overlap, clips of other scenes that look alike,
-    held-out scenes and external sources in training.
+    held-out scenes and external sources in training. Exit status 1 if anything leaks, if there is nothing to compare,
+    or if clips could not be compared.
     """
     from olt_datasets.tables.clip_frame import scan_clip_tables
+    from olt_datasets.tables.leak_report import word_report
     from olt_datasets.tables.leaks import find_table_leaks
     from olt_toolkit.runtime.console import print_json, print_line
 
-    leaks = find_table_leaks(scan_clip_tables(tables), held_out or (), external or ())
+    report = find_table_leaks(scan_clip_tables(tables), held_out or (), external or ())
     if as_json:
-        print_json({"clean": not leaks, "leaks": [vars(leak) for leak in leaks]})
+        print_json(report.to_dict())
     else:
-        counts = ", ".join(f"{count} {rule}" for rule, count in Counter(leak.rule for leak in leaks).items())
-        print_line(f"{len(leaks)} leaks: {counts}" if leaks else "no leaks")
-        for leak in leaks[:_SHOWN]:
-            print_line(f"  {leak.rule}: {leak}")
-        if len(leaks) > _SHOWN:
-            print_line(f"  and {len(leaks) - _SHOWN} more; --json lists all")
-    if leaks:
+        for line in word_report(report, _SHOWN):
+            print_line(line)
+    if report.leaks or not (report.is_complete or allow_uncompared):
         raise typer.Exit(1)
 
 

@@ -6,13 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from olt_datasets.tables.fingerprints import LARGEST_DISTANCE, find_close_hashes, find_near_duplicates
-from olt_datasets.tables.leaks import find_leaks, find_table_leaks, summarize_leaks
+from olt_datasets.tables.leak_report import summarize_leaks
+from olt_datasets.tables.leaks import find_leaks, find_table_leaks
 from olt_generator.seeds import make_generator
 from olt_toolkit.clips.clip import ClipOrigin
 
 
-def rules(leaks):
-    return [(leak.rule, leak.scene_id) for leak in leaks]
+def rules(report):
+    return [(leak.rule, leak.scene_id) for leak in report.leaks]
 
 
 def seconds(start, end):
@@ -52,14 +53,14 @@ def choose(table, *scenes, split="train"):
 
 
 def test_twins_in_one_split_and_windows_apart_are_no_leak(table):
-    assert find_leaks(choose(table, "a", "d"), table) == []
-    assert find_leaks(choose(table, "a", "d").lazy(), table.lazy()) == []
+    assert rules(find_leaks(choose(table, "a", "d"), table)) == []
+    assert rules(find_leaks(choose(table, "a", "d").lazy(), table.lazy())) == []
 
 
 def test_clips_of_another_split(table, make_clip, make_table):
     chosen = table.filter(pl.col("scene_id").is_in(["a", "c"]))
     assert rules(find_leaks(chosen, table)) == [("split", "c")]
-    assert find_leaks(choose(table, "c", split="test"), table, split="test") == []
+    assert rules(find_leaks(choose(table, "c", split="test"), table, split="test")) == []
     unsplit = make_table(make_clip(1, split=None))
     assert rules(find_leaks(unsplit, unsplit)) == [("split", "scene_1")]
 
@@ -118,7 +119,7 @@ def test_near_duplicates_of_another_scene_in_another_split(make_clip, make_table
 
 def test_images_without_structure_are_like_nothing(make_clip, make_table):
     table = make_table(make_clip(1, fingerprint=bytes(40)), make_clip(2, fingerprint=bytes(40), split="test"))
-    assert find_leaks(table[:1], table) == []
+    assert rules(find_leaks(table[:1], table)) == []
 
 
 @given(
@@ -155,7 +156,7 @@ def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
         make_clip(4, scene_id="scene_1", origin=seconds(21, 30), split="test"),
         make_clip(5, split=None, scene_id="scene_1"),
     ]
-    assert find_table_leaks(make_table(*clean).lazy(), {"scene_3"}, {"nexar"}) == []
+    assert rules(find_table_leaks(make_table(*clean).lazy(), {"scene_3"}, {"nexar"})) == []
     planted = {
         "overlap": make_clip(6, scene_id="scene_2", split="test"),
         "twin": make_clip(7, scene_id="scene_1", kind="Syn", split="val"),
@@ -165,10 +166,10 @@ def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
     }
     for rule, clip in planted.items():
         leaks = find_table_leaks(make_table(*clean, clip).lazy(), {"held"}, {"nexar"})
-        assert {leak.rule for leak in leaks} == {rule}
+        assert {leak.rule for leak in leaks.leaks} == {rule}
 
 
 def test_summary_counts_what_it_does_not_show(table):
     leaks = find_leaks(choose(table, "a", "b", "d", "e"), table, held_out_scenes={"a", "b", "d"})
-    assert len(leaks) == 6
-    assert summarize_leaks(leaks).endswith("; and 3 more")
+    assert len(leaks.leaks) == 6
+    assert summarize_leaks(leaks.leaks).endswith("; and 3 more")

@@ -107,7 +107,7 @@ def test_a_split_table_is_written_whole_and_has_no_leak(write_store, make_clip, 
     assert counts == {"train": 12, "test": 8}
     after = read_clip_tables([tmp_path / "split.parquet"])
     assert after.drop("split", "store").equals(before.drop("split", "store"))
-    assert find_table_leaks(after.lazy()) == []
+    assert find_table_leaks(after.lazy()).leaks == ()
     assert split_table(table, Splitting(SplitRule.SEEN, test=0.4), table) == counts
     assert read_clip_tables([table]).drop("store").equals(after.drop("store"))
 
