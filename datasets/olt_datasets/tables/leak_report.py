@@ -137,7 +137,7 @@ def join_reports(reports: Iterable[LeakReport], splits: dict[str, int], empty: s
         before = comparisons.get(each.rule, Comparison(each.rule, each.what, 0))
         comparisons[each.rule] = Comparison(
             each.rule,
-            each.what,
+            before.what or each.what,
             before.compared + each.compared,
             _add(before.not_compared, each.not_compared),
             # A clip stands in several comparisons and is one clip.

@@ -173,3 +173,86 @@ def test_summary_counts_what_it_does_not_show(table):
     leaks = find_leaks(choose(table, "a", "b", "d", "e"), table, held_out_scenes={"a", "b", "d"})
     assert len(leaks.leaks) == 6
     assert summarize_leaks(leaks.leaks).endswith("; and 3 more")
+
+
+def comparison(report, rule):
+    return next(each for each in report.comparisons if each.rule == rule)
+
+
+def test_what_could_not_be_compared_is_counted(make_clip, make_table):
+    table = make_table(
+        make_clip(1, fingerprint=pack(draw_hashes(1))),
+        make_clip(2, fingerprint=pack(draw_hashes(2))),
+        make_clip(3, fingerprint=bytes(40)),
+        make_clip(4, fingerprint=None),
+        make_clip(5, fingerprint=pack(draw_hashes(5)), split="test"),
+        make_clip(6, fingerprint=None, split="test"),
+        make_clip(7, split=None),
+    )
+    report = find_table_leaks(table.lazy(), held_out_scenes=["scene_9"])
+    assert (report.leaks, report.is_complete, report.empty) == ((), False, None)
+    assert report.splits == {"train": 4, "test": 2, "none": 1}
+    near = comparison(report, "near-duplicate")
+    assert near.compared == 2 * 1
+    assert list(near.not_compared.values()) == [4 * 2 - 3 * 1, 3 * 1 - 2 * 1]
+    assert list(near.clips.values()) == [2, 1]
+    assert comparison(report, "twin and overlap").compared == 4 * 2
+    assert str(comparison(report, "held out")) == "held out: 4 clips with the 1 held-out scenes compared"
+    assert str(comparison(report, "external")) == "external: none was named"
+    assert report.to_dict()["clean"] is False
+    of_mixture = find_leaks(table.filter(pl.col("scene_id") == "scene_1"), table)
+    assert comparison(of_mixture, "near-duplicate").compared == 1
+    assert comparison(of_mixture, "near-duplicate").not_compared == {"no fingerprint": 1}
+
+
+@pytest.mark.parametrize(
+    ("splits", "empty"),
+    [
+        (["train", "train"], "all clips are in split train"),
+        ([None, None], "no clip is in a split"),
+        (["test", None], "all clips are in split test"),
+        (["val", "test"], None),
+    ],
+)
+def test_nothing_to_compare_is_not_clean(make_clip, make_table, splits, empty):
+    clips = [
+        make_clip(number, split=split, fingerprint=pack(draw_hashes(number))) for number, split in enumerate(splits)
+    ]
+    report = find_table_leaks(make_table(*clips).lazy())
+    assert report.empty == empty
+    assert report.is_complete is report.to_dict()["clean"] is (empty is None)
+    assert sum(each.compared for each in report.comparisons) == (0 if empty else 2)
+
+
+def test_clips_like_those_that_are_never_trained_on(make_clip, make_table):
+    """A copy of a held-out scene under another name, and of a clip from an external source, wherever these stand."""
+    table = make_table(
+        make_clip(1, fingerprint=pack(draw_hashes("held"))),
+        make_clip(2, fingerprint=pack(draw_hashes("outside"))),
+        make_clip(3, fingerprint=pack(draw_hashes("held")), scene_id="held"),
+        make_clip(4, fingerprint=pack(draw_hashes("outside")), source="nexar", split=None),
+        make_clip(5, fingerprint=pack(draw_hashes("held")), split=None),
+    )
+    chosen = table.filter(pl.col("scene_id").is_in(["scene_1", "scene_2"]))
+    report = find_leaks(chosen, table, held_out_scenes=["held"], external_sources=["nexar"])
+    assert rules(report) == [("near-duplicate", "scene_1"), ("near-duplicate", "scene_2")]
+    assert [leak.clips[1].scene_id for leak in report.leaks] == ["held", "scene_4"]
+    assert rules(find_leaks(chosen, table)) == []
+
+
+def test_both_clips_and_their_stores_are_told(make_clip, make_table):
+    table = pl.concat(
+        [
+            make_table(make_clip(1, fingerprint=pack(draw_hashes("street"))), store="/gt"),
+            make_table(make_clip(2, fingerprint=pack(draw_hashes("street")), split="test"), store="/syn"),
+            make_table(make_clip(3, scene_id="scene_1", split="test"), store="/later"),
+        ]
+    )
+    twin, near = find_table_leaks(table.lazy()).leaks
+    assert [(place.scene_id, place.split, place.store) for place in twin.clips] == [
+        ("scene_1", "train", "/gt"),
+        ("scene_1", "test", "/later"),
+    ]
+    assert [place.store for place in near.clips] == ["/gt", "/syn"]
+    for word in ("scene_1", "scene_2", "/gt", "/syn", "split test"):
+        assert word in str(near)
