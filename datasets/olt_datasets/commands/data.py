@@ -145,8 +145,11 @@ def split(
     """Put clips into splits by a rule.
 
     seen: the latest windows of every scene are test. unseen: whole scenes are. external: a whole source is, and is
-    never trained on. own: the data set's own splits, which every clip must have.
+    never trained on. own: the data set's own splits, which every clip must have. Shares that would leave a split
+    without a clip, or without a sample, are refused.
     """
+    from dataclasses import asdict
+
     from olt_datasets.tables.splits import Splitting, split_table
     from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json, print_table
@@ -158,9 +161,10 @@ def split(
     refuse_unused(given, f"rule {rule.value} leaves no share to choose")
     counts = split_table(table, Splitting(rule, tuple(source or ()), val, test, gap, seed), out)
     if as_json:
-        print_json({"table": str(out), "rule": rule.value, "clips": counts})
+        print_json({"table": str(out), "rule": rule.value, **asdict(counts)})
     else:
-        print_table(f"Splits of {out} by rule {rule.value}", ("split", "clips"), list(counts.items()))
+        rows = [(name, count, counts.scenes[name], counts.samples[name]) for name, count in counts.clips.items()]
+        print_table(f"Splits of {out} by rule {rule.value}", ("split", "clips", "scenes", "samples"), rows)
 
 
 @app.command()
