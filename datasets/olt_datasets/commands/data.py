@@ -90,6 +90,8 @@ def index(
         print_line(f"{summary.kept} rows were kept from the table as it was")
         example = "".join(f", as {key}" for key in summary.without_clips[:1])
         print_line(f"{len(summary.without_clips)} drives fill no window{example}")
+        for key, first in summary.copies.items():
+            print_line(f"left out: {key}: the same recording as {first}")
         for omission in summary.left_out:
             print_line(f"left out: {word_omission(omission)}")
         for key, message in summary.failed.items():

@@ -188,6 +188,15 @@ def read_motion_ego(folder: Path) -> Trajectory:
     return _motion_ego(_table(path, "track_id timestep position_x position_y heading"), path)[0]
 
 
+def read_scenario_id(folder: Path) -> str:
+    """The id that stands in the tracks of a motion scenario; InputError as `read_motion_ego`."""
+    path = _single(folder, "scenario_*.parquet")
+    ids = np.unique(_table(path, "scenario_id")["scenario_id"].astype(str))
+    if len(ids) != 1:
+        raise InputError(f"{path}: column scenario_id holds {len(ids)} ids; give an unchanged copy of the scenario")
+    return str(ids[0])
+
+
 Columns = dict[str, NDArray[Any]]
 
 
