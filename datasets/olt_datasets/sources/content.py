@@ -1,11 +1,11 @@
 """What tells a recording from all others where no id stands in the source: a hash of what was recorded."""
 
 import hashlib
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_datasets.sources.surround import StoredImage
 from olt_generator.errors import InputError
 
 
@@ -13,18 +13,19 @@ def hash_content(*parts: bytes | NDArray[np.generic]) -> str:
     """20 hexadecimal digits (BLAKE2b) of parts of a recording, in their order; of arrays type and shape too."""
     digest = hashlib.blake2b(digest_size=10)
     for part in parts:
-        data, told = part, ""
-        if not isinstance(part, bytes):
-            little = np.ascontiguousarray(part).astype(part.dtype.newbyteorder("<"))
-            data, told = little.tobytes(), f"{little.dtype.str} {little.shape}"
+        if isinstance(part, bytes):
+            told, data = "bytes", part
+        else:
+            little = part.astype(part.dtype.newbyteorder("<"))
+            told, data = f"{little.dtype.str} {little.shape}", little.tobytes()
         digest.update(f"{told} {len(data)}\x1f".encode())
         digest.update(data)
     return digest.hexdigest()
 
 
-def read_content(path: Path) -> bytes:
-    """A whole file; InputError where it cannot be read."""
+def read_content(file: StoredImage) -> bytes:
+    """All bytes of a file, such as a path; InputError where it cannot be read."""
     try:
-        return path.read_bytes()
+        return file.read_bytes()
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); copy it again") from error
+        raise InputError(f"{file}: cannot be read ({error.strerror}); copy it again") from error

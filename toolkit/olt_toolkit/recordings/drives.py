@@ -198,13 +198,17 @@ def open_recording(path: Path, options: OpenOptions | None = None, cache: Path |
 
 def open_start(dataset: Dataset, key: str, options: OpenOptions) -> Recording:
     """Open a drive from its start, up to the duration of the options; motion is known while images last."""
-    end_us = math.ceil(min(options.duration * 1e6, 2.0**62)) - 1
-    recording = dataset.open(key, (0, end_us), options)
+    recording = dataset.open(key, start_window(options), options)
     if recording.reference is None:
         return recording
     times_us = recording.timestamps_us
     shown = Trajectory(times_us, recording.reference.interpolate(times_us))
     return replace(recording, reference=shown.in_first_frame())
+
+
+def start_window(options: OpenOptions) -> Span:
+    """The drive times within which the images lie that `open_start` decodes."""
+    return 0, math.ceil(min(options.duration * 1e6, 2.0**62)) - 1
 
 
 def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlace, str]]:
