@@ -53,11 +53,11 @@ class Argoverse2:
         """See `Dataset.drive`; drive time 0 is the first pose, as there are no images."""
         ego = self.ego_motion(key)
         folder = (self._root / key).resolve()
-        is_scenario = self._files[key] == _SCENARIO
-        scene = read_scenario_id(folder) if is_scenario else hash_content(read_content(folder / _LOG))
+        (file,) = folder.glob(self._files[key])
+        scene = read_scenario_id(file) if self._files[key] == _SCENARIO else None
         return Drive(
             source=NAME,
-            scene_id=f"{NAME}/{scene}",
+            scene_id=f"{NAME}/{scene or hash_content(read_content(file))}",
             key=key,
             front_us=np.empty(0, np.int64),
             cameras=(),
