@@ -174,9 +174,12 @@ def check(
     """
     from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_datasets.tables.leaks import find_table_leaks
+    from olt_datasets.tables.scenes import refuse_unknown_scenes
     from olt_toolkit.runtime.console import print_json, print_line
 
-    leaks = find_table_leaks(scan_clip_tables(tables), held_out or (), external or ())
+    table = scan_clip_tables(tables)
+    refuse_unknown_scenes(table, held_out or (), "--held-out")
+    leaks = find_table_leaks(table, held_out or (), external or ())
     if as_json:
         print_json({"clean": not leaks, "leaks": [vars(leak) for leak in leaks]})
     else:
