@@ -25,6 +25,9 @@ _LEAST_SHARE = 0.35
 """Of the images of the shorter sequence that must be matched."""
 # A mean over few images is high by chance more often: by this over the root of their number.
 _FEW_IMAGES = 0.35
+LEAST_MOVING = 0.42
+LEAST_ALIKE = 0.88
+STANDING_ACTIVITY = 0.15
 _WEIGHT_OF_CHANGES = 2.0
 _TINY = 1e-6
 _NEAR = tuple(
@@ -67,6 +70,14 @@ class Likeness:
     moving: float
     activity: float
     matched: int
+
+
+def is_alike(first: Sequence, second: Sequence) -> bool:
+    """Whether two sequences show one drive."""
+    found = compare(first, second)
+    return found.moving >= LEAST_MOVING or (
+        found.activity < STANDING_ACTIVITY and found.alike >= LEAST_ALIKE and found.moving >= 0.0
+    )
 
 
 def compare(first: Sequence, second: Sequence) -> Likeness:

@@ -39,6 +39,11 @@ class Effort:
     bits: int
     scales: tuple[float, ...]
 
+    @property
+    def probes(self) -> int:
+        """Keys of a table under which a thumbnail is looked up."""
+        return 2 * len(self.scales)
+
 
 def choose_effort(clips: int) -> Effort:
     """The effort for a search among so many clips."""
