@@ -13,8 +13,9 @@ from olt_datasets.tables.cutting import Cutting
 from olt_datasets.tables.fingerprints import is_telling
 from olt_datasets.tables.indexing import index_dataset
 from olt_datasets.tables.splits import SplitRule, Splitting, split_table
+from olt_datasets.tables.window_fingerprints import choose_moments
 from olt_generator.errors import InputError
-from olt_toolkit.clips.fingerprint import fingerprint_images, fingerprint_times
+from olt_toolkit.clips.fingerprint import fingerprint_images
 from olt_toolkit.recordings.drives import DatasetPlace
 
 from ..toy_drives import ToyDataset, film, make_drive
@@ -70,7 +71,7 @@ def test_every_window_gets_a_fingerprint_of_its_own_images(toy, tmp_path):
     for row in table.iter_rows(named=True):
         inside = dataset.drives[row["recording"]].front_us
         inside = inside[(inside >= row["start_us"]) & (inside <= row["end_us"])]
-        wanted = fingerprint_times(row["start_us"], row["end_us"])
+        wanted = choose_moments((row["start_us"], row["end_us"]))
         shown = inside[np.abs(inside[:, None] - wanted).argmin(axis=0)]
         look = dataset.looks.get(row["recording"], row["recording"])
         assert row["fingerprint"] == fingerprint_images(film(look, shown), shown - row["start_us"])
@@ -102,7 +103,7 @@ def test_fingerprints_are_made_once(toy, tmp_path):
 
 def test_windows_whose_images_are_damaged_have_no_fingerprint(toy, tmp_path):
     place, dataset = toy
-    wanted = fingerprint_times(4_200_000, 8_200_000)[0]
+    wanted = choose_moments((4_200_000, 8_200_000))[0]
     damaged_us = int(dataset.drives["a"].front_us[np.abs(dataset.drives["a"].front_us - wanted).argmin()])
     dataset.damaged_us = {"a": damaged_us}
     summary = index(place, tmp_path / "clips.parquet")
