@@ -33,15 +33,15 @@ def drives(tmp_path_factory):
 @pytest.mark.parametrize(
     ("kind", "rule"),
     [
-        ("copy", "overlap"),
+        pytest.param("copy", "overlap", marks=pytest.mark.slow),
         ("symlink", "overlap"),
-        ("renamed", "overlap"),
-        ("overlap", "overlap"),
-        ("re-encoded", "near-duplicate"),
+        pytest.param("renamed", "overlap", marks=pytest.mark.slow),
+        pytest.param("overlap", "overlap", marks=pytest.mark.slow),
+        pytest.param("re-encoded", "near-duplicate", marks=pytest.mark.slow),
         ("mirrored", "near-duplicate"),
-        ("darker", "near-duplicate"),
-        ("held-out scene, mirrored", "near-duplicate"),
-        ("external source", "external"),
+        pytest.param("darker", "near-duplicate", marks=pytest.mark.slow),
+        pytest.param("held-out scene, mirrored", "near-duplicate", marks=pytest.mark.slow),
+        pytest.param("external source", "external", marks=pytest.mark.slow),
     ],
 )
 def test_a_planted_leak_is_found(drives, tmp_path, kind, rule):
