@@ -167,8 +167,10 @@ class BuildJob:
     def run(self) -> BuildResult:
         """Build and prepare the clip on one thread, unless an earlier run did; an error unless the job keeps going."""
         use_one_thread()
+        store = ClipStore(self.store)
         try:
-            if self._find(ClipStore(self.store)) is not None:
+            found = self._find(store)
+            if found is not None:
                 return BuildResult(self.path, "found", self.clip_id)
             return BuildResult(self.path, "built", self.clip_id, self.prepare(self.open()))
         except InputError as error:
