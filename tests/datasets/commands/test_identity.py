@@ -193,6 +193,7 @@ def test_a_prepared_clip_of_an_interrupted_run_is_built_again_with_other_options
         assert run(clip, *build, *SIZE).exit_code != 0
     assert [each["state"] for each in run_json(clip, *build, "--width", 64, "--height", 36)["recordings"]] == ["built"]
     (info,) = ClipStore(store).clips()
+    assert info.build_options is not None
     assert json.loads(info.build_options)["width"] == 64
     assert ClipStore(store).read_camera(info.clip_id, next(iter(info.views))).camera.width == 64
 

@@ -16,9 +16,10 @@ from olt_toolkit.recordings.recording import OpenOptions
 from olt_toolkit.rigs.contracts import find_contract
 from olt_toolkit.rigs.names import FrontLens
 
+WORDS = st.text(st.characters(exclude_categories=["Cc", "Cs"]))
 SUBJECTS = st.tuples(
-    st.text(),
-    st.text(),
+    WORDS,
+    WORDS,
     st.tuples(st.integers(0, 10**9), st.integers(0, 10**9)),
     st.sampled_from(["GT", "Syn", "front_only"]),
     st.integers(0, 10**6),

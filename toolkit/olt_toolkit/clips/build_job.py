@@ -77,7 +77,7 @@ class BuildJob:
         measured_motion: whether motion that the data set measured goes before what `estimators` say.
         source: the reader that the data set must have; None for any.
         keep_going: whether input that cannot be used is a result instead of an error.
-        subject: what the clip shows; None until `identify` asks the data set.
+        subject: what the clip shows; None where the data set is asked each time (`identify` keeps its answer).
     """
 
     place: DatasetPlace
@@ -104,18 +104,16 @@ class BuildJob:
 
     @property
     def clip_id(self) -> str:
-        """Id of the clip that will be built; the job must be identified."""
-        assert self.subject is not None
-        subject, options = self.subject, self.options
+        """Id of the clip that will be built; errors are those of `identify`."""
+        subject, options = self._told, self.options
         kind = clip_kind(options)
         return clip_id_of(subject.scene_id, subject.take, subject.window_us, kind, options.seed, options.front)
 
     @property
     def build_options(self) -> str:
-        """How the clip will be built, as the clip table keeps it; the job must be identified."""
-        assert self.subject is not None
+        """How the clip will be built, as the clip table keeps it; errors are those of `identify`."""
         asked = self.measured_motion or self.estimators.poses is PoseEstimator.REFERENCE
-        return describe_build(self.options, self.estimators, self.opening, asked and self.subject.has_motion)
+        return describe_build(self.options, self.estimators, self.opening, asked and self._told.has_motion)
 
     def identify(self, drive: Drive | None = None) -> "BuildJob":
         """The job with its subject, told by the drive, which is described where it is not given.
@@ -169,8 +167,10 @@ class BuildJob:
     def run(self) -> BuildResult:
         """Build and prepare the clip on one thread, unless an earlier run did; an error unless the job keeps going."""
         use_one_thread()
+        store = ClipStore(self.store)
         try:
-            if self._find(ClipStore(self.store)) is not None:
+            found = self._find(store)
+            if found is not None:
                 return BuildResult(self.path, "found", self.clip_id)
             return BuildResult(self.path, "built", self.clip_id, self.prepare(self.open()))
         except InputError as error:
@@ -191,6 +191,12 @@ class BuildJob:
                 f"{'; '.join(different)}; give another folder, or the options as they were"
             )
 
+    @property
+    def _told(self) -> Subject:
+        subject = self.subject or self.identify().subject
+        assert subject is not None  # identify gives one
+        return subject
+
     def _dataset(self) -> Dataset:
         dataset = self.place.open()
         if self.source not in (None, dataset.source):
@@ -200,15 +206,14 @@ class BuildJob:
         return dataset
 
     def _complete_options(self) -> BuildOptions:
-        assert self.subject is not None
         recording = self.place.drive_name(self.key) if self.key == WHOLE else self.key
         return replace(
             self.options,
             name=self.name,
-            scene_id=self.subject.scene_id,
+            scene_id=self._told.scene_id,
             clip_id=self.clip_id,
             build_options=self.build_options,
-            origin=self.options.origin or ClipOrigin(recording, *self.subject.window_us),
+            origin=self.options.origin or ClipOrigin(recording, *self._told.window_us),
         )
 
     def _find(self, store: ClipStore) -> ClipInfo | None:
