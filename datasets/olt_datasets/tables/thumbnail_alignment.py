@@ -25,7 +25,7 @@ _LEAST_SHARE = 0.35
 """Of the images of the shorter sequence that must be matched."""
 # A mean over few images is high by chance more often: by this over the root of their number.
 _FEW_IMAGES = 0.35
-_LEAST_SCORE = 0.55
+_LEAST_SCORE, _LEAST_SCORE_OF_DIM = 0.55, 0.8
 _STANDING = 0.06
 _LEAST_ALIKE_STANDING = 0.94
 _WEIGHT_OF_CHANGES = 2.0
@@ -43,16 +43,17 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Sequence:
-    """Thumbnails (k, cells), -1 or 1, at ascending times (k,) in seconds."""
+    """Thumbnails (k, cells), -1 or 1, at ascending times (k,) in seconds; dim where most of them are (night)."""
 
     signs: Floats
     seconds: NDArray[np.float64]
+    dim: bool = False
 
     @property
     def mirrored(self) -> "Sequence":
         """The same of mirrored images."""
         images = self.signs.reshape(-1, ROWS, COLUMNS)[:, :, ::-1]
-        return Sequence(np.ascontiguousarray(images).reshape(self.signs.shape), self.seconds)
+        return Sequence(np.ascontiguousarray(images).reshape(self.signs.shape), self.seconds, self.dim)
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,8 @@ def is_alike(first: Sequence, second: Sequence) -> bool:
     """
     found = compare(first, second)
     score = found.moving + 0.25 * found.alike + 0.5 * min(found.activity, 0.3) - 0.6 / np.sqrt(found.matched)
-    return bool(score >= _LEAST_SCORE or (found.activity < _STANDING and found.alike >= _LEAST_ALIKE_STANDING))
+    least = _LEAST_SCORE_OF_DIM if first.dim or second.dim else _LEAST_SCORE
+    return bool(score >= least or (found.activity < _STANDING and found.alike >= _LEAST_ALIKE_STANDING))
 
 
 def compare(first: Sequence, second: Sequence) -> Likeness:
