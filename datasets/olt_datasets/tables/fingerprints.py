@@ -106,7 +106,7 @@ class _Thumbnails:
     def sequence(self, clip: int) -> Sequence:
         """The thumbnails of one of the clips (c,)."""
         records = self.records[self.starts[clip] : self.starts[clip + 1]]
-        return Sequence(_unpack(records["signs"]), records["time_ms"] / 1e3)
+        return Sequence(_unpack(records["signs"]), records["time_ms"] / 1e3, bool(records["dim"].mean() > 0.5))
 
 
 @dataclass(frozen=True)

@@ -25,9 +25,9 @@ _LEAST_SHARE = 0.35
 """Of the images of the shorter sequence that must be matched."""
 # A mean over few images is high by chance more often: by this over the root of their number.
 _FEW_IMAGES = 0.35
-LEAST_MOVING = 0.42
-LEAST_ALIKE = 0.88
-STANDING_ACTIVITY = 0.15
+_LEAST_SCORE, _LEAST_SCORE_OF_DIM = 0.55, 0.8
+_STANDING = 0.06
+_LEAST_ALIKE_STANDING = 0.94
 _WEIGHT_OF_CHANGES = 2.0
 _TINY = 1e-6
 _NEAR = tuple(
@@ -43,16 +43,17 @@ Floats = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Sequence:
-    """Thumbnails (k, cells), -1 or 1, at ascending times (k,) in seconds."""
+    """Thumbnails (k, cells), -1 or 1, at ascending times (k,) in seconds; dim where most of them are (night)."""
 
     signs: Floats
     seconds: NDArray[np.float64]
+    dim: bool = False
 
     @property
     def mirrored(self) -> "Sequence":
         """The same of mirrored images."""
         images = self.signs.reshape(-1, ROWS, COLUMNS)[:, :, ::-1]
-        return Sequence(np.ascontiguousarray(images).reshape(self.signs.shape), self.seconds)
+        return Sequence(np.ascontiguousarray(images).reshape(self.signs.shape), self.seconds, self.dim)
 
 
 @dataclass(frozen=True)
@@ -73,11 +74,15 @@ class Likeness:
 
 
 def is_alike(first: Sequence, second: Sequence) -> bool:
-    """Whether two sequences show one drive."""
+    """Whether two sequences show one drive: what changes is alike, or next to nothing changes and all is alike.
+
+    The limits are chosen on drives of KITTI and a dashcam and on synthetic worlds, among them pairs by night and pairs
+    with the same bonnet and words on them; docs/benchmarks.md tells what they give on others.
+    """
     found = compare(first, second)
-    return found.moving >= LEAST_MOVING or (
-        found.activity < STANDING_ACTIVITY and found.alike >= LEAST_ALIKE and found.moving >= 0.0
-    )
+    score = found.moving + 0.25 * found.alike + 0.5 * min(found.activity, 0.3) - 0.6 / np.sqrt(found.matched)
+    least = _LEAST_SCORE_OF_DIM if first.dim or second.dim else _LEAST_SCORE
+    return bool(score >= least or (found.activity < _STANDING and found.alike >= _LEAST_ALIKE_STANDING))
 
 
 def compare(first: Sequence, second: Sequence) -> Likeness:

@@ -4,10 +4,12 @@ A fingerprint holds up to 16 images of a window, each as a thumbnail of 20 x 10 
 its surroundings. Signs of local contrast stay through another size, coding, brightness, gamma or lack of colour; a crop
 or a turn moves them by a cell or two, a mirrored image mirrors them, and the comparison (`olt_datasets.tables`) allows
 for both. Black bars at the sides are no part of an image. An image with next to no contrast (fog, a plain wall, black)
-tells nothing and is left out, so that the fingerprint of a window of such images is empty.
+tells nothing and is left out, so that the fingerprint of a window of such images is empty. An image with contrast in
+some parts alone, such as a cone of light on a road by night, is marked as dim: drives by night are alike in these.
 
-Format: 29 bytes an image, in order of time; the moment in milliseconds since the window's first image (big-endian, 4
-bytes), then 200 bits, row by row from the upper left, the first in the highest bit: 464 bytes for 16 images.
+Format: 30 bytes an image, in order of time: the moment in milliseconds since the window's first image (big-endian, 4
+bytes), 1 where it is dim and else 0, and 200 bits, row by row from the upper left, the first in the highest bit; 480
+bytes for 16 images.
 """
 
 import cv2
@@ -17,7 +19,7 @@ from numpy.typing import NDArray
 IMAGES = 16
 """Most images of a fingerprint."""
 COLUMNS, ROWS = 20, 10
-RECORD = np.dtype([("time_ms", ">u4"), ("signs", np.uint8, COLUMNS * ROWS // 8)])
+RECORD = np.dtype([("time_ms", ">u4"), ("dim", np.uint8), ("signs", np.uint8, COLUMNS * ROWS // 8)])
 """One image of a fingerprint."""
 
 _OVERSAMPLING = 4
@@ -25,6 +27,8 @@ _OVERSAMPLING = 4
 _SURROUNDINGS_CELLS = 1.5
 _LEAST_CONTRAST = 2.5
 """Grey levels, root mean square: below it an image tells nothing."""
+_SOME_CONTRAST, _LIT_SHARE = 1.0, 0.75
+"""Grey levels, and the share of cells that have as much contrast in an image that is not dim."""
 _DARK = 32
 """Grey levels: a bar at the side of an image is darker, at 98 of 100 of its pixels in all images."""
 _WIDEST_BAR = 0.36
@@ -55,6 +59,7 @@ def fingerprint_images(frames: NDArray[np.uint8], times_us: NDArray[np.int64]) -
     records = np.zeros(len(frames), RECORD)
     records["time_ms"] = (times_us - times_us[0]) // 1000
     records["signs"] = [np.packbits(contrast >= 0.0) for contrast in contrasts]
+    records["dim"] = [np.mean(np.abs(contrast) > _SOME_CONTRAST) < _LIT_SHARE for contrast in contrasts]
     telling = [float(np.sqrt(np.mean(contrast**2))) >= _LEAST_CONTRAST for contrast in contrasts]
     return records[telling].tobytes()
 
