@@ -15,6 +15,7 @@ from olt_generator.video import write_video
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
+from olt_toolkit.clips.action_errors import measure_action_errors
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipDescription, ClipInfo, ViewProvenance, check_clip_id
 from olt_toolkit.clips.image_hash import fingerprint_images
 from olt_toolkit.clips.images import largest_rectangle
@@ -113,6 +114,7 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
         checksum=checksum,
         fingerprint=_fingerprint(clip.streams[FRONT_WIDE]) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,
+        action_errors=measure_action_errors(clip.ego_motion, times),
     )
 
 
