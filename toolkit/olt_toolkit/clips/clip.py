@@ -6,6 +6,7 @@ roll and pitch taken out: origin there, yaw 0 there, z up. It is the frame of Ph
 """
 
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -288,6 +289,12 @@ class ClipInfo(ClipDescription):
     views: dict[str, ViewProvenance]
     action_errors: tuple[float, ...] | None = None
     build_options: str | None = None
+
+    def with_samples(self, t0s_us: Sequence[int]) -> "ClipInfo":
+        """The same with some of its sample times alone, in their order."""
+        kept = [place for place, time in enumerate(self.sample_t0_us) if time in t0s_us]
+        errors = None if self.action_errors is None else tuple(self.action_errors[place] for place in kept)
+        return replace(self, sample_t0_us=tuple(self.sample_t0_us[place] for place in kept), action_errors=errors)
 
 
 def make_clip_id(*keys: int | str) -> str:

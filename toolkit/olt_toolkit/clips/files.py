@@ -185,6 +185,8 @@ def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int])
         pd.DataFrame(layout.feature_rows()).to_csv(temporary, index=False)
     for name, table in {
         layout.CLIP_INDEX: clip_index,
+        # Where it is there, the devkit takes splits from it and not from the index.
+        layout.DEFAULT_SPLITS: clip_index[["split"]],
         layout.FEATURE_PRESENCE: presence,
         layout.DATA_COLLECTION: collection,
     }.items():
