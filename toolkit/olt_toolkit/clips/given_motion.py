@@ -21,8 +21,8 @@ from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, Spa
 from olt_toolkit.recordings.recording import StatedAccuracy
 from olt_toolkit.rigs.names import MotionLabels
 
-# Headings are believed to half a degree, by which GPS/IMUs disagree with the path; the path leads.
-UNICYCLE_SMOOTHING = SmootherSettings(slip_sigma=0.005, least_rotation_sigma=0.01)
+# Headings are believed to half a degree, by which GPS/IMUs disagree with the path; the path, to a centimetre, leads.
+UNICYCLE_SMOOTHING = SmootherSettings(slip_sigma=0.005, least_position_sigma=0.01, least_rotation_sigma=0.01)
 
 
 @dataclass(frozen=True)
