@@ -80,8 +80,8 @@ def _draw_pixels(axes: Any, parts: Sequence[Mapping[str, Any]]) -> None:
 def _draw_action_errors(axes: Any, mixture: Mixture) -> None:
     errors = mixture.samples["action_error"]
     known = errors.drop_nulls().sort()
-    axes.set(title=f"action errors: {errors.null_count()} of {len(errors)} samples not measured")
-    axes.set(xlabel="metres", ylabel="share of measured samples", ylim=(0, 1))
+    axes.set(title="action errors", ylabel="share of measured samples", ylim=(0, 1))
+    axes.set_xlabel(f"metres; {errors.null_count()} of {len(errors)} samples not measured")
     axes.axvline(ROUND_TRIP_TOLERANCE, color="tab:red", lw=1, label=f"{ROUND_TRIP_TOLERANCE:g} m")
     if len(known):
         axes.ecdf(known.to_numpy())
