@@ -12,8 +12,10 @@ from olt_generator.seeds import make_generator
 from olt_generator.trajectory import Trajectory
 from olt_generator.twists import exponential
 from olt_toolkit.clips.action_errors import measure_action_errors, summarize_action_errors
+from olt_toolkit.clips.build_options import describe_build, find_differences
 from olt_toolkit.clips.builder import build_clip
 from olt_toolkit.clips.clip import EgoMotion
+from olt_toolkit.clips.estimators import Estimators
 from olt_toolkit.clips.files import describe_clip
 from olt_toolkit.clips.given_motion import GivenMotion
 from olt_toolkit.clips.label_noise import measure_label_noise
@@ -21,7 +23,7 @@ from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.summary import summarize_build
 from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.policy.action_space import ROUND_TRIP_TOLERANCE
-from olt_toolkit.recordings.recording import Recording, StatedAccuracy
+from olt_toolkit.recordings.recording import OpenOptions, Recording, StatedAccuracy
 from olt_toolkit.rigs.names import MotionLabels
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS
 from olt_toolkit.rigs.rig_files import pav_rig
@@ -164,8 +166,7 @@ def recording():
 def test_labels_of_a_built_clip_are_as_measured_or_smoothed(recording, tmp_path):
     options = BuildOptions(width=64, height=36, use_reference_views=True)
     built = {choice: build_clip(recording, replace(options, labels=choice)) for choice in MotionLabels}
-    infos = {choice: ClipStore(tmp_path).prepare(each.clip) for choice, each in built.items()}
-    assert infos[MotionLabels.AS_MEASURED].clip_id != infos[MotionLabels.SMOOTHED].clip_id
+    infos = {choice: ClipStore(tmp_path / choice).prepare(each.clip) for choice, each in built.items()}
     measured, smoothed = (summarize_build(built[choice], infos[choice]) for choice in MotionLabels)
     assert measured["action_errors_before_smoothing"] is None
     assert measured["action_errors"]["beyond_tolerance"] > 0.9 * measured["action_errors"]["samples"] > 10
@@ -174,6 +175,17 @@ def test_labels_of_a_built_clip_are_as_measured_or_smoothed(recording, tmp_path)
     assert smoothed["given_motion"]["labels"] == "smoothed" and smoothed["label_noise"] is None
     info = infos[MotionLabels.SMOOTHED]
     assert len(info.action_errors) == len(info.sample_t0_us) and info.acceleration_noise_basis == "estimated"
+
+
+def test_a_clip_with_other_labels_is_not_taken_for_the_one_that_is_wanted(make_clip):
+    options = BuildOptions(use_reference_views=True, factors=("rain",), category="nominal")
+    texts = [
+        describe_build(replace(options, labels=choice), Estimators(), OpenOptions(), takes_reference=True)
+        for choice in MotionLabels
+    ]
+    info = describe_clip(replace(make_clip(), build_options=texts[0]), "0" * 32)
+    assert find_differences(info, options, texts[0]) == []
+    assert find_differences(info, options, texts[1]) == ["--labels as-measured (now smoothed)"]
 
 
 def test_a_clip_without_samples_has_no_action_errors(make_clip):

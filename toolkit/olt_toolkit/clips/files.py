@@ -115,6 +115,7 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
         fingerprint=_fingerprint(clip.streams[FRONT_WIDE]) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,
         action_errors=measure_action_errors(clip.ego_motion, times),
+        build_options=clip.build_options,
     )
 
 
