@@ -19,6 +19,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from olt_datasets.mixtures.batches import batch_counts
+from olt_datasets.mixtures.quality import SAMPLE_QUALITIES, describe_quality
 from olt_datasets.mixtures.recipe import Component, Recipe
 from olt_datasets.mixtures.selection import (
     AbsentValue,
@@ -42,7 +43,9 @@ from olt_toolkit.policy.sample import SampleKey
 KEY_COLUMNS = ("store", "clip_id", "t0_us")
 GROUPS = ("source", "kind", "category", "factors", "country")
 SAMPLE_SCHEMA = pl.Schema(
-    {"store": pl.String, "clip_id": pl.String, "t0_us": pl.Int64} | {name: SCHEMA[name] for name in GROUPS}
+    {"store": pl.String, "clip_id": pl.String, "t0_us": pl.Int64}
+    | {name: SCHEMA[name] for name in GROUPS}
+    | dict.fromkeys(SAMPLE_QUALITIES, pl.Float64)
 )
 LEAK_COLUMNS = ("clip_id", "scene_id", "source", "kind", "split", "store", "start_us", "end_us", "fingerprint")
 NOT_TOLD = "not told"
@@ -53,11 +56,23 @@ Rows = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class MixtureComponent:
-    """The distinct samples (columns of `SAMPLE_SCHEMA`) that one component gives, of so many available."""
+    """The distinct samples (columns of `SAMPLE_SCHEMA`) that one component gives, of so many available.
+
+    `not_measured` clips lack a number that it asks for, and were left out or taken as its filter says.
+    """
 
     component: Component
     available: int
+    not_measured: int
     samples: pl.DataFrame
+
+    def word_weights(self) -> str | None:
+        """What the weights of the component chose; None where it has none."""
+        if not self.component.weight_by:
+            return None
+        if len(self.samples) == self.available:
+            return f"nothing: all {self.available} samples are drawn; ask for fewer"
+        return f"{len(self.samples)} of {self.available} samples"
 
     def draw(self, seed: int, epoch: int, count: int) -> Rows:
         """Rows of `samples` (count,) in the order of their use: pass after pass, each a new permutation of all rows."""
@@ -123,7 +138,8 @@ class Mixture:
     def describe(self, epoch: int = 0) -> dict[str, Any]:
         """What was asked and what was got in an epoch, by component and in all by each of `GROUPS`.
 
-        `got` counts items, `distinct` the samples that they are drawn from, `repeats` the most uses of one sample. A
+        `got` counts items, `distinct` the samples that they are drawn from, `repeats` the most uses of one sample,
+        `quality` what is known of their pixels and labels (`describe_quality`). `weights` tells what weights chose. A
         sample counts once for each of its factors, so that these may add up to more or less than all items.
         """
         counts = self.counts(epoch)
@@ -131,6 +147,7 @@ class Mixture:
         uses = np.bincount(
             np.concatenate([np.empty(0, np.int64), *self._draw_components(epoch)]), minlength=len(self.samples)
         )
+        offsets = self._offsets()
         return {
             "recipe": self.recipe.name,
             "split": self.recipe.split,
@@ -149,10 +166,14 @@ class Mixture:
                     "available": part.available,
                     "distinct": len(part.samples),
                     "repeats": math.ceil(count / len(part.samples)),
+                    "not_measured": part.not_measured,
+                    "weights": part.word_weights(),
+                    "quality": describe_quality(part.samples, uses[offset : offset + len(part.samples)]),
                 }
-                for part, share, count in zip(self.components, shares, counts, strict=True)
+                for part, share, count, offset in zip(self.components, shares, counts, offsets, strict=True)
             ],
             "items_by_epoch": {str(named): self.counts(named) for named in self.recipe.named_epochs},
+            "quality": describe_quality(self.samples, uses),
             **{f"by_{group}": _count_uses(self.samples[group], uses) for group in GROUPS},
         }
 
@@ -172,9 +193,12 @@ class Mixture:
 
     def _draw_components(self, epoch: int) -> list[Rows]:
         """For each component, the rows of `samples` that it gives to an epoch, in the order of their use."""
-        offsets = accumulate((len(part.samples) for part in self.components), initial=0)
-        parts = zip(offsets, self.components, self.counts(epoch), strict=False)
+        parts = zip(self._offsets(), self.components, self.counts(epoch), strict=True)
         return [offset + part.draw(self.seed, epoch, count) for offset, part, count in parts]
+
+    def _offsets(self) -> list[int]:
+        """Row of `samples` at which each component begins."""
+        return list(accumulate((len(part.samples) for part in self.components), initial=0))[:-1]
 
     def _order(self, epoch: int, batch_size: int) -> Rows:
         """Rows of `samples` (items,) in the order of training."""
@@ -225,7 +249,7 @@ def compose_and_check(
     if shortages:
         raise InputError(word_shortage(shortages[0]))
     items = samples_per_epoch(recipe, selections)
-    columns = [name for name in dict.fromkeys([*SAMPLE_SCHEMA, *LEAK_COLUMNS]) if name != "t0_us"]
+    columns = [name for name in dict.fromkeys([*SAMPLE_SCHEMA, *LEAK_COLUMNS]) if name not in ("t0_us", "action_error")]
     drawn = [
         selection.draw(most, seed, columns)
         for selection, most in zip(selections, most_items(recipe, items), strict=True)
@@ -244,7 +268,9 @@ def compose_and_check(
             "fingerprints, or allow what cannot be compared (--allow-uncompared)"
         )
     components = [
-        MixtureComponent(selection.component, selection.available, samples.select(SAMPLE_SCHEMA.names()))
+        MixtureComponent(
+            selection.component, selection.available, selection.not_measured, samples.select(SAMPLE_SCHEMA.names())
+        )
         for selection, samples in zip(selections, drawn, strict=True)
     ]
     return Mixture(recipe, seed, items, tuple(components)), report

@@ -12,6 +12,7 @@ import polars as pl
 
 from olt_datasets.mixtures.batches import epoch_counts
 from olt_datasets.mixtures.draws import PRIORITY, draw_samples, sample_count
+from olt_datasets.mixtures.quality import is_weighable, lacks_number, within_limits
 from olt_datasets.mixtures.recipe import Component, Filter, Recipe
 from olt_datasets.tables.scenes import refuse_unknown_scenes
 from olt_generator.errors import InputError
@@ -28,7 +29,8 @@ _IN_DOUBT = pl.col("doubts").list.len().fill_null(0) > 0
 class Selection:
     """The clips that one component may use, not yet read, and their number.
 
-    They give so many samples in each capped category, before the cap, and so many in all others.
+    They give so many samples in each capped category, before the cap, and so many in all others. `not_measured` counts
+    clips that lack a number by which the component limits or weighs, and which its filter leaves out or takes for that.
     """
 
     component: Component
@@ -36,6 +38,7 @@ class Selection:
     clip_count: int
     capped_samples: dict[str, int]
     other_samples: int
+    not_measured: int
 
     @property
     def available(self) -> int:
@@ -76,6 +79,7 @@ class Shortage:
         asked: the most items that an epoch asks of this one; 0 with clips available is a share too small for one.
         split_holds: number of clips of each kind, category and source in the split.
         doubtful: clips that its filter would match if it took those in doubt.
+        not_measured: clips that it would match, but of which a number that it asks for was not measured.
     """
 
     recipe: str
@@ -89,6 +93,7 @@ class Shortage:
     split: str
     split_holds: list[dict[str, Any]]
     doubtful: int
+    not_measured: int
 
 
 class AbsentValue(NamedTuple):
@@ -133,8 +138,11 @@ def select_clips(recipe: Recipe, table: ClipTable) -> list[Selection]:
             clip_count=clip_count,
             capped_samples=dict(zip(component.caps, capped, strict=True)),
             other_samples=other_samples,
+            not_measured=not_measured,
         )
-        for component, name, (clip_count, other_samples, *capped) in zip(recipe.components, used, counted, strict=True)
+        for component, name, (clip_count, other_samples, not_measured, *capped) in zip(
+            recipe.components, used, counted, strict=True
+        )
     ]
 
 
@@ -194,6 +202,7 @@ def find_shortages(recipe: Recipe, table: ClipTable, selections: Sequence[Select
             split=recipe.split,
             split_holds=groups,
             doubtful=_count_doubtful(clips, selection.component.where),
+            not_measured=selection.not_measured if selection.component.where.not_measured == "leave_out" else 0,
         )
         for selection, count in short
     ]
@@ -213,6 +222,11 @@ def word_shortage(shortage: Shortage) -> str:
     ]
     left_out = f"; {shortage.doubtful} more match and are in doubt, `doubts: any` takes them"
     doubtful = left_out if shortage.doubtful else ""
+    if shortage.not_measured:
+        doubtful += (
+            f"; of {shortage.not_measured} more a number that it asks for was not measured, `not_measured: take` takes "
+            "them"
+        )
     return (
         f"{start}component {shortage.component!r} {shortage.where} asks for {asked} per epoch, but matches "
         f"{shortage.clips} clips with {shortage.available} samples (repeats {shortage.repeats}); split "
@@ -230,7 +244,8 @@ def find_absent_values(recipe: Recipe, table: ClipTable) -> list[AbsentValue]:
     return [
         AbsentValue(component.name, field, value)
         for component in recipe.components
-        for field, named in component.where.model_dump(exclude={"kind", "doubts"}).items()
+        for field, named in component.where.model_dump().items()
+        if isinstance(named, tuple)
         for value in named
         if value not in present[field.partition("_")[0]]
     ]
@@ -247,6 +262,7 @@ def matches(where: Filter) -> pl.Expr:
         conditions.append(~pl.col("category").is_in(where.category_not))
     if where.doubts == "none":
         conditions.append(~_IN_DOUBT)
+    conditions.append(within_limits(where))
     has_factor = pl.col("factors").list.contains
     if where.factors_any:
         conditions.append(pl.any_horizontal(map(has_factor, where.factors_any)))
@@ -257,7 +273,7 @@ def matches(where: Filter) -> pl.Expr:
 
 def _mark(clips: pl.LazyFrame, component: Component) -> pl.LazyFrame:
     """Add a column that tells whether the component may use a clip."""
-    matching, name = matches(component.where), _used_by(component)
+    matching, name = matches(component.where) & is_weighable(component), _used_by(component)
     if component.prefer is None:
         return clips.with_columns(matching.alias(name))
     preferred = pl.col("kind") == component.prefer
@@ -278,8 +294,10 @@ def _used_by(component: Component) -> str:
 
 
 def _counts(component: Component) -> list[pl.Expr]:
-    """Number of its clips, of their samples in categories without a cap, and of samples in each capped category."""
+    """Number of its clips, of their samples in categories without a cap, of clips that lack a number, and of samples in
+    each capped category."""
     samples, category, used = sample_count(component), pl.col("category"), pl.col(_used_by(component))
     uncapped = ~category.is_in(list(component.caps))
     capped = [samples.filter(used & (category == name)).sum() for name in component.caps]
-    return [used.sum(), samples.filter(used & uncapped).sum(), *capped]
+    lacking = (matches(component.where.without_limits()) & lacks_number(component)).sum()
+    return [used.sum(), samples.filter(used & uncapped).sum(), lacking, *capped]

@@ -38,6 +38,8 @@ def describe_build(options: BuildOptions, estimators: Estimators, opening: OpenO
         "samples": None if options.sample_t0_us is None else _digest(*options.sample_t0_us),
     }
     kind = clip_kind(options)
+    if kind == "GT" or takes_reference:
+        told["labels"] = options.labels.value
     if kind != "GT":
         poses = PoseEstimator.REFERENCE if takes_reference else estimators.poses
         fov = opening.horizontal_fov

@@ -15,6 +15,7 @@ from olt_generator.video import write_video
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
+from olt_toolkit.clips.action_errors import measure_action_errors
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipDescription, ClipInfo, ViewProvenance, check_clip_id
 from olt_toolkit.clips.fingerprint import fingerprint_images, fingerprint_times
 from olt_toolkit.clips.images import largest_rectangle
@@ -113,6 +114,7 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
         checksum=checksum,
         fingerprint=_fingerprint(clip.streams[FRONT_WIDE]) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,
+        action_errors=measure_action_errors(clip.ego_motion, times),
         build_options=clip.build_options,
     )
 
@@ -187,6 +189,8 @@ def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int])
         pd.DataFrame(layout.feature_rows()).to_csv(temporary, index=False)
     for name, table in {
         layout.CLIP_INDEX: clip_index,
+        # Where it is there, the devkit takes splits from it and not from the index.
+        layout.DEFAULT_SPLITS: clip_index[["split"]],
         layout.FEATURE_PRESENCE: presence,
         layout.DATA_COLLECTION: collection,
     }.items():

@@ -14,7 +14,16 @@ import pyarrow.parquet as pq
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_toolkit.clips.clip import ClipInfo, ClipKind, ClipOrigin, Split, ViewKind, ViewProvenance, check_clip_id
+from olt_toolkit.clips.clip import (
+    ClipInfo,
+    ClipKind,
+    ClipOrigin,
+    NoiseBasis,
+    Split,
+    ViewKind,
+    ViewProvenance,
+    check_clip_id,
+)
 from olt_toolkit.clips.pai_tables import read_table
 
 CLIP_TABLE = "clips.parquet"
@@ -51,6 +60,7 @@ SCHEMA = pa.schema(
         ("doubts", pa.list_(pa.string())),
         ("scale_sigma", pa.float64()),
         ("acceleration_noise", pa.float64()),
+        ("acceleration_noise_basis", pa.string()),
         ("duration_us", pa.int64()),
         ("sample_t0_us", pa.list_(pa.int64())),
         ("no_sample_reason", pa.string()),
@@ -69,6 +79,7 @@ OPTIONAL_COLUMNS = frozenset(
         "doubts",
         "scale_sigma",
         "acceleration_noise",
+        "acceleration_noise_basis",
         "no_sample_reason",
         "country",
         "licence",
@@ -122,7 +133,8 @@ def check_table_version(version: bytes | str | None, path: Path) -> None:
 def _info(row: dict[str, Any], where: str) -> ClipInfo:
     check_clip_id(row["clip_id"], where)
     views = [(f"view {view['camera']}: kind", view["kind"], ViewKind) for view in row["views"]]
-    for name, word, words in [("kind", row["kind"], ClipKind), ("split", row["split"], Split), *views]:
+    known = (("kind", ClipKind), ("split", Split), ("acceleration_noise_basis", NoiseBasis))
+    for name, word, words in [*((name, row[name], words) for name, words in known), *views]:
         if word is not None and word not in get_args(words):
             raise InputError(f"{where}: {name} is {word!r}; it must be one of {', '.join(get_args(words))}")
     row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
