@@ -28,7 +28,7 @@ class _Header(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     format: Literal["openlongtail mixture"] = "openlongtail mixture"
-    version: Literal[2] = 2
+    version: Literal[3] = 3
     created_with: str = __version__
     recipe: Recipe
     seed: int
