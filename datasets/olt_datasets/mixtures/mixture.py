@@ -8,15 +8,15 @@ training runs differ in nothing but what their recipes say.
 
 import hashlib
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from itertools import islice
-from typing import Any, TypedDict, overload
+from typing import Any, TypedDict
 
 import numpy as np
 import polars as pl
 
+from olt_datasets.mixtures.epoch_batches import EpochBatches
 from olt_datasets.mixtures.epoch_order import Draw, EpochOrder, Rows
 from olt_datasets.mixtures.epoch_plan import EpochPlan
 from olt_datasets.mixtures.recipe import Component, Recipe
@@ -81,7 +81,7 @@ class Mixture:
 
     def epoch(
         self, epoch: int, batch_size: int, rank: int = 0, world_size: int = 1, start_batch: int = 0
-    ) -> "EpochBatches":
+    ) -> EpochBatches:
         """The batches of one rank in one epoch.
 
         Every global batch holds each component within one item of its share of the epoch's items. The last one is kept
@@ -115,9 +115,9 @@ class Mixture:
             for part, items in zip(self.components, self.counts(epoch), strict=True)
         ]
         order = EpochOrder(draws, batch_size, derive_seed("mixture order", self.seed, epoch, batch_size))
-        return EpochBatches(self, order, slice(rank, None, world_size), start_batch)
+        return EpochBatches(order, self.keys, slice(rank, None, world_size), start_batch)
 
-    def keys(self, rows: Rows) -> list[SampleKey]:
+    def keys(self, rows: Rows | list[int]) -> list[SampleKey]:
         """The keys of rows of `samples`."""
         return list(map(SampleKey, *(self.samples[name].gather(rows).to_list() for name in KEY_COLUMNS)))
 
@@ -180,39 +180,6 @@ class Mixture:
         uses = np.full(len(part.samples), passes)
         uses[part.permute(passes, self.seed, epoch)[:rest]] += 1
         return uses
-
-
-class EpochBatches(Sequence[list[SampleKey]]):
-    """The batches of one rank in one epoch, made when they are asked for; see `Mixture.epoch`."""
-
-    def __init__(self, mixture: Mixture, order: EpochOrder, items: slice, start: int) -> None:
-        self._mixture, self._order, self._items, self._start = mixture, order, items, start
-
-    def __len__(self) -> int:
-        return max(0, len(self._order) - self._start)
-
-    @overload
-    def __getitem__(self, index: int) -> list[SampleKey]: ...
-    @overload
-    def __getitem__(self, index: slice) -> list[list[SampleKey]]: ...
-    def __getitem__(self, index: int | slice) -> list[SampleKey] | list[list[SampleKey]]:
-        batches = range(self._start, self._start + len(self))[index]
-        if isinstance(batches, int):
-            return self._mixture.keys(self.rows_of(batches))
-        return [self._mixture.keys(self.rows_of(batch)) for batch in batches]
-
-    def __iter__(self) -> Iterator[list[SampleKey]]:
-        for rows in self.rows():
-            keys = iter(self._mixture.keys(rows.ravel()))
-            yield from (list(islice(keys, rows.shape[1])) for _ in rows)
-
-    def rows(self) -> Iterator[Rows]:
-        """The same as rows of `Mixture.samples`, many batches at a time: (batches, items); a partial one alone."""
-        return (rows[:, self._items] for rows in self._order.batches(self._start))
-
-    def rows_of(self, batch: int) -> Rows:
-        """Rows of `Mixture.samples` of this rank's part of one batch, counted from the start of the epoch."""
-        return self._order.batch(batch)[self._items]
 
 
 def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes: Collection[str] = ()) -> Mixture:

@@ -83,16 +83,22 @@ def test_a_data_loader_asks_for_a_batch_at_once_so_that_clips_are_decoded_once(m
     assert asked == [mixture.epoch(0, 16)[0]]
 
 
+def test_rows_are_those_of_the_samples(mixture):
+    dataset, keys = MixtureDataset(mixture, IMAGE_SIZE, StubStore), mixture.keys(list(range(len(mixture.samples))))
+    assert len(dataset) == len(keys) == 60 + 16
+    assert [(item["clip_id"], item["t0_us"]) for item in dataset] == [(key.clip_id, key.t0_us) for key in keys]
+
+
 def test_missing_store_is_an_error_in_words(mixture, tmp_path):
     with pytest.raises(InputError, match="not a clip store"):
         MixtureDataset(mixture, IMAGE_SIZE).load_batch([SampleKey(str(tmp_path), "no clip", 0)])
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_data_loader_yields_the_alpamayo_dict(mixture, workers):
+@pytest.mark.parametrize(("workers", "start"), [(0, None), (2, "fork"), (1, "spawn")])
+def test_data_loader_yields_the_alpamayo_dict(mixture, workers, start):
     dataset = MixtureDataset(mixture, IMAGE_SIZE, StubStore)
     batches = MixtureBatchSampler(mixture, batch_size=16)
-    loaded = list(DataLoader(dataset, batch_sampler=batches, num_workers=workers))
+    loaded = list(DataLoader(dataset, batch_sampler=batches, num_workers=workers, multiprocessing_context=start))
     keys = mixture.epoch(0, 16)
     assert [batch["clip_id"] for batch in loaded] == [[key.clip_id for key in batch] for batch in keys]
     first = loaded[0]
