@@ -32,7 +32,8 @@ from olt_datasets.mixtures.selection import (
     word_shortage,
 )
 from olt_datasets.tables.clip_frame import SCHEMA
-from olt_datasets.tables.leaks import Leak, find_leaks, summarize_leaks
+from olt_datasets.tables.leak_report import LeakReport, summarize_leaks
+from olt_datasets.tables.leaks import count_splits, find_leaks
 from olt_generator.errors import InputError
 from olt_generator.seeds import derive_seed, make_generator
 from olt_toolkit.policy.sample import SampleKey
@@ -42,7 +43,7 @@ GROUPS = ("source", "kind", "category", "factors", "country")
 SAMPLE_SCHEMA = pl.Schema(
     {"store": pl.String, "clip_id": pl.String, "t0_us": pl.Int64} | {name: SCHEMA[name] for name in GROUPS}
 )
-LEAK_COLUMNS = ("clip_id", "scene_id", "source", "kind", "split", "start_us", "end_us", "fingerprint")
+LEAK_COLUMNS = ("clip_id", "scene_id", "source", "kind", "split", "store", "start_us", "end_us", "fingerprint")
 NOT_TOLD = "not told"
 """The country of a clip whose country nobody told."""
 
@@ -182,17 +183,36 @@ class Mixture:
         return uses
 
 
-def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes: Collection[str] = ()) -> Mixture:
-    """Choose the samples of every component.
+def compose_mixture(
+    recipe: Recipe,
+    table: ClipTable,
+    seed: int,
+    held_out_scenes: Collection[str] = (),
+    allow_uncompared: bool = False,
+) -> Mixture:
+    """Choose the samples of every component; see `compose_and_check`, which also tells what was compared."""
+    return compose_and_check(recipe, table, seed, held_out_scenes, allow_uncompared)[0]
+
+
+def compose_and_check(
+    recipe: Recipe,
+    table: ClipTable,
+    seed: int,
+    held_out_scenes: Collection[str] = (),
+    allow_uncompared: bool = False,
+) -> tuple[Mixture, LeakReport]:
+    """Choose the samples of every component, and tell what of them was compared with what to find leaks.
 
     Scenes that the recipe holds out are left out; scenes in `held_out_scenes` (those of a test, say) must not occur.
 
     Args:
         table: clips to choose from, such as `scan_clip_tables` gives.
         seed: seed of the choice and of every order.
+        allow_uncompared: whether clips of other splits may be in the table with which some of the mixture cannot be
+            compared, because either has no fingerprint or shows too little.
 
     Raises:
-        InputError: a component has too few samples, two components share a clip, or the mixture leaks.
+        InputError: a component has too few samples, two components share a clip, or the mixture leaks, or may leak.
     """
     selections = select_clips(recipe, table)
     shortages = find_shortages(recipe, table, selections)
@@ -204,30 +224,38 @@ def compose_mixture(recipe: Recipe, table: ClipTable, seed: int, held_out_scenes
         selection.draw(most, seed, columns)
         for selection, most in zip(selections, most_items(recipe, items), strict=True)
     ]
-    leaks = _find_leaks(
+    report = _find_leaks(
         [samples.lazy().unique(["store", "clip_id"]) for samples in drawn], table, recipe, held_out_scenes
     )
-    if leaks:
+    if report.leaks:
         raise InputError(
-            f"recipe {recipe.name} leaks: {summarize_leaks(leaks)}; add these scenes to the recipe's held_out_scenes"
+            f"recipe {recipe.name} leaks: {summarize_leaks(report.leaks)}; add these scenes to the recipe's "
+            "held_out_scenes"
+        )
+    if report.not_compared and not allow_uncompared:
+        raise InputError(
+            f"recipe {recipe.name} may leak: {'; '.join(report.not_compared)}; index these clips again for their "
+            "fingerprints, or allow what cannot be compared (--allow-uncompared)"
         )
     components = [
         MixtureComponent(selection.component, selection.available, samples.select(SAMPLE_SCHEMA.names()))
         for selection, samples in zip(selections, drawn, strict=True)
     ]
-    return Mixture(recipe, seed, items, tuple(components))
+    return Mixture(recipe, seed, items, tuple(components)), report
 
 
 class Findings(TypedDict):
     """What `check_recipe` found."""
 
     shortages: list[Shortage]
-    leaks: list[Leak]
+    leaks: LeakReport
     absent: list[AbsentValue]
 
 
 def check_recipe(recipe: Recipe, table: ClipTable, held_out_scenes: Collection[str] = ()) -> Findings:
-    """Why `compose_mixture` would refuse (`shortages`, `leaks`), and values in filters that no clip has (`absent`).
+    """Why `compose_mixture` would refuse (`shortages`, `leaks` and what was not compared); `absent` values of filters.
+
+    Absent is what a filter names and no clip has.
 
     Leaks are looked for in all clips that the recipe may use, whichever of them a seed draws.
 
@@ -245,9 +273,9 @@ def check_recipe(recipe: Recipe, table: ClipTable, held_out_scenes: Collection[s
 
 def _find_leaks(
     clips: Sequence[pl.LazyFrame], table: ClipTable, recipe: Recipe, held_out_scenes: Collection[str]
-) -> list[Leak]:
+) -> LeakReport:
     if not clips:
-        return []
+        return LeakReport((), (), count_splits(table.lazy()), "the recipe takes no clip")
     used = pl.concat([part.select(LEAK_COLUMNS) for part in clips])
     return find_leaks(used, table, recipe.split, [*recipe.held_out_scenes, *held_out_scenes])
 

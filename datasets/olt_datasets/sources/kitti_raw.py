@@ -68,10 +68,10 @@ class KittiRawDrive:
         self._calibration = _read_calibration(calibration / CAMERA_FILE, fields)
         self._T_imu_camera = _imu_to_camera(calibration, self._calibration)
         self._oxts = sorted(oxts.glob("*.txt"))
-        self._images = list_images(images)
+        self.images = list_images(images)
         for folder, what, files, times in (
             (oxts, "GPS/IMU files", self._oxts, oxts_ns),
-            (images, "images", self._images, image_ns),
+            (images, "images", self.images, image_ns),
         ):
             if len(files) != len(times):
                 raise InputError(f"{folder}: {len(files)} {what} for {len(times)} timestamps; copy the drive again")
@@ -81,7 +81,7 @@ class KittiRawDrive:
         T_world_imu, with_velocities = _read_oxts(self._oxts, self._oxts_us)
         T_rig_imu, moves = _align_rig(T_world_imu)
         measured = _extended(Trajectory(self._oxts_us, T_world_imu @ invert(T_rig_imu)))
-        files = [self._images[index] for index in indices]
+        files = [self.images[index] for index in indices]
         frames, stored = read_images(files, width)
         width_02, height_02 = self._calibration["S_rect_02"].astype(int).tolist()
         if stored != (width_02, height_02):

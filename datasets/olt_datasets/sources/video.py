@@ -13,6 +13,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_datasets.sources.video_files import (
     find_video_files,
@@ -40,7 +41,7 @@ from olt_generator.doubts import Doubt
 from olt_generator.files import write_whole
 from olt_generator.motion.odometry import MAX_STEP_SECONDS
 from olt_generator.omissions import Omission
-from olt_generator.video import Video, read_frame_times, read_video, read_video_window
+from olt_generator.video import Video, read_frame_times, read_video, read_video_images, read_video_window
 from olt_toolkit import OpenOptions, Recording, load_rig
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import WHOLE, DatasetReader, Drive, Licence
@@ -103,6 +104,14 @@ class Videos:
             true_views=(FRONT_WIDE,),
             notes=UNKNOWN_CAMERA,
         )
+
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`; key frames are decoded without others."""
+        video = self._video(key)
+        _check_front(video, self._videos.values())
+        return read_video_images(video, times_us, reach_us, width)
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""

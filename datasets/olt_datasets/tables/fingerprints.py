@@ -26,6 +26,12 @@ Hashes = NDArray[np.uint64]
 Pairs = NDArray[np.int64]
 
 
+def is_telling(fingerprints: pl.Series) -> pl.Series:
+    """Whether each clip can be compared at all: not one without a fingerprint, and none that shows fog or a wall."""
+    owners, _ = _flatten(fingerprints)
+    return pl.Series("telling", np.isin(np.arange(len(fingerprints)), owners))
+
+
 def find_near_duplicates(first: pl.Series, second: pl.Series) -> Pairs:
     """Places (m, 2), ascending, of the clips of two lists that are near-duplicates.
 

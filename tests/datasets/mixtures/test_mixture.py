@@ -143,7 +143,7 @@ def test_filters_choose_clips(make_clip, make_table):
 
     def chosen(**where):
         recipe = make_recipe({"name": "all", "where": where, "share": 1.0}, held_out_scenes=["kept_back"])
-        return clip_numbers(items(compose_mixture(recipe, table, 0)))
+        return clip_numbers(items(compose_mixture(recipe, table, 0, allow_uncompared=True)))
 
     assert chosen() == {1, 2, 3}
     assert chosen(kind="Syn") == {2}
@@ -321,7 +321,9 @@ def test_the_recipes_of_the_paper_ask_for_its_samples(name, samples):
 def test_a_recipe_of_nothing_is_composed_and_not_trained_on(toy_table):
     mixture = compose_mixture(find_recipe("base_r1"), toy_table, 0)
     assert len(mixture) == 0 and mixture.counts() == [] and mixture.describe()["by_source"] == {}
-    assert check_recipe(find_recipe("base_r1"), toy_table) == {"shortages": [], "leaks": [], "absent": []}
+    findings = check_recipe(find_recipe("base_r1"), toy_table)
+    assert (findings["shortages"], findings["leaks"].leaks, findings["absent"]) == ([], (), [])
+    assert findings["leaks"].empty == "the recipe takes no clip"
     with pytest.raises(InputError, match="recipe base_r1 has no samples to train on"):
         mixture.epoch(0, 8)
 
@@ -398,7 +400,7 @@ def test_check_lists_everything_at_once(toy_table):
         ("nominal", 61, 60),
         ("rare", 1, 0),
     ]
-    assert [leak.scene_id for leak in findings["leaks"]] == ["scene_7"]
+    assert [leak.scene_id for leak in findings["leaks"].leaks] == ["scene_7"]
     assert findings["absent"] == [("rare", "category", "animal"), ("rare", "factors_any", "deer")]
 
 

@@ -15,8 +15,14 @@ LEAST_FALL = 4
 """Grey levels of 256 by which brightness must fall, and more."""
 
 
-def fingerprint_images(frames: NDArray[np.uint8]) -> bytes:
-    """Hashes of a few images of a sequence (n, H, W, 3), at the middles of equal parts: big-endian, 8 bytes each."""
+def fingerprint_times(first_us: int, last_us: int) -> NDArray[np.int64]:
+    """The moments (k,) of a window whose images a fingerprint would like: the middles of equal parts."""
+    middles = 2 * np.arange(FINGERPRINT_IMAGES, dtype=np.int64) + 1
+    return first_us + middles * (last_us - first_us) // (2 * FINGERPRINT_IMAGES)
+
+
+def fingerprint_images(frames: NDArray[np.uint8], times_us: NDArray[np.int64]) -> bytes:
+    """What the images (k, H, W, 3) RGB of a window look like at times (k,), in microseconds from any origin."""
     middles = (2 * np.arange(FINGERPRINT_IMAGES) + 1) * len(frames) // (2 * FINGERPRINT_IMAGES)
     return b"".join(hash_image(frames[index]).to_bytes(8, "big") for index in middles)
 
