@@ -11,8 +11,9 @@
 - own: the split that the data set itself gave, which is what an index begins with; rows without one are refused.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -29,10 +30,11 @@ from olt_generator.seeds import derive_seed
 
 _SEED_RANGE = 2.0**63
 _SPLIT = pl.Enum(["train", "val", "test"])
-_WORDS = ("scene_id", "source")
-_NO_SPLIT = 3
+_NUMBERS = {"train": 0, "val": 1, "test": 2, None: 3}
+_NO_SPLIT = _NUMBERS[None]
 _NEVER = np.iinfo(np.int64).max
-_ROWS_AT_ONCE = 1_000_000
+_ROWS_AT_ONCE = 500_000
+_ROWS_READ = 50_000
 
 Counts = NDArray[np.int64]
 
@@ -89,51 +91,99 @@ def split_table(table: Path, splitting: Splitting, out: Path) -> SplitSummary:
                 f"{path}: splits are given in a {TABLE_SUFFIX} table of indexed clips; built clips keep theirs"
             )
     scan_clip_tables([table])
-    clips = _read_columns(table)
-    splits = assign_splits(clips, splitting)
-    _check_filled(_count(clips, splits, splitting.sources), splitting, table)
+    with pq.ParquetFile(table, pre_buffer=False) as file:
+        clips = _gather(partial(_read, file), file.metadata.num_rows, splitting)
+    codes = _assign(clips, splitting)
+    _check_filled(_count(clips, codes, _from_sources(clips, splitting)), splitting, table)
 
     def change(rows: pa.Table, start: int) -> pa.Table:
-        return replace_column(rows, "split", splits.slice(start, len(rows)).cast(pl.String))
+        return replace_column(rows, "split", _name(codes[start : start + len(rows)]).cast(pl.String))
 
     rewrite_rows(table, out, change)
-    return _count(clips, splits)
+    return _count(clips, codes, np.ones(len(codes), bool))
 
 
-def _read_columns(table: Path) -> pl.DataFrame:
-    """What `assign_splits` needs, in the order of the file, as small as it can be: some 30 bytes a clip."""
-    columns: dict[str, list[pl.Series]] = {}
-    with pq.ParquetFile(table) as file:
-        for group in range(file.num_row_groups):
-            rows = file.read_row_group(group, [*_WORDS, "start_us", "end_us", "split", "sample_t0_us"])
-            small = pl.DataFrame(rows).select(
-                pl.col(_WORDS).cast(pl.Categorical),
-                "start_us",
-                "end_us",
-                pl.col("split").cast(_SPLIT),
-                samples=pl.col("sample_t0_us").list.len(),
-            )
-            for column in small:
-                columns.setdefault(column.name, []).append(column)
-    # Column by column, so that no more than one is held twice.
-    return pl.DataFrame([pl.concat(columns.pop(name), rechunk=True) for name in list(columns)])
+def _read(file: pq.ParquetFile, columns: Sequence[str]) -> Iterator[pl.DataFrame]:
+    """Some columns in the order of the file, and `samples` for the sample times."""
+    for rows in file.iter_batches(_ROWS_READ, columns=list(columns), use_threads=False):
+        few = pl.DataFrame(pa.Table.from_batches([rows]))
+        if "sample_t0_us" in columns:
+            few = few.with_columns(samples=pl.col("sample_t0_us").list.len())
+        yield few
 
 
-def _count(clips: pl.DataFrame, splits: pl.Series, sources: Sequence[str] = ()) -> SplitSummary:
-    scenes, samples = clips["scene_id"].to_physical().to_numpy(), clips["samples"].to_numpy()
-    counted, chosen = {}, _from_sources(clips, sources)
-    for name in (*_SPLIT.categories, "none"):
-        inside = (splits.is_null() if name == "none" else splits == name).fill_null(False).to_numpy() & chosen
+@dataclass(frozen=True)
+class _Clips:
+    """What rules look at, in the order of the rows; 30 bytes a clip.
+
+    Attributes:
+        scene: (n,) numbers of the scenes, each of which has a clip.
+        source: (n,) numbers of `sources`.
+        start_us, end_us, samples: (n,) as in the table, and how many samples each gives.
+        split: (n,) numbers of the splits that they have, `_NO_SPLIT` where none.
+        place: (scenes,) a place in [0, 1) for each scene, by its id and the seed alone.
+    """
+
+    scene: NDArray[np.uint32]
+    source: NDArray[np.uint16]
+    start_us: Counts
+    end_us: Counts
+    samples: NDArray[np.int32]
+    split: NDArray[np.uint8]
+    sources: list[str]
+    place: NDArray[np.float64]
+
+    def __getitem__(self, rows: Counts) -> "_Clips":
+        present, scene = np.unique(self.scene[rows], return_inverse=True)
+        columns = [getattr(self, name)[rows] for name in ("source", "start_us", "end_us", "samples", "split")]
+        return _Clips(scene.astype(np.uint32), *columns, self.sources, self.place[present])
+
+
+def _gather(read: Callable[[Sequence[str]], Iterable[pl.DataFrame]], count: int, splitting: Splitting) -> _Clips:
+    """Read the columns of so many clips twice, a part at a time: the ids of all scenes are never held together."""
+    # Scenes are told by a hash of 64 bits. That two of millions have the same is less likely than a broken disk.
+    known = np.concatenate(
+        [np.empty(0, np.uint64), *(rows["scene_id"].hash().to_numpy() for rows in read(["scene_id"]))]
+    )
+    known = np.unique(known)
+    numbers = [np.empty(count, dtype) for dtype in (np.uint32, np.uint16, np.int64, np.int64, np.int32, np.uint8)]
+    place, sources, start = np.full(len(known), np.nan), {}, 0
+    seed = splitting.seed if splitting.rule is SplitRule.UNSEEN else 0
+    for rows in read(["scene_id", "source", "start_us", "end_us", "sample_t0_us", "split"]):
+        scene = np.searchsorted(known, rows["scene_id"].hash().to_numpy())
+        new, first = np.unique(scene, return_index=True)
+        unseen = np.isnan(place[new])
+        for number, name in zip(new[unseen], rows["scene_id"].gather(first[unseen]), strict=True):
+            place[number] = derive_seed("split", seed, name) / _SEED_RANGE
+        for name in rows["source"].unique().sort():
+            sources.setdefault(name, len(sources))
+        found = rows["source"].replace_strict(sources, return_dtype=pl.UInt16)
+        split = rows["split"].replace_strict(_NUMBERS, return_dtype=pl.UInt8)
+        these = slice(start, start := start + len(rows))
+        for column, cells in zip(
+            numbers, (scene, found, rows["start_us"], rows["end_us"], rows["samples"], split), strict=True
+        ):
+            column[these] = cells
+    return _Clips(*numbers, list(sources), place)
+
+
+def _count(clips: _Clips, codes: NDArray[np.uint8], chosen: NDArray[np.bool_]) -> SplitSummary:
+    counted = {}
+    for name, number in _NUMBERS.items():
+        inside = (codes == number) & chosen
         if inside.any():
-            counted[name] = inside.sum(), np.count_nonzero(np.bincount(scenes[inside])), samples[inside].sum()
+            scenes = np.count_nonzero(np.bincount(clips.scene[inside]))
+            counted[name or "none"] = inside.sum(), scenes, clips.samples[inside].sum()
     return SplitSummary(*({name: int(row[place]) for name, row in counted.items()} for place in range(3)))
 
 
-def _from_sources(clips: pl.DataFrame, sources: Sequence[str]) -> NDArray[np.bool_]:
-    """Which clips (n,) are of one of the sources; all where none is named."""
-    if not sources:
-        return np.ones(len(clips), bool)
-    return clips["source"].is_in(pl.Series(sources, dtype=pl.Categorical).implode()).to_numpy()
+def _from_sources(clips: _Clips, splitting: Splitting) -> NDArray[np.bool_]:
+    """Which clips (n,) the rule is for; InputError where a source has none."""
+    absent = sorted(set(splitting.sources) - set(clips.sources))
+    if absent:
+        raise InputError(f"the table has no clip of source {absent[0]!r}; change the sources that the rule is for")
+    named = [clips.sources.index(name) for name in splitting.sources or clips.sources]
+    return np.isin(clips.source, named)
 
 
 def _check_filled(counts: SplitSummary, splitting: Splitting, table: Path) -> None:
@@ -161,22 +211,28 @@ def assign_splits(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
     Clips have the columns scene_id, source, start_us, end_us and split of the clip table, and `samples`, how many each
     gives, unless all give some. No split is refused for being empty; otherwise InputError as `split_table`.
     """
-    clips = clips.with_columns(pl.col(_WORDS).cast(pl.Categorical), pl.col("split").cast(_SPLIT))
     if "samples" not in clips.columns:
         clips = clips.with_columns(samples=pl.lit(1))
-    absent = sorted(set(splitting.sources) - set(clips["source"].unique().cast(pl.String)))
-    if absent:
-        raise InputError(f"the table has no clip of source {absent[0]!r}; change the sources that the rule is for")
+    return _name(_assign(_gather(lambda _: [clips], len(clips), splitting), splitting)).alias("split")
+
+
+def _assign(clips: _Clips, splitting: Splitting) -> NDArray[np.uint8]:
     by_rule = {
         SplitRule.SEEN: _by_time,
         SplitRule.UNSEEN: _by_scene,
-        SplitRule.EXTERNAL: lambda rows, _: pl.repeat("test", len(rows), dtype=_SPLIT, eager=True),
+        SplitRule.EXTERNAL: lambda rows, _: np.full(len(rows.scene), _NUMBERS["test"], np.uint8),
         SplitRule.OWN: _by_own,
     }[splitting.rule]
-    if not splitting.sources:
-        return by_rule(clips, splitting).alias("split")
-    places = np.flatnonzero(_from_sources(clips, splitting.sources))
-    return clips["split"].scatter(places, by_rule(clips[places], splitting)).alias("split")
+    chosen = _from_sources(clips, splitting)
+    if chosen.all():
+        return by_rule(clips, splitting)
+    codes = clips.split.copy()
+    codes[chosen] = by_rule(clips[np.flatnonzero(chosen)], splitting)
+    return codes
+
+
+def _name(codes: NDArray[np.uint8]) -> pl.Series:
+    return pl.Series(list(_NUMBERS), dtype=_SPLIT).gather(codes)
 
 
 @dataclass(frozen=True)
@@ -199,16 +255,15 @@ class _Windows:
     count: Counts
 
 
-def _list_windows(clips: pl.DataFrame) -> Iterator[_Windows]:
-    """All clips, some whole scenes at a time."""
-    scenes, starts, samples = (clips[name].to_physical().to_numpy() for name in ("scene_id", "start_us", "samples"))
-    sizes = np.cumsum(np.bincount(scenes)) // _ROWS_AT_ONCE
-    edges = np.searchsorted(sizes, np.arange(sizes[-1] + 2))
+def _list_windows(clips: _Clips) -> Iterator[_Windows]:
+    """All clips, some whole scenes at a time, in the order of the scenes."""
+    stretches = np.cumsum(np.bincount(clips.scene)) // _ROWS_AT_ONCE
+    edges = np.searchsorted(stretches, np.arange(stretches[-1] + 2))
     for low, high in pairwise(edges.tolist()):
-        rows = np.flatnonzero((scenes >= low) & (scenes < high))
+        rows = np.flatnonzero((clips.scene >= low) & (clips.scene < high))
         if len(rows):
-            rows = rows[np.lexsort((starts[rows], scenes[rows]))]
-            yield _order_windows(rows, scenes[rows], starts[rows], samples[rows] > 0)
+            rows = rows[np.lexsort((clips.start_us[rows], clips.scene[rows]))]
+            yield _order_windows(rows, clips.scene[rows], clips.start_us[rows], clips.samples[rows] > 0)
 
 
 def _order_windows(rows: Counts, scenes: Counts, start: Counts, gives: NDArray[np.bool_]) -> _Windows:
@@ -226,14 +281,11 @@ def _order_windows(rows: Counts, scenes: Counts, start: Counts, gives: NDArray[n
     return _Windows(rows, scene, firsts, start, place, count)
 
 
-def _by_time(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
+def _by_time(clips: _Clips, splitting: Splitting) -> NDArray[np.uint8]:
     """Windows of a scene in the order of their times; those too close to a later split are in none."""
-    count, first_rows = (
-        np.concatenate(parts)
-        for parts in zip(*((part.count, part.rows[part.firsts]) for part in _list_windows(clips)), strict=True)
-    )
-    held, test = _share_windows(count, clips["scene_id"].gather(first_rows), splitting)
-    ends, codes, scenes = clips["end_us"].to_numpy(), np.empty(len(clips), np.uint8), 0
+    count = np.concatenate([part.count for part in _list_windows(clips)])
+    held, test = _share_windows(count, clips.place, splitting)
+    codes, scenes = np.empty(len(clips.scene), np.uint8), 0
     for part in _list_windows(clips):
         these = slice(scenes, scenes := scenes + len(part.count))
         val_from, test_from = (part.count - later[these] for later in (held, test))
@@ -243,18 +295,13 @@ def _by_time(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
             np.minimum.reduceat(np.where(rank > each, part.start, _NEVER), part.firsts)[part.scene] for each in (0, 1)
         )
         next_start = np.select([rank == 0, rank == 1], [val_start, test_start], _NEVER)
-        too_close = ends[part.rows] + round(1e6 * splitting.gap) >= next_start
+        too_close = clips.end_us[part.rows] + round(1e6 * splitting.gap) >= next_start
         codes[part.rows] = np.where(too_close, _NO_SPLIT, rank)
-    return _name(codes)
+    return codes
 
 
-def _name(codes: NDArray[np.uint8]) -> pl.Series:
-    return pl.Series([*_SPLIT.categories, None], dtype=_SPLIT).gather(codes)
-
-
-def _share_windows(count: Counts, scenes: pl.Series, splitting: Splitting) -> tuple[Counts, Counts]:
+def _share_windows(count: Counts, chance: NDArray[np.float64], splitting: Splitting) -> tuple[Counts, Counts]:
     """How many of the windows (n,) of each scene are in validation and test, and in test; the first is in training."""
-    chance = _draw_places(scenes, 0)
     shares = splitting.val + splitting.test, splitting.test
     held, test = (np.floor(share * count) + (chance < share * count % 1.0) for share in shares)
     held = np.minimum(held, count - 1).astype(np.int64)
@@ -269,24 +316,17 @@ def _share_windows(count: Counts, scenes: pl.Series, splitting: Splitting) -> tu
     return held, test
 
 
-def _by_scene(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
-    codes = clips["scene_id"].to_physical().to_numpy()
-    row_of = np.zeros(int(codes.max()) + 1, np.int64)
-    row_of[codes] = np.arange(len(codes))
-    present = np.flatnonzero(np.bincount(codes))
-    places = _draw_places(clips["scene_id"].gather(row_of[present]), splitting.seed)
-    ranks = np.select([places < splitting.test, places < splitting.test + splitting.val], [2, 1], 0)
+def _by_scene(clips: _Clips, splitting: Splitting) -> NDArray[np.uint8]:
+    ranks = np.select([clips.place < splitting.test, clips.place < splitting.test + splitting.val], [2, 1], 0)
     # Scenes that give samples fill all splits, even where they are few.
-    gives = np.bincount(codes[clips["samples"].to_numpy() > 0], minlength=len(row_of))[present] > 0
+    gives = np.bincount(clips.scene[clips.samples > 0], minlength=len(ranks)) > 0
     among = np.flatnonzero(gives | ~gives.any())
-    ranks[among] = _fill_splits(places[among], splitting)
-    split_of = np.zeros(len(row_of), np.uint8)
-    split_of[present] = ranks
-    return _name(split_of[codes])
+    ranks[among] = _fill_splits(clips.place[among], splitting)
+    return ranks.astype(np.uint8)[clips.scene]
 
 
 def _fill_splits(places: NDArray[np.float64], splitting: Splitting) -> Counts:
-    """The split (n,), by number, of scenes at places (n,) in [0, 1): by shares, and one at least if scenes are enough."""
+    """Numbers (n,) of the splits of scenes at places (n,) in [0, 1): by shares, each filled if scenes are enough."""
     least_test, least_val = int(splitting.test > 0.0), int(splitting.val > 0.0)
     test, held = (int((places < share).sum()) for share in (splitting.test, splitting.test + splitting.val))
     if len(places) > least_test + least_val:
@@ -296,16 +336,10 @@ def _fill_splits(places: NDArray[np.float64], splitting: Splitting) -> Counts:
     return np.select([rank < test, rank < held], [2, 1], 0)
 
 
-def _draw_places(scenes: pl.Series, seed: int) -> NDArray[np.float64]:
-    """A place (n,) in [0, 1) for each scene, by its id and the seed alone."""
-    seeds = (derive_seed("split", seed, scene) for scene in scenes.cast(pl.String))
-    return np.fromiter(seeds, np.float64, len(scenes)) / _SEED_RANGE
-
-
-def _by_own(clips: pl.DataFrame, _: Splitting) -> pl.Series:
-    without = sorted(clips.filter(pl.col("split").is_null())["source"].unique().cast(pl.String))
-    if len(without):
+def _by_own(clips: _Clips, _: Splitting) -> NDArray[np.uint8]:
+    without = sorted(clips.sources[number] for number in np.unique(clips.source[clips.split == _NO_SPLIT]))
+    if without:
         raise InputError(
             f"rule own: clips of {', '.join(without)} have no split of their own; split them by another rule"
         )
-    return clips["split"].cast(_SPLIT)
+    return clips.split
