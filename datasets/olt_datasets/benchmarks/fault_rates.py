@@ -60,7 +60,7 @@ def measure_store(number: int, seed: int, faults: Sequence[str], bench: FaultBen
         good = Path(folder) / "good"
         store = bench.write_store(good, number, seed)
         findings, seconds = _look_at_good(store, bench.groups)
-        outcomes = {
+        outcomes: dict[str, Outcome] = {
             fault.name: _plant(good, Path(folder) / "bad", fault, (number, seed))
             for fault in bench.faults
             if fault.name in faults

@@ -17,7 +17,16 @@ from olt_datasets.benchmarks.video_surgery import change_frames
 from olt_toolkit.clips.pai_layout import EGOMOTION, STORED, VIDEO
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.camera_checks import CAMERA_NAME, OWN_VIDEO, TELE_INSIDE, TELE_TIMES
-from olt_toolkit.clips.verification.motion_checks import FRAME_ORDER, FRAME_TIMES, MIRRORED, MOTION, MOTION_SCALE, MOTION_SIDES, MOTION_TIMES, THIS_CLIP
+from olt_toolkit.clips.verification.motion_checks import (
+    FRAME_ORDER,
+    FRAME_TIMES,
+    MIRRORED,
+    MOTION,
+    MOTION_SCALE,
+    MOTION_SIDES,
+    MOTION_TIMES,
+    THIS_CLIP,
+)
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
 
 Frames = NDArray[np.uint8]

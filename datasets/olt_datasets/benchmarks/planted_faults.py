@@ -149,7 +149,10 @@ def _camera_times(change: Callable[[pd.Series], pd.Series]) -> Plant:
     def plant(root: Path, clip: str, _: str, generator: Generator) -> None:
         camera = str(generator.choice([CROSS_LEFT, FRONT_WIDE, CROSS_RIGHT, FRONT_TELE]))
         change_times(
-            root, clip, camera, lambda table: table.assign(timestamp=change(table["timestamp"]).astype("int64"))
+            root,
+            clip,
+            camera,
+            lambda table: table.assign(timestamp=change(pd.Series(table["timestamp"])).astype("int64")),
         )
 
     return plant

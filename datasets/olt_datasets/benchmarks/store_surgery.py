@@ -55,7 +55,7 @@ def change_calibration(root: Path, clip_id: str, name: str, change: Callable[[pd
     path = chunk_path(root, name)
     table = pd.read_parquet(path)
     mine = table.index.get_level_values(0) == clip_id
-    pd.concat([change(table[mine].copy()), table[~mine]]).to_parquet(path)
+    pd.concat([change(table.loc[mine].copy()), table.loc[~mine]]).to_parquet(path)
     trust(root, clip_id)
 
 

@@ -57,7 +57,7 @@ def shift_start(data: bytes) -> bytes:
 
 def _frames(data: bytes) -> NDArray[np.uint8]:
     with av.open(io.BytesIO(data), "r") as container:
-        return np.stack([np.asarray(frame.to_ndarray(format="rgb24")) for frame in container.decode(video=0)])
+        return np.stack([np.asarray(frame.to_ndarray(format="rgb24"), np.uint8) for frame in container.decode(video=0)])
 
 
 def _written(frames: NDArray[np.uint8]) -> bytes:

@@ -22,6 +22,7 @@ from olt_datasets.export.writing import naming, write_export, write_file
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
 from olt_toolkit import ClipInfo, ClipStore
+from olt_toolkit.clips.action_errors import summarize_action_errors
 from olt_toolkit.clips.files import write_metadata
 from olt_toolkit.clips.pai_layout import CLIP_INDEX
 from olt_toolkit.clips.pai_tables import read_indexed, to_bytes
@@ -78,7 +79,7 @@ def export_pai(
 def _write_tables(root: Path, rows: Rows) -> list[ClipInfo]:
     stores = {store: ClipStore(store) for store in {item.store for _, item in rows}}
     infos = [
-        replace(stores[item.store].info(item.clip_id), clip_id=item.listed_as, sample_t0_us=tuple(sorted(item.t0s_us)))
+        replace(stores[item.store].info(item.clip_id).with_samples(item.t0s_us), clip_id=item.listed_as)
         for _, item in rows
     ]
     path = root / CLIP_INDEX
@@ -131,6 +132,8 @@ def _summarize(
             }
             for how in ("linked", "copied", "packed")
         },
+        "action_errors": summarize_action_errors([error for info in infos for error in info.action_errors or ()]),
+        "samples_without_action_error": sum(len(info.sample_t0_us) for info in infos if info.action_errors is None),
         "licences": dict(Counter(info.origin.licence or "not told" for info in infos)),
         "notes": list(contents.notes),
     }

@@ -8,8 +8,10 @@ priors and statistics of actions, and cannot be opened as recordings.
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from olt_closed_loop.scenes.sources.argoverse2 import read_motion_ego, read_sensor_ego
+from olt_closed_loop.scenes.sources.argoverse2 import read_motion_ego, read_scenario_id, read_sensor_ego
+from olt_datasets.sources.content import hash_content, read_content
 from olt_generator import InputError, Trajectory
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
@@ -52,9 +54,11 @@ class Argoverse2:
         """See `Dataset.drive`; drive time 0 is the first pose, as there are no images."""
         ego = self.ego_motion(key)
         folder = (self._root / key).resolve()
+        (file,) = folder.glob(self._files[key])
+        scene = read_scenario_id(file) if self._files[key] == _SCENARIO else None
         return Drive(
             source=NAME,
-            scene_id=f"{NAME}/{folder.name}",
+            scene_id=f"{NAME}/{scene or hash_content(read_content(file))}",
             key=key,
             front_us=np.empty(0, np.int64),
             cameras=(),
@@ -71,9 +75,18 @@ class Argoverse2:
             raise InputError(f"{self._root}: there is no Argoverse 2 drive {key!r}")
         return (read_motion_ego if self._files[key] == _SCENARIO else read_sensor_ego)(self._root / key)
 
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`; always refused."""
+        raise self._no_images(key)
+
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; always refused."""
-        raise InputError(
+        raise self._no_images(key)
+
+    def _no_images(self, key: str) -> InputError:
+        return InputError(
             f"Argoverse 2 drive {key}: has no images to open; take its trajectory with `ego_motion`, or drive it in "
             "the closed loop as a scene"
         )

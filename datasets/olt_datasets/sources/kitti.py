@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.times import images_within, starting_at
+from olt_datasets.sources.times import images_within, nearest_images, starting_at
 from olt_generator.errors import InputError
 from olt_generator.video import shrink
 from olt_toolkit.policy.window import Span
@@ -34,11 +34,15 @@ PASSAT = VehicleDimensions(
 class KittiDrive(Protocol):
     """A drive folder, of which times, calibration and names of files are read; images and poses as they are needed."""
 
-    scene: str
     camera: str
+    images: list[Path]
     image_us: NDArray[np.int64]
     has_motion: bool
     notes: tuple[str, ...]
+
+    def identify(self) -> str:
+        """What tells the drive from all others, wherever its folder lies and whatever it is called."""
+        ...
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """Decode some images, shrunk to `width`, else InputError; times are the drive's, and so is the reference."""
@@ -58,11 +62,11 @@ class KittiDrives:
         return sorted(self._folders)
 
     def drive(self, key: str) -> Drive:
-        """See `Dataset.drive`; no image is read."""
+        """See `Dataset.drive`; no image is decoded."""
         drive = self._read(self._folder(key))
         return Drive(
             source=self.source,
-            scene_id=f"{self.source}/{drive.scene}",
+            scene_id=f"{self.source}/{drive.identify()}",
             key=key,
             front_us=drive.image_us,
             cameras=(drive.camera,),
@@ -71,6 +75,16 @@ class KittiDrives:
             country="DE",
             notes=drive.notes,
         )
+
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`; every image is decoded on its own."""
+        drive = self._read(self._folder(key))
+        numbers = nearest_images(drive.image_us, times_us)
+        distinct, places = np.unique(numbers, return_inverse=True)
+        images, _ = read_images([drive.images[number] for number in distinct], width)
+        return images[places], drive.image_us[numbers]
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""

@@ -14,10 +14,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_datasets.sources.video import CAMERA, UNKNOWN_CAMERA, open_video_window
 from olt_generator.errors import InputError
-from olt_generator.video import read_frame_times
+from olt_generator.video import read_frame_times, read_video_images
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
@@ -56,6 +57,11 @@ class _Video:
     alert: float | None
     factors: tuple[str, ...]
 
+    @property
+    def scene(self) -> str:
+        """The id that the tables give, which counts within a split."""
+        return f"{self.split}/{self.path.stem}"
+
 
 class Nexar:
     """The data set at a folder; see `Dataset`."""
@@ -67,6 +73,7 @@ class Nexar:
         self._root = root
         self._cache = cache / NAME
         self._videos: dict[str, _Video] = {}
+        named: dict[str, str] = {}
         for table, folder, split in (*_TABLES, *_HUB_TABLES):
             if not (root / table).is_file():
                 continue
@@ -76,6 +83,11 @@ class Nexar:
                 key = video.path.relative_to(root).with_suffix("").as_posix()
                 if key in self._videos:
                     raise InputError(f"{where}: video {key} is listed twice; keep one of the rows")
+                if (other := named.setdefault(video.scene, key)) != key:
+                    raise InputError(
+                        f"{where}: {key} and {other} have one id in the split {split}, and each video needs its own; "
+                        "download the tables again"
+                    )
                 self._videos[key] = video
         if not self._videos:
             raise InputError(f"{root}: no train.csv, test.csv or metadata.csv lists a video; give Nexar's folder")
@@ -98,7 +110,7 @@ class Nexar:
             notes += (f"It ends in a collision or a near miss; only what lies before the {what} may be imitated.",)
         return Drive(
             source=NAME,
-            scene_id=f"{NAME}/{video.split}/{video.path.stem}",
+            scene_id=f"{NAME}/{video.scene}",
             key=key,
             front_us=front_us,
             cameras=(CAMERA,),
@@ -109,6 +121,12 @@ class Nexar:
             usable_us=usable_us,
             notes=notes,
         )
+
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`; key frames are decoded without others."""
+        return read_video_images(self._video(key).path, times_us, reach_us, width)
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from olt_datasets.sources.nuscenes_tables import LENS, MOUNTING, POSITION, TABLES, camera_images
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
@@ -79,6 +80,12 @@ class Nuscenes:
         country = _COUNTRIES.get(location.split("-")[0])
         return drive.describe(country=country, split=_SPLITS.get(release), notes=tuple(notes))
 
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`."""
+        return self._read(key, self._rows(key)).peek(times_us, width)
+
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""
         return self._read(key, self._rows(key)).open(window_us, options)
@@ -101,6 +108,14 @@ class Nuscenes:
         images = pl.scan_parquet(camera_images(self._tables[key], self._cache))
         return images.filter(pl.col("scene") == key).collect().sort("channel", "timestamp")
 
+    def _token(self, key: str, rows: pl.DataFrame) -> str:
+        """The scene's token: names, unlike tokens, are given anew by whoever makes tables of this form."""
+        tokens = rows["scene_token"].unique().sort()
+        if len(tokens) != 1:
+            table = self._tables[key] / "scene.json"
+            raise InputError(f"{table}: {len(tokens)} scenes are called {key!r} ({', '.join(tokens)}); rename them")
+        return tokens[0]
+
     def _read(self, key: str, rows: pl.DataFrame) -> SurroundDrive:
         on_disk = pl.Series([(self.root / name).is_file() for name in rows["filename"]], dtype=pl.Boolean)
         groups = {channel: part for (channel,), part in rows.filter(on_disk).group_by("channel", maintain_order=True)}
@@ -110,6 +125,7 @@ class Nuscenes:
         return SurroundDrive(
             source=SOURCE,
             key=key,
+            scene=self._token(key, rows),
             front=FRONT,
             cameras={str(name): self._camera(f"scene {key}: {name}", part, start_us) for name, part in groups.items()},
             ego=_ego_motion(rows, start_us),

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
+from olt_datasets.sources.content import hash_content, read_content
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_generator import BrownConradyCamera, InputError, Trajectory
 from olt_generator.poses import Array, invert, pose_from_quaternion
@@ -100,6 +101,12 @@ class Pandaset:
             )
         )
 
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`."""
+        return self._read(key).peek(times_us, width)
+
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; the front images are freed of their distortion."""
         return self._read(key).open(window_us, options)
@@ -110,13 +117,15 @@ class Pandaset:
                 f"{self._root / key / 'camera' / FRONT}: no such folder; PandaSet has no sequence {key!r} here"
             )
         folder = self._folders[key] / "camera"
-        start = _read_times(folder / FRONT)[0]
+        times = _read_times(folder / FRONT)
+        start = times[0]
         cameras = {name: self._camera(folder / name, start) for name in self._rig.cameras if (folder / name).is_dir()}
         front = cameras[FRONT]
         T_world_camera = _read_poses(folder / FRONT, len(front.files))
         return SurroundDrive(
             source=SOURCE,
             key=key,
+            scene=hash_content(times, read_content(front.files[0])),
             front=FRONT,
             cameras=cameras,
             ego=Trajectory(front.times_us, T_world_camera @ invert(front.mounted.T_rig_camera)),

@@ -53,6 +53,17 @@ def drive_ramp(degrees=98.0, metres=51.0, frames=64):
     return planar_pose(x[::100], y[::100], yaw[::100])
 
 
+def test_sequences_are_told_by_their_images(tmp_path):
+    first = write_sequence(tmp_path / "06")
+    without_times = write_sequence(tmp_path / "copy", times=False)
+    (without_times / "poses.txt").unlink()
+    (tmp_path / "day").mkdir()
+    other = write_sequence(tmp_path / "day" / "06")
+    cv2.imwrite(str(other / "image_0" / f"{FRAMES // 2:06d}.png"), np.full((HEIGHT, WIDTH), 99, np.uint8))
+    ids = [open_dataset(folder, tmp_path).drive(".").scene_id for folder in (first, without_times, other)]
+    assert ids[0] == ids[1] != ids[2]
+
+
 @pytest.mark.parametrize("names", [False, True])
 def test_a_sequence_is_read_whole(tmp_path, names):
     recording = open_recording(write_sequence(tmp_path / "06", names=names))
@@ -165,3 +176,7 @@ def test_a_window_of_a_sequence_has_the_motion_of_all_of_it(tmp_path):
     assert reference.path_length == pytest.approx(5.0 * np.hypot(1.0, DRIFT))
     assert np.abs(reference.T_world_rig[:, :3, :3] - np.eye(3)).max() < 1e-9
     assert np.abs(reference.positions[:, 2] - reference.positions[0, 2]).max() < 1e-9
+
+
+def test_a_look_at_a_sequence(tmp_path, check_peek):
+    check_peek(open_dataset(write_sequence(tmp_path / "06"), tmp_path / "cache"), ".")

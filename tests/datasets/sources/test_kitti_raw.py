@@ -155,10 +155,25 @@ def test_kitti_drives_of_a_folder(tmp_path):
     key = "2011_09_26/2011_09_26_drive_0001_sync"
     assert (dataset.source, dataset.keys()) == ("kitti_raw", [key])
     drive = dataset.drive(key)
-    assert drive.scene_id == "kitti_raw/2011_09_26_drive_0001"
+    assert drive.scene_id.startswith("kitti_raw/")
     assert drive.front_us.tolist() == [100_000 * k for k in range(FRAMES)]
     assert drive.ego_span_us == (0, 500_000)
     assert drive.country == "DE"
+
+
+def test_drives_are_told_by_their_times_and_their_first_image(tmp_path):
+    drive, official = write_drive(tmp_path / "a"), write_drive(tmp_path / "b", official=True)
+    scene_id = open_dataset(drive).drive(".").scene_id
+    assert open_dataset(official).drive(".").scene_id == scene_id
+    moved = drive.rename(tmp_path / "2011_10_03_drive_0042")
+    assert open_dataset(moved).drive(".").scene_id == scene_id
+    times, image = moved / "image_02_timestamps.txt", moved / "image_02" / "0000000000.png"
+    written = times.read_text()
+    times.write_text(written.replace("13:10:5", "13:20:5"))
+    assert open_dataset(moved).drive(".").scene_id != scene_id
+    times.write_text(written)
+    cv2.imwrite(str(image), np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    assert open_dataset(moved).drive(".").scene_id != scene_id
 
 
 def test_the_drives_of_a_folder_are_its_recordings_or_those_of_the_data_set(tmp_path):
@@ -222,3 +237,11 @@ def test_velocities_take_the_wander_out_of_positions(tmp_path):
 def test_positions_of_unknown_accuracy_are_taken_alone_and_said_to_be(tmp_path):
     recording = open_recording(write_drive(tmp_path))
     assert any("positions alone are the reference" in assumption for assumption in recording.assumptions)
+
+
+def test_a_look_at_a_kitti_drive(tmp_path, check_peek):
+    dataset = open_dataset(write_drive(tmp_path), tmp_path / "cache")
+    check_peek(dataset, ".")
+    (tmp_path / "drive" / "image_02" / "0000000001.png").write_bytes(b"no image")
+    with pytest.raises(InputError, match=r"0000000001\.png: cannot be decoded"):
+        check_peek(dataset, ".")

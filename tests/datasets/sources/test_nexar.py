@@ -56,6 +56,13 @@ def test_the_layout_of_the_challenge(challenge, tmp_path):
     assert dataset.open("train/00022", (0, 200_000), OpenOptions()).source == "nexar"
 
 
+def test_videos_of_one_id_in_a_split_are_refused(tmp_path):
+    rows = [{"file_name": "positive/00022.mp4"}, {"file_name": "negative/00022.mp4"}]
+    write_table(tmp_path / "train" / "metadata.csv", rows)
+    with pytest.raises(InputError, match=r"line 3: train/negative/00022 and train/positive/00022 have one id"):
+        open_dataset(tmp_path, tmp_path / "cache")
+
+
 def test_what_leads_to_a_collision_ends_before_the_alert(challenge, tmp_path):
     dataset = open_dataset(challenge, tmp_path / "cache")
     assert dataset.drive("train/00022").usable_us == (0, 749_999)
@@ -122,3 +129,7 @@ def test_a_listed_video_that_is_missing_or_ends_nobody_knows_when(challenge, tmp
     write(challenge / "train" / "00004.mp4")
     with pytest.raises(InputError, match="no time_of_alert or time_of_event"):
         dataset.drive("train/00004")
+
+
+def test_a_look_at_a_video(challenge, tmp_path, check_peek):
+    check_peek(open_dataset(challenge, tmp_path / "cache"), "train/01337")

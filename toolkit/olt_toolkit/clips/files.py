@@ -14,9 +14,10 @@ from olt_generator.video import write_video
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
+from olt_toolkit.clips.action_errors import measure_action_errors
 from olt_toolkit.clips.checksums import checksum_bytes, checksum_clip, checksum_rows, member_key
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipDescription, ClipInfo, ViewProvenance, check_clip_id
-from olt_toolkit.clips.image_hash import fingerprint_images
+from olt_toolkit.clips.fingerprint import fingerprint_images, fingerprint_times
 from olt_toolkit.clips.images import largest_rectangle
 from olt_toolkit.clips.origin_files import encode_origin
 from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES, PIXEL_ORIGIN, PIXEL_ORIGINS, STORED, Feature
@@ -115,15 +116,20 @@ def describe_clip(clip: Clip, checksums: dict[str, str]) -> ClipInfo:
         file_checksums=checksums,
         fingerprint=_fingerprint(clip.streams[FRONT_WIDE]) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,
+        action_errors=measure_action_errors(clip.ego_motion, times),
+        build_options=clip.build_options,
     )
 
 
 def _fingerprint(stream: CameraStream) -> bytes:
     """Of what was seen alone: black borders make images look alike."""
-    if stream.origin is None:
-        return fingerprint_images(stream.frames)
-    rows, columns = largest_rectangle((stream.origin != PixelOrigin.UNSEEN).all(axis=0))
-    return fingerprint_images(stream.frames[:, rows, columns])
+    wanted = fingerprint_times(int(stream.timestamps_us[0]), int(stream.timestamps_us[-1]))
+    frames = np.unique(np.abs(stream.timestamps_us[:, None] - wanted).argmin(axis=0))
+    images, times_us = stream.frames[frames], stream.timestamps_us[frames]
+    if stream.origin is not None:
+        rows, columns = largest_rectangle((stream.origin != PixelOrigin.UNSEEN).all(axis=0))
+        images = images[:, rows, columns]
+    return fingerprint_images(images, times_us)
 
 
 def pack_chunk(root: Path, chunk: int, folders: Sequence[Path]) -> list[ClipInfo]:
@@ -185,6 +191,8 @@ def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int])
         pd.DataFrame(layout.feature_rows()).to_csv(temporary, index=False)
     for name, table in {
         layout.CLIP_INDEX: clip_index,
+        # Where it is there, the devkit takes splits from it and not from the index.
+        layout.DEFAULT_SPLITS: clip_index[["split"]],
         layout.FEATURE_PRESENCE: presence,
         layout.DATA_COLLECTION: collection,
     }.items():

@@ -14,7 +14,16 @@ import pyarrow.parquet as pq
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_toolkit.clips.clip import ClipInfo, ClipKind, ClipOrigin, Split, ViewKind, ViewProvenance, check_clip_id
+from olt_toolkit.clips.clip import (
+    ClipInfo,
+    ClipKind,
+    ClipOrigin,
+    NoiseBasis,
+    Split,
+    ViewKind,
+    ViewProvenance,
+    check_clip_id,
+)
 from olt_toolkit.clips.pai_tables import read_table
 
 CLIP_TABLE = "clips.parquet"
@@ -52,6 +61,7 @@ SCHEMA = pa.schema(
         ("doubts", pa.list_(pa.string())),
         ("scale_sigma", pa.float64()),
         ("acceleration_noise", pa.float64()),
+        ("acceleration_noise_basis", pa.string()),
         ("duration_us", pa.int64()),
         ("sample_t0_us", pa.list_(pa.int64())),
         ("no_sample_reason", pa.string()),
@@ -71,6 +81,7 @@ OPTIONAL_COLUMNS = frozenset(
         "doubts",
         "scale_sigma",
         "acceleration_noise",
+        "acceleration_noise_basis",
         "no_sample_reason",
         "country",
         "licence",
@@ -97,9 +108,12 @@ def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
 
 def read_clip_table(path: Path) -> list[ClipInfo]:
     """Read the table; an `InputError` where it is missing, of another version, or holds what no clip can have."""
-    table = read_table(path, SCHEMA.names, str(path))
+    table = read_table(path, [], str(path))
+    # Asked before the columns, which other versions have others of.
     check_table_version((table.schema.metadata or {}).get(VERSION_KEY), path)
     for name in SCHEMA.names:
+        if name not in table.column_names:
+            raise InputError(f"{path}: column {name} is missing")
         if table.schema.field(name).type != SCHEMA.field(name).type:
             raise InputError(f"{path}: column {name} is {table.schema.field(name).type}, not {SCHEMA.field(name).type}")
         if table.column(name).null_count and name not in OPTIONAL_COLUMNS:
@@ -113,14 +127,19 @@ def check_table_version(version: bytes | str | None, path: Path) -> None:
     if text is None or not text.isdecimal():
         raise InputError(f"{path}: table_version is {text!r}; this is no clip table")
     if int(text) != TABLE_VERSION:
-        advice = "install a newer release" if int(text) > TABLE_VERSION else "build the clips again"
+        advice = (
+            "install a newer release"
+            if int(text) > TABLE_VERSION
+            else "build or index the clips again, under a new name"
+        )
         raise InputError(f"{path}: table_version is {text}, this release reads {TABLE_VERSION}; {advice}")
 
 
 def _info(row: dict[str, Any], where: str) -> ClipInfo:
     check_clip_id(row["clip_id"], where)
     views = [(f"view {view['camera']}: kind", view["kind"], ViewKind) for view in row["views"]]
-    for name, word, words in [("kind", row["kind"], ClipKind), ("split", row["split"], Split), *views]:
+    known = (("kind", ClipKind), ("split", Split), ("acceleration_noise_basis", NoiseBasis))
+    for name, word, words in [*((name, row[name], words) for name, words in known), *views]:
         if word is not None and word not in get_args(words):
             raise InputError(f"{where}: {name} is {word!r}; it must be one of {', '.join(get_args(words))}")
     row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_datasets.sources.waymo.frames import CAMERAS, read_images
@@ -75,6 +76,12 @@ class WaymoE2E:
         rated = frames.filter(_HAS_FRONT & pl.col("rated"))["time_us"].to_list()
         return replace(described, event_t0s_us=tuple(rated))
 
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`."""
+        return self._surround(key, self._frames(key)).peek(times_us, width)
+
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; the front images, which are portraits, are freed of their distortion."""
         return self._surround(key, self._frames(key)).open(window_us, options)
@@ -110,6 +117,7 @@ class WaymoE2E:
         return SurroundDrive(
             source=NAME,
             key=key,
+            scene=key,
             front=FRONT,
             cameras={name: CameraImages(mounted[name], images[name], times_us) for name in steady},
             ego=chain_paths(paths, f"Waymo E2E drive {key}"),

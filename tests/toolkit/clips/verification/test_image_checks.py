@@ -11,7 +11,16 @@ from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.camera_checks import CAMERA_NAME, OWN_VIDEO, TELE_INSIDE, TELE_TIMES
 from olt_toolkit.clips.verification.findings import Verdict
 from olt_toolkit.clips.verification.image_checks import check_images
-from olt_toolkit.clips.verification.motion_checks import FRAME_ORDER, FRAME_TIMES, MIRRORED, MOTION, MOTION_SCALE, MOTION_SIDES, MOTION_TIMES, THIS_CLIP
+from olt_toolkit.clips.verification.motion_checks import (
+    FRAME_ORDER,
+    FRAME_TIMES,
+    MIRRORED,
+    MOTION,
+    MOTION_SCALE,
+    MOTION_SIDES,
+    MOTION_TIMES,
+    THIS_CLIP,
+)
 from olt_toolkit.clips.verification.neighbour_checks import NEIGHBOURS
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
 

@@ -64,7 +64,7 @@ def check_calibration(store: ClipStore, clip_id: str) -> Iterator[Finding]:
     cameras = {name: store.read_camera(clip_id, name) for name in store.info(clip_id).views}
     for name, mounted in cameras.items():
         yield from check_mounting(name, mounted, vehicle, f"{where}: {name}")
-        yield from check_lens(lenses.loc[(clip_id, name)], f"{where}: {name}")
+        yield from check_lens(_lens_row(lenses, clip_id, name), f"{where}: {name}")
     if {FRONT_WIDE, FRONT_TELE} <= cameras.keys():
         wide, tele = (field_of_view(cameras[name].camera) for name in (FRONT_WIDE, FRONT_TELE))
         detail = f"of the wide view's field: tele {np.degrees(tele):.0f}, wide {np.degrees(wide):.0f} degrees across"
@@ -94,7 +94,7 @@ def check_mounting(name: str, mounted: MountedCamera, vehicle: VehicleDimensions
         yield judge("camera on its side", where, over, WRONG_SIDE, detail)
 
 
-def check_lens(row: pd.Series, where: str) -> Iterator[Finding]:
+def check_lens(row: dict[str, float], where: str) -> Iterator[Finding]:
     """Whether a row of the lens table has its axis in the image, and two rising polynomials that invert each other."""
     size, centre = (
         np.array([row[name] for name in names], np.float64) for names in (["width", "height"], ["cx", "cy"])
@@ -103,9 +103,7 @@ def check_lens(row: pd.Series, where: str) -> Iterator[Finding]:
     yield state("principal point", where, inside, f"at {centre.tolist()} of {size.tolist()} pixels")
     reach = float(np.linalg.norm(np.maximum(centre, size - 1.0 - centre)))
     radius = np.linspace(0.0, reach, _LENS_NODES)
-    forward, backward = (
-        Polynomial([float(row[name]) for name in names]) for names in (tables.FORWARD, tables.BACKWARD)
-    )
+    forward, backward = (Polynomial([row[name] for name in names]) for names in (tables.FORWARD, tables.BACKWARD))
     angle = backward(radius)
     falls = bool((np.diff(angle) <= 0.0).any() or (np.diff(forward(angle)) <= 0.0).any())
     yield state("lens rises", where, not falls, f"both polynomials, to the corner at {reach:.0f} px")
@@ -121,6 +119,11 @@ def field_of_view(camera: Camera) -> float:
     rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
     halves = np.arccos(np.clip((rays[[0, 2]] * rays[1]).sum(axis=-1), -1.0, 1.0))
     return float(halves.sum())
+
+
+def _lens_row(lenses: pd.DataFrame, clip_id: str, camera: str) -> dict[str, float]:
+    values = lenses.loc[[(clip_id, camera)], tables.LENS].to_numpy(np.float64)[0]
+    return dict(zip(tables.LENS, values.tolist(), strict=True))
 
 
 def _check_place(position: Array, vehicle: VehicleDimensions, where: str) -> Finding:

@@ -138,7 +138,9 @@ def _check_direction(clip: ClipEvidence, where: str) -> Finding:
     }
     found = [(says, gain, LEAST_GAIN) for says, gain in gains.items() if gain.wins(LEAST_GAIN)]
     if not found and clip.way >= LEAST_WAY and (free := clip.joint_free_gain()).wins(LEAST_FREE_GAIN):
-        found = [("another motion explains them in every part of the clip: it is another clip's", free, LEAST_FREE_GAIN)]
+        found = [
+            ("another motion explains them in every part of the clip: it is another clip's", free, LEAST_FREE_GAIN)
+        ]
     if found:
         return _failed(MOTION, where, *max(found, key=lambda each: each[1].evidence))
     if ruled_out:
