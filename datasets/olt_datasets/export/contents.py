@@ -138,16 +138,17 @@ def contents_of_stores(stores: Sequence[Path], split: Split, contract: CameraCon
 
 
 def _notes(mixture: Mixture) -> Iterator[str]:
-    distinct = sum(len(part.samples) for part in mixture.components)
-    for part, items in zip(mixture.components, mixture.counts(epoch=0), strict=True):
+    distinct, recipe = sum(len(part.samples) for part in mixture.components), mixture.recipe
+    counts = mixture.counts(epoch=0)
+    shares = recipe.shares(0) if recipe.named_epochs else [items / len(mixture) for items in counts]
+    for part, items, share in zip(mixture.components, counts, shares, strict=True):
         name, samples = part.component.name, len(part.samples)
         if part.component.share_by_epoch is not None:
             yield f"{name}: its share changes from epoch to epoch; train each stretch with its own ranges of chunks"
         if items != samples:
             yield (
                 f"{name}: {items} items of {samples} samples per epoch; the public readers take each once, so its "
-                f"share is {samples / distinct:.4g} and not {items / len(mixture):.4g}; `MixtureDataset` keeps the "
-                "share"
+                f"share is {samples / distinct:.4g} and not {float(share):.4g}; `MixtureDataset` keeps the share"
             )
 
 

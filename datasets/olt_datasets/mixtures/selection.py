@@ -6,11 +6,11 @@ Tables are scanned, never held: what is kept of ten million rows are counts.
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import polars as pl
 
-from olt_datasets.mixtures.batches import epoch_counts
 from olt_datasets.mixtures.draws import PRIORITY, draw_samples, sample_count
 from olt_datasets.mixtures.quality import is_weighable, lacks_number, within_limits
 from olt_datasets.mixtures.recipe import Component, Filter, Recipe
@@ -76,7 +76,8 @@ class Shortage:
 
     Attributes:
         samples_per_epoch: items of all components together.
-        asked: the most items that an epoch asks of this one; 0 with clips available is a share too small for one.
+        asked: the most items that an epoch may ask of this one; 0 with clips available is a share that is always less
+            than half an item.
         split_holds: number of clips of each kind, category and source in the split.
         doubtful: clips that its filter would match if it took those in doubt.
         not_measured: clips that it would match, but of which a number that it asks for was not measured.
@@ -152,26 +153,23 @@ def samples_per_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
         return sum(component.count or 0 for component in recipe.components)
     if recipe.samples is not None:
         return recipe.samples
-    return min(
-        math.floor(selection.capacity / share)
-        for epoch in recipe.named_epochs
-        for selection, share in zip(selections, recipe.shares(epoch), strict=True)
-        if share
-    )
-
-
-def count_items(recipe: Recipe, samples: int, epoch: int) -> list[int]:
-    """Items that each component gives to one epoch of so many samples."""
-    if not recipe.named_epochs:
-        return [component.count or 0 for component in recipe.components]
-    return epoch_counts(recipe.shares(epoch), samples)
+    peaks = [(selection.capacity, share) for selection, share in zip(selections, _peak_shares(recipe), strict=True)]
+    most = min(math.floor(capacity / share) for capacity, share in peaks)
+    if all(asked <= capacity for asked, (capacity, _) in zip(most_items(recipe, most), peaks, strict=True)):
+        return most
+    # Room for what a component is owed from other epochs.
+    return max(0, min(math.floor((capacity - 1) / share) for capacity, share in peaks))
 
 
 def most_items(recipe: Recipe, samples: int) -> list[int]:
-    """The most items that each component gives to any epoch."""
-    last = max(recipe.named_epochs, default=0)
-    by_epoch = [count_items(recipe, samples, epoch) for epoch in range(last + 1)]
-    return [max(counts) for counts in zip(*by_epoch, strict=True)]
+    """A bound of the items that each component gives to any epoch (see `EpochPlan`)."""
+    if not recipe.named_epochs:
+        return [component.count or 0 for component in recipe.components]
+    # Between two named epochs shares only grow or only shrink.
+    epochs = recipe.named_epochs if recipe.between_epochs == "steps" else range(recipe.named_epochs[-1] + 1)
+    owes_fractions = any(samples * share % 1 for epoch in epochs for share in recipe.shares(epoch))
+    carried = int(owes_fractions and len(recipe.components) > 2)
+    return [math.ceil(samples * share) + carried for share in _peak_shares(recipe)]
 
 
 def find_shortages(recipe: Recipe, table: ClipTable, selections: Sequence[Selection]) -> list[Shortage]:
@@ -179,7 +177,7 @@ def find_shortages(recipe: Recipe, table: ClipTable, selections: Sequence[Select
     samples = samples_per_epoch(recipe, selections)
     short = [
         (selection, count)
-        for selection, count in zip(selections, most_items(recipe, samples), strict=True)
+        for selection, count in zip(selections, _asked_items(recipe, samples), strict=True)
         if count > selection.capacity
         or not selection.available
         or (count == 0 and all(other.available for other in selections))
@@ -214,7 +212,7 @@ def word_shortage(shortage: Shortage) -> str:
     if shortage.available and not shortage.asked:
         return (
             f"{start}the share of component {shortage.component!r} of {shortage.samples_per_epoch} samples per epoch "
-            "gives it none; ask for more samples or a larger share"
+            "gives it none in most epochs; ask for more samples or a larger share"
         )
     asked = f"{shortage.asked} samples" if shortage.asked else "samples"
     groups = [
@@ -269,6 +267,20 @@ def matches(where: Filter) -> pl.Expr:
     return pl.all_horizontal(
         *conditions, *map(has_factor, where.factors_all), *(~has_factor(name) for name in where.factors_none)
     )
+
+
+def _peak_shares(recipe: Recipe) -> list[Fraction]:
+    """The largest share that each component has in any epoch."""
+    return [max(shares) for shares in zip(*map(recipe.shares, recipe.named_epochs), strict=True)]
+
+
+def _asked_items(recipe: Recipe, samples: int) -> list[int]:
+    """The most items that each component is asked for, 0 where its share is always less than half an item."""
+    asked = most_items(recipe, samples)
+    if not recipe.named_epochs:
+        return asked
+    peaks = (samples * share for share in _peak_shares(recipe))
+    return [count if 2 * peak >= 1 else 0 for count, peak in zip(asked, peaks, strict=True)]
 
 
 def _mark(clips: pl.LazyFrame, component: Component) -> pl.LazyFrame:

@@ -66,24 +66,24 @@ class KittiRawDrive:
         self._calibration = _read_calibration(calibration / CAMERA_FILE, fields)
         self._T_imu_camera = _imu_to_camera(calibration, self._calibration)
         self._oxts = sorted(oxts.glob("*.txt"))
-        self._images = list_images(images)
+        self.images = list_images(images)
         for folder, what, files, times in (
             (oxts, "GPS/IMU files", self._oxts, oxts_ns),
-            (images, "images", self._images, image_ns),
+            (images, "images", self.images, image_ns),
         ):
             if len(files) != len(times):
                 raise InputError(f"{folder}: {len(files)} {what} for {len(times)} timestamps; copy the drive again")
 
     def identify(self) -> str:
         """See `KittiDrive.identify`: a hash of the times of all images and of the first one's file."""
-        return hash_content(self._image_ns, read_content(self._images[0]))
+        return hash_content(self._image_ns, read_content(self.images[0]))
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """See `KittiDrive.record`."""
         T_world_imu, accuracy = _read_oxts(self._oxts, self._oxts_us)
         T_rig_imu, moves = _align_rig(T_world_imu)
         measured = _extended(Trajectory(self._oxts_us, T_world_imu @ invert(T_rig_imu)))
-        files = [self._images[index] for index in indices]
+        files = [self.images[index] for index in indices]
         frames, stored = read_images(files, width)
         width_02, height_02 = self._calibration["S_rect_02"].astype(int).tolist()
         if stored != (width_02, height_02):

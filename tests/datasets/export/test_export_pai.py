@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 from olt_datasets.commands.data import app
 from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
 from olt_datasets.export.pai import export_pai
-from olt_datasets.mixtures.dataset import MixtureDataset
+from olt_datasets.mixtures.dataset import MixtureBatchSampler, MixtureDataset
 from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.mixture_file import write_mixture
 from olt_datasets.mixtures.recipe import Recipe
@@ -121,8 +121,8 @@ def test_the_devkit_reads_every_clip_without_a_warning(
 
 def test_the_torch_dataset_yields_the_dict_of_the_public_loader(mixture, mixed):
     torch = pytest.importorskip("torch")
-    key = mixture.epoch(0, 4)[0][0]
-    item = MixtureDataset(mixture, IMAGE_SIZE)[key]
+    row = next(iter(MixtureBatchSampler(mixture, 4)))[0]
+    item = MixtureDataset(mixture, IMAGE_SIZE)[row]
     # docs/formats/physicalai_av.md, after the recipes' dataset has removed the first axis of the ego tensors
     expected = {
         "image_frames": ((4, 4, 3, *IMAGE_SIZE), torch.uint8),
@@ -137,8 +137,8 @@ def test_the_torch_dataset_yields_the_dict_of_the_public_loader(mixture, mixed):
     assert item.keys() == expected.keys() | {"t0_us", "clip_id"}
     assert {name: (tuple(item[name].shape), item[name].dtype) for name in expected} == expected
     assert item["camera_indices"].tolist() == [0, 1, 2, 6] and (item["t0_us"], item["clip_id"]) == (
-        key.t0_us,
-        key.clip_id,
+        int(mixture.samples["t0_us"][row]),
+        mixture.samples["clip_id"][row],
     )
 
 

@@ -275,7 +275,7 @@ class ClipInfo(ClipDescription):
         created_with: the code that wrote the clip (`runtime.version.code_version`).
         checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
             the description and the window of its drive where it is only indexed.
-        fingerprint: what the front images look like (`clips.image_hash`); None where none was decoded.
+        fingerprint: what the front images look like (`clips.fingerprint`); None where none was decoded.
         action_errors: for each of `sample_t0_us`, the mean distance (m) of its future from what the policy's action
             space can express; None where the motion is not known yet.
         build_options: how the clip was built, as JSON (`clips.build_options`); None where it is only indexed, or where

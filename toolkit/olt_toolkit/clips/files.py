@@ -17,7 +17,7 @@ from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
 from olt_toolkit.clips.action_errors import measure_action_errors
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipDescription, ClipInfo, ViewProvenance, check_clip_id
-from olt_toolkit.clips.image_hash import fingerprint_images
+from olt_toolkit.clips.fingerprint import fingerprint_images, fingerprint_times
 from olt_toolkit.clips.images import largest_rectangle
 from olt_toolkit.clips.origin_files import encode_origin
 from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES, PIXEL_ORIGIN, PIXEL_ORIGINS, STORED, Feature
@@ -121,10 +121,13 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
 
 def _fingerprint(stream: CameraStream) -> bytes:
     """Of what was seen alone: black borders make images look alike."""
-    if stream.origin is None:
-        return fingerprint_images(stream.frames)
-    rows, columns = largest_rectangle((stream.origin != PixelOrigin.UNSEEN).all(axis=0))
-    return fingerprint_images(stream.frames[:, rows, columns])
+    wanted = fingerprint_times(int(stream.timestamps_us[0]), int(stream.timestamps_us[-1]))
+    frames = np.unique(np.abs(stream.timestamps_us[:, None] - wanted).argmin(axis=0))
+    images, times_us = stream.frames[frames], stream.timestamps_us[frames]
+    if stream.origin is not None:
+        rows, columns = largest_rectangle((stream.origin != PixelOrigin.UNSEEN).all(axis=0))
+        images = images[:, rows, columns]
+    return fingerprint_images(images, times_us)
 
 
 def pack_chunk(root: Path, chunk: int, folders: Sequence[Path]) -> list[ClipInfo]:
