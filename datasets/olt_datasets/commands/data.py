@@ -7,9 +7,10 @@ import typer
 
 from olt_datasets.commands.comparing import AllowUncomparedOption
 from olt_datasets.commands.export import export
+from olt_datasets.commands.verify import verify
 from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, BuiltKind, SampleChoice, SplitRule
 from olt_toolkit.commands.clip import build_all
-from olt_toolkit.commands.clip_options import BuildingOptions, JsonOption, unpack_options
+from olt_toolkit.commands.clip_options import BuildingOptions, JsonOption, NoVerifyOption, unpack_options
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.rigs.names import ContractName, MotionLabels
 from olt_toolkit.runtime.workers import Engine
@@ -222,6 +223,7 @@ def build(
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a window that fails.")] = False,
+    no_verify: NoVerifyOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Build the clips of an indexed table and add them to a store, with split, category and origin of their rows.
@@ -255,6 +257,7 @@ def build(
         ),
         estimators=building.estimators(),
         keep_going=keep_going,
+        verify=not no_verify,
     )
     rows = find_buildable(read_clip_table(table), kind)
     make_folder(out)
@@ -262,6 +265,7 @@ def build(
 
 
 app.command()(export)
+app.command()(verify)
 
 
 @app.command()

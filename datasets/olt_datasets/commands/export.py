@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from olt_toolkit.commands.clip_options import JsonOption
+from olt_toolkit.commands.clip_options import JsonOption, NoVerifyOption
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.recordings.labels import Split
 from olt_toolkit.rigs.names import ContractName
@@ -34,6 +34,7 @@ def export(
         str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Resize the images of a LeRobot data set.")
     ] = None,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged clips and list them.")] = False,
+    no_verify: NoVerifyOption = False,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     as_json: JsonOption = False,
@@ -71,6 +72,7 @@ def export(
             workers or default_workers(),
             engine,
             lambda share: progress.update(task, completed=round(100 * share)),
+            verify=not no_verify,
             **size,
         )
     if as_json:
@@ -111,6 +113,11 @@ def _show(summary: dict[str, Any]) -> None:
         print_line(f"images: {_word_sizes(summary['image_sizes'])}")
         for camera, sizes in summary["resized_from"].items():
             print_line(f"resized: {camera} of {', '.join(f'{clips} clips, {size}' for size, clips in sizes.items())}")
+    verified = summary["verification"]
+    if verified is None:
+        print_line("not verified (--no-verify)")
+    else:
+        print_line(f"verified: {verified['passed']} checks passed, {verified['not_compared']} not compared")
     for omission in summary["left_out"]:
         print_line(f"left out: {word_omission(Omission(**omission))}")
     for licence, count in summary["licences"].items():

@@ -30,7 +30,10 @@ from numpy.typing import NDArray
 
 from olt_datasets.export.contents import Contents, ExportItem
 from olt_datasets.export.image_sizes import Sizes, only_sizes, read_image_sizes, tell_resized, word_size
+from olt_datasets.export.look import halves, look_at_export
 from olt_datasets.export.writing import finished_part, naming, note_finished, write_export, write_file
+from olt_datasets.verification.file_list import write_file_list
+from olt_datasets.verification.lerobot import verify_lerobot
 from olt_generator import InputError, write_video
 from olt_generator.poses import Array, invert, yaw_of
 from olt_generator.progress import Progress, silent
@@ -211,6 +214,7 @@ def export_lerobot(
     engine: Engine = Engine.LOCAL,
     on_progress: Progress = silent,
     image_size: tuple[int, int] | None = None,
+    verify: bool = True,
 ) -> dict[str, Any]:
     """Write the clips to `out`, as `export_pai` does but for the layout.
 
@@ -218,8 +222,10 @@ def export_lerobot(
 
     Raises:
         InputError: images of one camera differ in size and none is asked for; `out` holds something else, a clip is
-            damaged and `keep_going` is off, no clip is left, or a file cannot be written; names the file.
+            damaged and `keep_going` is off, no clip is left, a file cannot be written, or a check
+            fails; names the file.
     """
+    on_written, on_verified = halves(on_progress, verify)
     contents = contents.with_one_item_per_clip()
     true_sizes = read_image_sizes(contents)
     sizes = dict.fromkeys(contents.contract.cameras, image_size) if image_size else only_sizes(true_sizes)
@@ -227,7 +233,7 @@ def export_lerobot(
 
     def write(root: Path) -> dict[str, Any]:
         write_one = partial(write_clip, root, sizes, keep_going, contents.contract)
-        clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_progress, engine)
+        clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_written, engine)
         components = [group.component for group in contents.groups for _ in group.items]
         stores = {item.store: ClipStore(item.store) for item in contents.items}
         done = [clip for clip in clips if isinstance(clip, ClipFrames)]
@@ -244,9 +250,12 @@ def export_lerobot(
         pairs = zip(contents.items, clips, strict=True)
         failures = {item.clip_id: reason for item, reason in pairs if isinstance(reason, str)}
         told = {"image_sizes": {camera: word_size(size) for camera, size in sizes.items()}, "resized_from": resized}
-        return _summarize(contents, done, episodes) | told | {"failures": failures}
+        write_file_list(root)
+        verified = look_at_export(verify_lerobot, root, out, workers, on_verified, engine) if verify else None
+        told |= {"failures": failures, "verification": verified}
+        return _summarize(contents, done, episodes) | told
 
-    return write_export("lerobot", contents, sizes, out, write)
+    return write_export("lerobot", contents, [sizes, verify], out, write)
 
 
 def _write_data(root: Path, episodes: Sequence[_Episode], tasks: Sequence[str]) -> Columns:

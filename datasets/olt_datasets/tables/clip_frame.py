@@ -22,11 +22,12 @@ from olt_toolkit.clips.table import CLIP_TABLE, OPTIONAL_COLUMNS, VERSION_KEY, c
 from olt_toolkit.clips.table import SCHEMA as STORED_SCHEMA
 
 _STORED = pl.DataFrame(STORED_SCHEMA.empty_table()).schema
-# Of the provenance of views, which stays in the store, the shares of pixels over all views of a clip: null where it is
-# only indexed.
+# Checksums of files and the provenance of views stay in the store; of the latter here are the shares of pixels over all
+# views of a clip: null where it is only indexed.
 SHARES = ("observed_share", "invented_share")
 SCHEMA = pl.Schema(
-    {name: dtype for name, dtype in _STORED.items() if name != "views"} | dict.fromkeys(SHARES, pl.Float64)
+    {name: dtype for name, dtype in _STORED.items() if name not in ("views", "file_checksums")}
+    | dict.fromkeys(SHARES, pl.Float64)
 )
 TABLE_SUFFIX = ".parquet"
 

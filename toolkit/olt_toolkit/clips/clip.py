@@ -273,13 +273,14 @@ class ClipInfo(ClipDescription):
         sample_t0_us: times t0, on a grid of 0.1 s, at which the clip gives a policy sample.
         no_sample_reason: why there is no such time; None where there is one.
         created_with: the code that wrote the clip (`runtime.version.code_version`).
-        checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
-            the description and the window of its drive where it is only indexed.
+        checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of `file_checksums` where it is stored,
+            of the description and the window of its drive where it is only indexed.
         fingerprint: what the front images look like (`clips.fingerprint`); None where none was decoded.
         action_errors: for each of `sample_t0_us`, the mean distance (m) of its future from what the policy's action
             space can express; None where the motion is not known yet.
         build_options: how the clip was built, as JSON (`clips.build_options`); None where it is only indexed, or where
             whoever built it did not tell.
+        file_checksums: those of its files by name (`clips.checksums`); None where it is only indexed.
     """
 
     duration_us: int
@@ -291,6 +292,7 @@ class ClipInfo(ClipDescription):
     views: dict[str, ViewProvenance]
     action_errors: tuple[float, ...] | None = None
     build_options: str | None = None
+    file_checksums: dict[str, str] | None = None
 
     def with_samples(self, t0s_us: Sequence[int]) -> "ClipInfo":
         """The same with some of its sample times alone, in their order."""

@@ -42,6 +42,7 @@ _VIEW = pa.struct(
         ("other_times_share", pa.float64()),
     ]
 )
+_FILE = pa.struct([("file", pa.string()), ("checksum", pa.string())])
 SCHEMA = pa.schema(
     [
         ("clip_id", pa.string()),
@@ -69,6 +70,7 @@ SCHEMA = pa.schema(
         ("fingerprint", pa.binary()),
         ("action_errors", pa.list_(pa.float64())),
         ("build_options", pa.string()),
+        ("file_checksums", pa.list_(_FILE)),
         ("views", pa.list_(_VIEW)),
     ],
     metadata={VERSION_KEY: str(TABLE_VERSION).encode()},
@@ -86,6 +88,7 @@ OPTIONAL_COLUMNS = frozenset(
         "fingerprint",
         "action_errors",
         "build_options",
+        "file_checksums",
     }
 )
 
@@ -96,7 +99,9 @@ def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
     for info in clips:
         row = {field.name: getattr(info, field.name) for field in fields(info) if field.name != "origin"}
         views = [{"camera": camera, **asdict(view)} for camera, view in info.views.items()]
-        rows.append(row | asdict(info.origin) | {"views": views})
+        files = info.file_checksums
+        checksums = None if files is None else [{"file": name, "checksum": files[name]} for name in sorted(files)]
+        rows.append(row | asdict(info.origin) | {"views": views, "file_checksums": checksums})
     with write_whole(path) as temporary:
         pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), temporary)
 
@@ -141,5 +146,7 @@ def _info(row: dict[str, Any], where: str) -> ClipInfo:
     row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
     row["doubts"] = None if row["doubts"] is None else tuple(row["doubts"])
     row["action_errors"] = None if row["action_errors"] is None else tuple(row["action_errors"])
+    files = row["file_checksums"]
+    row["file_checksums"] = None if files is None else {each["file"]: each["checksum"] for each in files}
     origin = ClipOrigin(**{field.name: row.pop(field.name) for field in fields(ClipOrigin)})
     return ClipInfo(**row, origin=origin)

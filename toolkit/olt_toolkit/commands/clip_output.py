@@ -1,5 +1,6 @@
 """What `olt clip` prints for people."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -61,8 +62,16 @@ def print_build(summary: dict[str, Any]) -> None:
     print_table("Views", ["view", "kind", *_SHARES, "PSNR dB", "PSNR dB, observed"], rows)
     print_table("Run time", ["step", "seconds"], list((summary["seconds"] | summary["store_seconds"]).items()))
     _print_notes(summary)
+    print_line(_verification_line(summary))
     print_line(_sample_line(clip))
     _print_pictures(summary)
+
+
+def _verification_line(summary: dict[str, Any]) -> str:
+    verified = summary["verification"]
+    if verified is None:
+        return "not verified (--no-verify)"
+    return f"verified: {verified['passed']} checks passed, {verified['not_compared']} not compared"
 
 
 def print_results(results: Sequence[BuildResult], store: Path) -> None:
@@ -94,6 +103,9 @@ def print_results(results: Sequence[BuildResult], store: Path) -> None:
         f"action error > {ROUND_TRIP_TOLERANCE:g} m",
     ]
     print_table(f"Clips in {store}", columns, rows)
+    lines = Counter(_verification_line(each.summary) for each in results if each.summary is not None)
+    for line, count in lines.items():
+        print_line(f"{count} clips: {line}")
     for result in results:
         if result.message is not None:
             print_line(f"{'failed' if result.state == 'failed' else 'left out'}: {result.path.name}: {result.message}")
