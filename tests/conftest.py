@@ -1,5 +1,8 @@
 """Fixtures that every test may use."""
 
+import resource
+import signal
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -18,3 +21,21 @@ def shared_real() -> Path:
     if not SHARED_REAL.is_dir():
         pytest.skip(f"no real recordings beside the checkout ({SHARED_REAL.parent.name}/{SHARED_REAL.name} is absent)")
     return SHARED_REAL
+
+
+@pytest.fixture
+def full_disk():
+    """A context in which no file can grow beyond so many bytes, as on a disk that is full then (EFBIG for ENOSPC)."""
+
+    @contextmanager
+    def limit(most_bytes):
+        before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.getsignal(signal.SIGXFSZ)
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (most_bytes, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+            signal.signal(signal.SIGXFSZ, handler)
+
+    return limit

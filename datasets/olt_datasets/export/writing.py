@@ -1,11 +1,10 @@
-"""Files of an export: written whole, named in errors, and in a folder that can be taken up again."""
+"""Files of an export: written whole, in a folder that can be taken up again."""
 
 import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -18,23 +17,6 @@ EXPORT_FILE = "export.json"
 _STATE = ".export"
 
 
-@contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Turn a failure of the file system into an `InputError` that names the file."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"{path}: cannot be written ({reason}); free some space or choose another folder") from error
-
-
-@contextmanager
-def write_file(path: Path) -> Iterator[Path]:
-    """`write_whole` whose failures name the file: InputError where the disk is full, say."""
-    with naming(path), write_whole(path) as temporary:
-        yield temporary
-
-
 def link_or_copy(source: Path, target: Path) -> bool:
     """Give a file a second name, or copy it to a file system that cannot; whether it was linked."""
     make_folder(target.parent)
@@ -43,7 +25,7 @@ def link_or_copy(source: Path, target: Path) -> bool:
         os.link(source, target)
         return True
     except OSError:  # another file system, or one without links
-        with write_file(target) as temporary:
+        with write_whole(target) as temporary:
             shutil.copyfile(source, temporary)
         return False
 
@@ -71,12 +53,12 @@ def write_export(
     if folder.exists() and (not marker.exists() or marker.read_text() != fingerprint):
         shutil.rmtree(folder)
     make_folder(marker.parent)
-    with write_file(marker) as temporary:
+    with write_whole(marker) as temporary:
         temporary.write_text(fingerprint)
     about = {"format": layout, "split": contents.split, "rig": contents.contract.name}
     left_out = [omission.to_dict() for omission in contents.left_out]
     summary = about | write(folder) | {"left_out": left_out, "out": str(out), "fingerprint": fingerprint}
-    with write_file(folder / EXPORT_FILE) as temporary:
+    with write_whole(folder / EXPORT_FILE) as temporary:
         temporary.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     shutil.rmtree(folder / _STATE)
     folder.rename(out)
@@ -91,5 +73,5 @@ def finished_part(folder: Path, name: str) -> dict[str, Any] | None:
 
 def note_finished(folder: Path, name: str, result: dict[str, Any]) -> None:
     """Note that a part is finished, and with what result."""
-    with write_file(folder / _STATE / f"{name}.json") as temporary:
+    with write_whole(folder / _STATE / f"{name}.json") as temporary:
         temporary.write_text(json.dumps(result))

@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, write_whole_folder
+from olt_generator.files import make_folder, naming, write_whole_folder
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
@@ -429,7 +429,10 @@ class ClipStore:
     def _only_writer(self) -> Iterator[None]:
         """Hold the store's lock; the system releases it however this process ends."""
         make_folder(self.root)
-        with (self.root / ".lock").open("w") as lock:
+        path = self.root / ".lock"
+        with naming(path):
+            lock = path.open("w")
+        with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
