@@ -12,7 +12,7 @@ import polars as pl
 
 from olt_datasets.mixtures.batches import epoch_counts
 from olt_datasets.mixtures.draws import PRIORITY, draw_samples, sample_count
-from olt_datasets.mixtures.recipe import Component, Filter, Recipe
+from olt_datasets.mixtures.recipe import MOST_ITEMS, Component, Filter, Recipe
 from olt_generator.errors import InputError
 
 ClipTable = pl.DataFrame | pl.LazyFrame
@@ -133,11 +133,25 @@ def select_clips(recipe: Recipe, table: ClipTable) -> list[Selection]:
 
 
 def samples_per_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
-    """Items of an epoch: as the recipe says, else the most for which no component is too small in any epoch."""
+    """Items of an epoch: as the recipe says, else the most for which no component is too small in any epoch.
+
+    InputError where they are more than `MOST_ITEMS`.
+    """
     if not recipe.named_epochs:
-        return sum(component.count or 0 for component in recipe.components)
-    if recipe.samples is not None:
-        return recipe.samples
+        items = sum(component.count or 0 for component in recipe.components)
+    elif recipe.samples is not None:
+        items = recipe.samples
+    else:
+        items = _most_in_every_epoch(recipe, selections)
+    if items > MOST_ITEMS:
+        raise InputError(
+            f"recipe {recipe.name}: an epoch would have {items} samples, more than {MOST_ITEMS}; give 'samples', or "
+            "smaller counts or repeats"
+        )
+    return items
+
+
+def _most_in_every_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
     return min(
         math.floor(selection.capacity / share)
         for epoch in recipe.named_epochs
@@ -155,8 +169,9 @@ def count_items(recipe: Recipe, samples: int, epoch: int) -> list[int]:
 
 def most_items(recipe: Recipe, samples: int) -> list[int]:
     """The most items that each component gives to any epoch."""
-    last = max(recipe.named_epochs, default=0)
-    by_epoch = [count_items(recipe, samples, epoch) for epoch in range(last + 1)]
+    named = recipe.named_epochs or [0]
+    epochs = named if recipe.between_epochs == "steps" else range(named[-1] + 1)
+    by_epoch = [count_items(recipe, samples, epoch) for epoch in epochs]
     return [max(counts) for counts in zip(*by_epoch, strict=True)]
 
 

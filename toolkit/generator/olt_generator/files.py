@@ -26,9 +26,9 @@ def read_bounded(path: Path, what: str, most_bytes: int) -> bytes:
     """
     try:
         if not path.exists():
-            raise InputError(f"{path}: no such file; give a {what}")
+            raise InputError(f"{path}: cannot read this {what}: no such file")
         if not path.is_file():
-            raise InputError(f"{path}: not a regular file; give a {what} that is one")
+            raise InputError(f"{path}: cannot read this {what}: not a regular file")
         if (size := path.stat().st_size) > most_bytes:
             raise InputError(f"{path}: has {size} bytes; a {what} has at most {most_bytes}")
         return path.read_bytes()
