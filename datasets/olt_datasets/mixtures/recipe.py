@@ -230,7 +230,12 @@ def parse_recipe(content: dict[Any, Any], where: str) -> Recipe:
 
 def parse_filter(text: str, where: str) -> Filter:
     """A filter written as a YAML mapping, such as `{category: [cyclists]}`; InputError where a field is wrong."""
-    return _validate(Filter, parse_yaml(text, f"{where}: {text!r:.{_SHOWN}}"), where)
+    try:
+        content = parse_yaml(text, where)
+    except InputError as error:
+        shown = f"{text!r:.{_SHOWN}}"
+        raise InputError(f"{error}: {shown} is not YAML; write a mapping such as {{category: [cyclists]}}") from error
+    return _validate(Filter, content, where)
 
 
 def builtin_recipes() -> list[str]:

@@ -49,7 +49,8 @@ def parse_yaml(text: str, where: str) -> Any:
 
     Raises:
         InputError: it is not YAML; a key comes twice; words are taken for something else, as NO for false, 010 for 8,
-            1:30 for 90 and 2024-01-01 for a date; an integer needs more than 64 bits; a text holds control characters; or it is tagged, or nested or repeated beyond all use.
+            1:30 for 90 and 2024-01-01 for a date; an integer needs more than 64 bits; a text holds control characters;
+            or it is tagged, or nested or repeated beyond all use.
     """
     try:
         _check_size(text)
@@ -57,7 +58,7 @@ def parse_yaml(text: str, where: str) -> Any:
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
     except (yaml.YAMLError, ValueError) as error:
-        raise InputError(f"{where}: this is not YAML ({' '.join(str(error).split())})") from error
+        raise InputError(f"{where}: not YAML ({' '.join(str(error).split())})") from error
 
 
 def _check_size(text: str) -> None:
