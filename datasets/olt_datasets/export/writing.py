@@ -12,6 +12,7 @@ from typing import Any
 from olt_datasets.export.contents import Contents
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
+from olt_toolkit.runtime.json_files import read_json
 
 EXPORT_FILE = "export.json"
 _STATE = ".export"
@@ -43,8 +44,8 @@ def write_export(
     text = json.dumps([layout, asdict(contents), settings], default=str, sort_keys=True)
     fingerprint = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
     if (out / EXPORT_FILE).exists():
-        finished = json.loads((out / EXPORT_FILE).read_text())
-        if finished.get("fingerprint") == fingerprint:
+        finished = read_json(out / EXPORT_FILE, "summary of an export")
+        if isinstance(finished, dict) and finished.get("fingerprint") == fingerprint:
             return finished
     if out.exists():
         raise InputError(f"{out}: exists already; choose another folder, or remove it first")
@@ -68,7 +69,7 @@ def write_export(
 def finished_part(folder: Path, name: str) -> dict[str, Any] | None:
     """What an earlier run noted when it finished this part; None where it did not."""
     path = folder / _STATE / f"{name}.json"
-    return json.loads(path.read_text()) if path.exists() else None
+    return read_json(path, "note of a finished part") if path.exists() else None
 
 
 def note_finished(folder: Path, name: str, result: dict[str, Any]) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from olt_generator.errors import InputError
+from olt_toolkit.runtime.json_files import unique_keys
 
 _BLOCK = 2**20
 _LARGEST_ROW = 16 * 2**20
@@ -39,7 +40,7 @@ def _all_finite(values: list[Any]) -> bool:
 
 
 def _objects(path: Path) -> Iterator[dict[str, Any]]:
-    decoder = json.JSONDecoder()
+    decoder = json.JSONDecoder(object_pairs_hook=unique_keys)
     try:
         with path.open(encoding="utf-8") as file:
             text, position = file.read(_BLOCK).lstrip(), 1

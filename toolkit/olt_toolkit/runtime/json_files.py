@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from olt_generator.errors import InputError
 from olt_generator.files import read_bounded
@@ -11,7 +11,9 @@ MOST_BYTES = 1 << 30
 
 
 def read_json(path: Path, what: str, most_bytes: int = MOST_BYTES) -> Any:
-    """Read a JSON file, which errors call `what`, such as "rollout"; its content is left to the caller to check.
+    """Read a JSON file, which errors call `what`, such as "rollout".
+
+    Its content is left to the caller to check, and so is whether numbers are finite: Python reads NaN and Infinity.
 
     Raises:
         InputError: the file cannot be read or is larger than that, or see `parse_json`.
@@ -23,14 +25,14 @@ def parse_json(content: bytes | str, where: str) -> Any:
     """The content of a JSON text, which errors call `where`.
 
     Raises:
-        InputError: it is not JSON, an object has a key twice, a number is NaN or infinite, or it is nested too deep.
+        InputError: it is not JSON, an object has a key twice, or it is nested too deep.
     """
     try:
-        return json.loads(content, object_pairs_hook=unique_keys, parse_constant=_refuse_constant)
+        return json.loads(content, object_pairs_hook=unique_keys)
     except InputError as error:
         raise InputError(f"{where}: {error}") from error
     except (ValueError, RecursionError) as error:  # ValueError: text that is not Unicode, and integers without end
-        raise InputError(f"{where}: not JSON ({error}); write or copy it again") from error
+        raise InputError(f"{where}: not readable as JSON ({error}); write or copy it again") from error
 
 
 def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -41,7 +43,3 @@ def unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         twice = next(name for name in names if names.count(name) > 1)
         raise InputError(f"key {twice!r:.60} is there twice in one object; remove one")
     return values
-
-
-def _refuse_constant(text: str) -> NoReturn:
-    raise InputError(f"{text} is no number of JSON; write null, or a finite number")
