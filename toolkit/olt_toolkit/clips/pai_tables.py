@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -20,6 +19,7 @@ from olt_generator.errors import InputError
 from olt_generator.poses import Array, pose_from_quaternion
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import CameraStream, EgoMotion
+from olt_toolkit.clips.parquet_files import open_parquet, read_rows
 from olt_toolkit.rigs.ftheta_fit import fit_ftheta
 from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
@@ -128,16 +128,11 @@ def read_indexed(path: Path, columns: list[str], index: list[str]) -> pd.DataFra
 
 def read_table(source: Path | bytes, columns: list[str], where: str) -> pa.Table:
     """Read a Parquet table; an `InputError` where it cannot be read or lacks one of these columns."""
-    try:
-        file = pq.ParquetFile(io.BytesIO(source) if isinstance(source, bytes) else source)
+    with open_parquet(source, where) as file:
         missing = [name for name in columns if name not in file.schema_arrow.names]
         if missing:
             raise InputError(f"{where}: column {', '.join(missing)} is missing")
-        return file.read()
-    except FileNotFoundError as error:
-        raise InputError(f"{where}: no such file; the clip store is incomplete") from error
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{where}: not a readable Parquet file; write it again") from error
+        return read_rows(file, where)
 
 
 def to_bytes(frame: pd.DataFrame) -> bytes:
