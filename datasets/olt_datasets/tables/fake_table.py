@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -57,6 +58,9 @@ def _rows(start: int, count: int) -> pa.Table:
         checksum=digits(18) + digits(14),
     )
     columns = {name: frame[name].to_arrow() for name in frame.columns}
+    columns["views"] = pa.ListArray.from_arrays(
+        np.zeros(count + 1, np.int32), pa.array([], SCHEMA.field("views").type.value_type)
+    )
     arrays = [
         columns[field.name].cast(field.type) if field.name in columns else pa.nulls(count, field.type)
         for field in SCHEMA

@@ -14,7 +14,7 @@ from olt_generator.errors import InputError
 _LARGEST_CHUNK = 1 << 30
 _MOST_VALUES = 1 << 28
 _ROWS_AT_ONCE, _FEWEST_AT_ONCE = 65_536, 64
-_BYTES_AT_ONCE = 1 << 31
+_BYTES_AT_ONCE = 1 << 29
 
 
 @contextmanager
