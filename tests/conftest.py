@@ -39,3 +39,15 @@ def full_disk():
             signal.signal(signal.SIGXFSZ, handler)
 
     return limit
+
+
+@pytest.fixture(scope="session")
+def fuzzer():
+    """The process that reads damaged files; what it read is told at the end of slow runs."""
+    from .fuzzing import Fuzzer
+
+    fuzzer = Fuzzer()
+    yield fuzzer
+    fuzzer.close()
+    for reader, count in sorted(fuzzer.executions.items()):
+        print(f"fuzzed {reader}: {count} files in {fuzzer.seconds[reader]:.0f} s")

@@ -113,17 +113,23 @@ def read_vehicle(path: Path, clip_id: str) -> VehicleDimensions:
 
 def read_indexed(path: Path, columns: list[str], index: list[str]) -> pd.DataFrame:
     """Read a table with the given columns and pandas index; an `InputError` where it has not both."""
-    table = read_table(path, columns, str(path))
-    names = (table.schema.pandas_metadata or {}).get("index_columns", [])
+    frame, names = to_pandas(read_table(path, columns, str(path)), path)
     if names != index:
         raise InputError(
             f"{path}: its index is {names or 'missing'}; it must be {', '.join(index)}, written as a pandas index"
         )
-    frame = table.to_pandas()
     if not frame.index.is_unique:
         repeated = frame.index[frame.index.duplicated()][0]
         raise InputError(f"{path}: {', '.join(index)} {repeated} is there more than once")
     return frame
+
+
+def to_pandas(table: pa.Table, path: Path) -> tuple[pd.DataFrame, list[str]]:
+    """A table and the columns of its index, as the metadata that pandas wrote tell; `InputError` where they cannot."""
+    try:
+        return table.to_pandas(), (table.schema.pandas_metadata or {}).get("index_columns", [])
+    except (ArithmeticError, AttributeError, KeyError, IndexError, RecursionError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: its metadata for pandas are damaged ({error!r}); write it again") from error
 
 
 def read_table(source: Path | bytes, columns: list[str], where: str) -> pa.Table:

@@ -29,6 +29,10 @@ def open_parquet(source: Path | bytes, where: str) -> Iterator[pq.ParquetFile]:
             raise InputError(f"{where}: not a regular file; give a Parquet file")
         with pq.ParquetFile(io.BytesIO(source) if isinstance(source, bytes) else source) as file:
             _check_sizes(file.metadata, where)
+            names = file.schema_arrow.names
+            if len(set(names)) < len(names):
+                twice = next(name for name in names if names.count(name) > 1)
+                raise InputError(f"{where}: column {twice} is there twice; write the table again")
             yield file
     except FileNotFoundError as error:
         raise InputError(f"{where}: no such file; the clip store is incomplete") from error

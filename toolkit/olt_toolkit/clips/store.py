@@ -189,7 +189,7 @@ class ClipStore:
             InputError: the table is missing or damaged, or has no row for the clip.
         """
         path = self._chunk_file(clip_id, feature)
-        table = tables.read_table(path, [], str(path)).to_pandas()
+        table, _ = tables.to_pandas(tables.read_table(path, [], str(path)), path)
         rows = table[table.index.get_level_values(0) == clip_id]
         if rows.empty:
             raise InputError(f"{path}: no row for {clip_id}")
