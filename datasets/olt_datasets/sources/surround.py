@@ -10,13 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.sources.mosaic import Mosaic, coverage
+from olt_datasets.sources.pictures import LARGEST_BYTES, decode_picture
 from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator import Camera, InputError, PinholeCamera, Trajectory
+from olt_generator.files import read_bounded
 from olt_generator.lenses.remap import Remapper
 from olt_generator.video import shrink
 from olt_toolkit import Drive, OpenOptions, Recording
@@ -33,7 +34,6 @@ LEAST_COVERAGE = 0.5
 _ASPECT = 9 / 16
 # Side samples of each front pixel where distortion is taken out.
 _SAMPLES = 2
-_LARGEST_IMAGE_BYTES = 64 * 2**20
 
 
 class StoredImage(Protocol):
@@ -164,19 +164,14 @@ class SurroundDrive:
 
 def read_image(stored: StoredImage, camera: Camera) -> Image:
     """A stored image as (H, W, 3) RGB; InputError where it is missing, damaged or not at the size of its camera."""
-    if isinstance(stored, Path):
-        if not stored.is_file():
-            raise InputError(f"{stored}: no such image; copy the data set again")
-        if stored.stat().st_size > _LARGEST_IMAGE_BYTES:
-            raise InputError(f"{stored}: {stored.stat().st_size} bytes are too many for an image; copy it again")
-    content = np.frombuffer(stored.read_bytes(), np.uint8)
-    image = cv2.imdecode(content, cv2.IMREAD_COLOR) if len(content) else None
-    if image is None:
-        raise InputError(f"{stored}: cannot be decoded as an image; copy it again")
+    if isinstance(stored, Path) and not stored.is_file():
+        raise InputError(f"{stored}: no such image; copy the data set again")
+    content = read_bounded(stored, "image", LARGEST_BYTES) if isinstance(stored, Path) else stored.read_bytes()
+    image = decode_picture(content, str(stored))
     if image.shape[:2] != (camera.height, camera.width):
         height, width = image.shape[:2]
         raise InputError(f"{stored}: is {width} x {height} pixels; its camera has {camera.width} x {camera.height}")
-    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+    return image
 
 
 def straightened(camera: Camera, width: int) -> tuple[Camera, Callable[[Image], Image]]:

@@ -5,6 +5,7 @@ rows is a property of the clips: it depends neither on the order of rows in a fi
 given, so that everything drawn from a table by row number is reproducible.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from itertools import pairwise
@@ -37,7 +38,7 @@ def scan_clip_tables(paths: Sequence[Path]) -> pl.LazyFrame:
     Raises:
         InputError: a table is missing, damaged, of another version, or holds a column or value that is not known.
     """
-    resolved = sorted(path.resolve() for path in paths)
+    resolved = sorted(Path(os.path.realpath(path)) for path in paths)  # a link to itself is no file, and no loop
     twice = next((first for first, second in pairwise(resolved) if first == second), None)
     if twice is not None:
         raise InputError(f"{twice} was given twice; give each store and each table once")

@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 from olt_generator.errors import InputError
 
@@ -49,6 +50,19 @@ def make_folder(path: Path) -> Path:
     if not os.access(path, os.W_OK | os.X_OK):
         raise InputError(f"{path}: this folder is not writable; choose another output folder")
     return path
+
+
+def walk_files(folder: Path) -> list[Path]:
+    """All files in a folder and below, sorted; links to folders are not followed, so that no loop is walked.
+
+    Raises:
+        InputError: a folder cannot be listed, so that files in it would be passed over in silence.
+    """
+
+    def refuse(error: OSError) -> NoReturn:
+        raise InputError(f"{error.filename}: cannot be listed ({error.strerror}); make it readable") from error
+
+    return sorted(Path(parent) / name for parent, _, names in os.walk(folder, onerror=refuse) for name in names)
 
 
 @contextmanager

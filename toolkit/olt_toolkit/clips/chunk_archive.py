@@ -96,6 +96,8 @@ class ChunkArchive:
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
     try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: not a regular file; build the clips again")
         yield
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file; the clip store is incomplete") from error
