@@ -31,15 +31,15 @@ def read_rows(path: Path, fields: Mapping[str, type]) -> Iterator[dict[str, Any]
         yield row
 
 
-_WORDS = {str: "text", int: "an integer of 64 bits", list: "a list of finite numbers"}
+_WORDS = {str: "text", int: "an integer", list: "a list of finite numbers"}
 
 
 def _is_bounded(value: Any, depth: int = 0) -> bool:
-    """Whether numbers are finite and of 64 bits, in lists, which hold nothing else, no more than a few deep."""
+    """Whether the numbers in lists, which hold nothing else and are no more than a few deep, are finite floats."""
     if isinstance(value, list):
         return depth < _MOST_DEPTH and all(not isinstance(each, str) and _is_bounded(each, depth + 1) for each in value)
     if type(value) is int:
-        return abs(value) <= _LARGEST_INTEGER
+        return depth == 0 or abs(value) <= _LARGEST_INTEGER
     return isinstance(value, str) or (type(value) is float and math.isfinite(value))
 
 

@@ -23,6 +23,7 @@ from olt_toolkit.clips.parquet_files import open_parquet, read_rows
 from olt_toolkit.rigs.ftheta_fit import fit_ftheta
 from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
+_WIDEST = 20_000
 QUATERNION = ["qx", "qy", "qz", "qw"]
 POSITION = ["x", "y", "z"]
 VELOCITY = ["vx", "vy", "vz"]
@@ -30,6 +31,8 @@ ACCELERATION = ["ax", "ay", "az"]
 FORWARD = [f"fw_poly_{power}" for power in range(5)]
 BACKWARD = [f"bw_poly_{power}" for power in range(5)]
 LENS = ["width", "height", "cx", "cy", *FORWARD, *BACKWARD]
+# What pandas and Arrow raise where the metadata contradict the columns.
+_NOT_PANDAS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError, pa.ArrowException)
 DIMENSIONS = ["length", "width", "height", "rear_axle_to_bbox_center", "wheelbase", "track_width"]
 
 
@@ -98,6 +101,10 @@ def read_mounted_camera(intrinsics: Path, extrinsics: Path, clip_id: str, camera
     key = (clip_id, camera)
     lens = _row(read_indexed(intrinsics, LENS, ["clip_id", "camera_name"]), key, LENS, intrinsics)
     pose = _row(read_indexed(extrinsics, mounting, ["clip_id", "sensor_name"]), key, mounting, extrinsics)
+    if any(lens[side] not in range(1, _WIDEST + 1) for side in ("width", "height")):
+        raise InputError(
+            f"{intrinsics}: row {key} is a picture of {lens['width']:g} x {lens['height']:g} pixels; no camera has that"
+        )
     forward, backward = (tuple(lens[name] for name in names) for names in (FORWARD, BACKWARD))
     model = FthetaCamera(int(lens["width"]), int(lens["height"]), lens["cx"], lens["cy"], forward, backward)
     return MountedCamera(
@@ -128,7 +135,7 @@ def to_pandas(table: pa.Table, path: Path) -> tuple[pd.DataFrame, list[str]]:
     """A table and the columns of its index, as the metadata that pandas wrote tell; `InputError` where they cannot."""
     try:
         return table.to_pandas(), (table.schema.pandas_metadata or {}).get("index_columns", [])
-    except (ArithmeticError, AttributeError, KeyError, IndexError, RecursionError, TypeError, ValueError) as error:
+    except _NOT_PANDAS as error:
         raise InputError(f"{path}: its metadata for pandas are damaged ({error!r}); write it again") from error
 
 

@@ -22,6 +22,7 @@ from olt_toolkit.clips.table_values import check_rows
 CLIP_TABLE = "clips.parquet"
 TABLE_VERSION = 5
 VERSION_KEY = b"table_version"
+_LONGEST_VERSION = 9
 
 _VIEW = pa.struct(
     [
@@ -98,8 +99,8 @@ def read_clip_table(path: Path) -> list[ClipInfo]:
 def check_table_version(version: bytes | str | None, path: Path) -> None:
     """Check the version that the metadata of a table tell; an `InputError` where this release does not read it."""
     text = version.decode(errors="replace") if isinstance(version, bytes) else version
-    if text is None or not text.isdecimal():
-        raise InputError(f"{path}: table_version is {text!r}; this is no clip table")
+    if text is None or not text.isdecimal() or len(text) > _LONGEST_VERSION:
+        raise InputError(f"{path}: table_version is {text!r:.40}; this is no clip table")
     if int(text) != TABLE_VERSION:
         advice = "install a newer release" if int(text) > TABLE_VERSION else "build the clips again"
         raise InputError(f"{path}: table_version is {text}, this release reads {TABLE_VERSION}; {advice}")

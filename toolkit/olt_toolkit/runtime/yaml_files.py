@@ -125,7 +125,7 @@ class _Loader(yaml.CSafeLoader):
 
     def construct_integer(self, node: yaml.ScalarNode) -> int:
         value = self.construct_yaml_int(node) if len(node.value) <= _LONGEST_NUMBER else _LARGEST_INTEGER + 1
-        if abs(value) > _LARGEST_INTEGER:
+        if not -_LARGEST_INTEGER - 1 <= value <= _LARGEST_INTEGER:
             raise _refuse(node, f"{node.value:.60} is beyond {_LARGEST_INTEGER}, the largest number that is read")
         if ":" in node.value or _OCTAL.fullmatch(node.value):
             raise _mistaken(node, str(value))
