@@ -190,7 +190,7 @@ class ClipStore:
         """
         path = self._chunk_file(clip_id, feature)
         table, _ = tables.to_pandas(tables.read_table(path, [], str(path)), path)
-        rows = table[table.index.get_level_values(0) == clip_id]
+        rows = table.loc[table.index.get_level_values(0) == clip_id]
         if rows.empty:
             raise InputError(f"{path}: no row for {clip_id}")
         return rows

@@ -209,9 +209,7 @@ def _wrong_texts(name: str, texts: pa.Array) -> tuple[Flags, str]:
 
 
 def _equal(texts: pa.Array, words: tuple[str | None, ...]) -> Flags:
-    import pyarrow.compute as pc
-
-    return pc.is_in(texts, value_set=pa.array(words, texts.type)).to_numpy(False)
+    return np.isin(texts.to_numpy(False), np.array(words, object))
 
 
 def _is_control(content: NDArray[np.uint8]) -> Flags:
