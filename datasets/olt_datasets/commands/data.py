@@ -90,6 +90,8 @@ def index(
         print_line(f"{summary.kept} rows were kept from the table as it was")
         example = "".join(f", as {key}" for key in summary.without_clips[:1])
         print_line(f"{len(summary.without_clips)} drives fill no window{example}")
+        for key, first in summary.copies.items():
+            print_line(f"left out: {key}: the same recording as {first}")
         for omission in summary.left_out:
             print_line(f"left out: {word_omission(omission)}")
         for key, message in summary.failed.items():
@@ -172,9 +174,12 @@ def check(
     """
     from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_datasets.tables.leaks import find_table_leaks
+    from olt_datasets.tables.scenes import refuse_unknown_scenes
     from olt_toolkit.runtime.console import print_json, print_line
 
-    leaks = find_table_leaks(scan_clip_tables(tables), held_out or (), external or ())
+    table = scan_clip_tables(tables)
+    refuse_unknown_scenes(table, held_out or (), "--held-out")
+    leaks = find_table_leaks(table, held_out or (), external or ())
     if as_json:
         print_json({"clean": not leaks, "leaks": [vars(leak) for leak in leaks]})
     else:

@@ -167,7 +167,7 @@ class Recipe(BaseModel):
             evaluated as it is: its mixture has no samples, and training on it is refused.
         between_epochs: how shares go from one named epoch to the next: in equal steps each epoch ("linear"), or at
             once when it comes ("steps").
-        held_out_scenes: scene ids whose clips are left out, whatever their split.
+        held_out_scenes: scene ids whose clips are left out, whatever their split; ids that no clip has are refused.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)

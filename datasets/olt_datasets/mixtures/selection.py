@@ -13,6 +13,7 @@ import polars as pl
 from olt_datasets.mixtures.batches import epoch_counts
 from olt_datasets.mixtures.draws import PRIORITY, draw_samples, sample_count
 from olt_datasets.mixtures.recipe import MOST_ITEMS, Component, Filter, Recipe
+from olt_datasets.tables.scenes import refuse_unknown_scenes
 from olt_generator.errors import InputError
 
 ClipTable = pl.DataFrame | pl.LazyFrame
@@ -99,7 +100,12 @@ class AbsentValue(NamedTuple):
 
 
 def select_clips(recipe: Recipe, table: ClipTable) -> list[Selection]:
-    """The clips of its split that a recipe's filters match; InputError where two components would use the same one."""
+    """The clips of its split that a recipe's filters match.
+
+    Raises:
+        InputError: two components would use the same clip, or the recipe holds out a scene that no clip shows.
+    """
+    refuse_unknown_scenes(table, recipe.held_out_scenes, f"recipe {recipe.name}: held_out_scenes")
     held_out = pl.col("scene_id").is_in(recipe.held_out_scenes)
     usable = table.lazy().filter((pl.col("split") == recipe.split) & ~held_out)
     marked = usable

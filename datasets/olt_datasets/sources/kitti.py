@@ -36,11 +36,14 @@ PASSAT = VehicleDimensions(
 class KittiDrive(Protocol):
     """A drive folder, of which times, calibration and names of files are read; images and poses as they are needed."""
 
-    scene: str
     camera: str
     image_us: NDArray[np.int64]
     has_motion: bool
     notes: tuple[str, ...]
+
+    def identify(self) -> str:
+        """What tells the drive from all others, wherever its folder lies and whatever it is called."""
+        ...
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """Decode some images, shrunk to `width`, else InputError; times are the drive's, and so is the reference."""
@@ -60,11 +63,11 @@ class KittiDrives:
         return sorted(self._folders)
 
     def drive(self, key: str) -> Drive:
-        """See `Dataset.drive`; no image is read."""
+        """See `Dataset.drive`; no image is decoded."""
         drive = self._read(self._folder(key))
         return Drive(
             source=self.source,
-            scene_id=f"{self.source}/{drive.scene}",
+            scene_id=f"{self.source}/{drive.identify()}",
             key=key,
             front_us=drive.image_us,
             cameras=(drive.camera,),

@@ -9,7 +9,6 @@ close to the rear axle). Its x axis is the direction in which the vehicle travel
 IMU itself is mounted with its nose up to a degree off the road.
 """
 
-import re
 from datetime import datetime
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
+from olt_datasets.sources.content import hash_content, read_content
 from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, read_text
 from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.motion.mounting import align_mounting
@@ -30,7 +30,6 @@ CAMERA_FILE, VELODYNE_FILE, IMU_FILE = "calib_cam_to_cam.txt", "calib_velo_to_ca
 OXTS_FIELDS = 30
 NAME = "kitti_raw"
 _OFFICIAL_IMAGES = "image_02/data"
-_DRIVE_NAME = re.compile(r"\d{4}_\d\d_\d\d_drive_\d{4}")
 ASSUMPTIONS = (
     f"The rig origin is the IMU's position projected to the ground, {IMU_HEIGHT} m below it, and is taken for the "
     "middle of the rear axle.",
@@ -59,9 +58,8 @@ class KittiRawDrive:
             images, image_times, calibration = path / "image_02", path / "image_02_timestamps.txt", path
             oxts, oxts_times = path / "oxts", path / "oxts_timestamps.txt"
         image_ns, oxts_ns = _read_times(image_times), _read_times(oxts_times)
-        name = _DRIVE_NAME.search(path.name)
-        self.scene = name[0] if name else path.name
         self.image_us = np.rint((image_ns - image_ns[0]) / 1000).astype(np.int64)
+        self._image_ns = image_ns
         self._name = path.name
         self._oxts_us = np.rint((oxts_ns - image_ns[0]) / 1000).astype(np.int64)
         fields = {"S_rect_02": 2, "P_rect_02": 12, "R_rect_00": 9}
@@ -75,6 +73,10 @@ class KittiRawDrive:
         ):
             if len(files) != len(times):
                 raise InputError(f"{folder}: {len(files)} {what} for {len(times)} timestamps; copy the drive again")
+
+    def identify(self) -> str:
+        """See `KittiDrive.identify`: a hash of the times of all images and of the first one's file."""
+        return hash_content(self._image_ns, read_content(self._images[0]))
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """See `KittiDrive.record`."""

@@ -59,6 +59,11 @@ class _Video:
     alert: float | None
     factors: tuple[str, ...]
 
+    @property
+    def scene(self) -> str:
+        """The id that the tables give, which counts within a split."""
+        return f"{self.split}/{self.path.stem}"
+
 
 class Nexar:
     """The data set at a folder; see `Dataset`."""
@@ -70,6 +75,7 @@ class Nexar:
         self._root = root
         self._cache = cache / NAME
         self._videos: dict[str, _Video] = {}
+        named: dict[str, str] = {}
         for table, folder, split in (*_TABLES, *_HUB_TABLES):
             if not (root / table).is_file():
                 continue
@@ -79,6 +85,11 @@ class Nexar:
                 key = video.path.relative_to(root).with_suffix("").as_posix()
                 if key in self._videos:
                     raise InputError(f"{where}: video {key} is listed twice; keep one of the rows")
+                if (other := named.setdefault(video.scene, key)) != key:
+                    raise InputError(
+                        f"{where}: {key} and {other} have one id in the split {split}, and each video needs its own; "
+                        "download the tables again"
+                    )
                 self._videos[key] = video
         if not self._videos:
             raise InputError(f"{root}: no train.csv, test.csv or metadata.csv lists a video; give Nexar's folder")
@@ -101,7 +112,7 @@ class Nexar:
             notes += (f"It ends in a collision or a near miss; only what lies before the {what} may be imitated.",)
         return Drive(
             source=NAME,
-            scene_id=f"{NAME}/{video.split}/{video.path.stem}",
+            scene_id=f"{NAME}/{video.scene}",
             key=key,
             front_us=front_us,
             cameras=(CAMERA,),

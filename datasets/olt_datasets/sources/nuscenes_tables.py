@@ -22,9 +22,10 @@ POSITION = ["x", "y", "z"]
 QUATERNION = ["qw", "qx", "qy", "qz"]
 MOUNTING = [f"camera_{name}" for name in (*POSITION, *QUATERNION)]
 LENS = ["fx", "fy", "cx", "cy"]
-IMAGE = ["scene", "description", "location", "channel", "filename", "timestamp", "width", "height", "calibrated_sensor"]
+SCENE = ["scene", "scene_token", "description", "location"]
+IMAGE = [*SCENE, "channel", "filename", "timestamp", "width", "height", "calibrated_sensor"]
 # Changes with the columns, so that files of another version of this module are not taken.
-_FORMAT = "1"
+_FORMAT = "2"
 _BATCH = 50_000
 _ROW_GROUP = 20_000
 
@@ -88,21 +89,21 @@ def _read_calibrations(release: Path) -> pl.DataFrame:
 
 
 def _read_scenes(release: Path) -> pl.DataFrame:
-    """Name, description and place of the scene, by the token of the sample."""
+    """Name, token, description and place of the scene, by the token of the sample."""
     logs = {row["token"]: row["location"] for row in read_rows(release / "log.json", {"token": str, "location": str})}
     path = release / "scene.json"
     scenes = {}
     for row in read_rows(path, {"token": str, "name": str, "description": str, "log_token": str}):
         if row["log_token"] not in logs:
             raise InputError(f"{path}: scene {row['name']}: log.json has no log_token {row['log_token']}")
-        scenes[row["token"]] = (row["name"], row["description"], logs[row["log_token"]])
+        scenes[row["token"]] = (row["name"], row["token"], row["description"], logs[row["log_token"]])
     path = release / "sample.json"
     rows = []
     for row in read_rows(path, {"token": str, "scene_token": str}):
         if row["scene_token"] not in scenes:
             raise InputError(f"{path}: sample {row['token']}: scene.json has no scene_token {row['scene_token']}")
         rows.append((row["token"], *scenes[row["scene_token"]]))
-    schema = dict.fromkeys(["sample_token", "scene", "description", "location"], pl.String)
+    schema = dict.fromkeys(["sample_token", *SCENE], pl.String)
     return pl.DataFrame(rows, schema, orient="row")
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field, TypeAdapter, ValidationError
 
+from olt_datasets.sources.content import hash_content, read_content
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_generator import BrownConradyCamera, InputError, Trajectory
 from olt_generator.poses import Array, invert, pose_from_quaternion
@@ -110,13 +111,15 @@ class Pandaset:
                 f"{self._root / key / 'camera' / FRONT}: no such folder; PandaSet has no sequence {key!r} here"
             )
         folder = self._folders[key] / "camera"
-        start = _read_times(folder / FRONT)[0]
+        times = _read_times(folder / FRONT)
+        start = times[0]
         cameras = {name: self._camera(folder / name, start) for name in self._rig.cameras if (folder / name).is_dir()}
         front = cameras[FRONT]
         T_world_camera = _read_poses(folder / FRONT, len(front.files))
         return SurroundDrive(
             source=SOURCE,
             key=key,
+            scene=hash_content(times, read_content(front.files[0])),
             front=FRONT,
             cameras=cameras,
             ego=Trajectory(front.times_us, T_world_camera @ invert(front.mounted.T_rig_camera)),

@@ -60,11 +60,13 @@ class CameraImages:
 class SurroundDrive:
     """A drive of a vehicle with several cameras, of which the front one begins at drive time 0.
 
-    `ego` are measured rig poses over drive time, in a frame whose z is up; `assumptions` sentences for what is assumed.
+    `scene` tells it from all others of its source. `ego` are measured rig poses over drive time, in a frame whose z is
+    up; `assumptions` sentences for what is assumed.
     """
 
     source: str
     key: str
+    scene: str
     front: str
     cameras: dict[str, CameraImages]
     ego: Trajectory
@@ -101,7 +103,7 @@ class SurroundDrive:
         )
         return Drive(
             source=self.source,
-            scene_id=f"{self.source}/{self.key}",
+            scene_id=f"{self.source}/{self.scene}",
             key=self.key,
             front_us=self.cameras[self.front].times_us,
             cameras=tuple(self.cameras),

@@ -28,6 +28,7 @@ What the values mean: `olt_closed_loop.scenes.conditions`, `olt_closed_loop.sens
 Equal files give equal images. Category, scene factors, motion and all views are known exactly.
 """
 
+import json
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -123,6 +124,12 @@ class _Specification(BaseModel):
     conditions: _Conditions = _Conditions()
     camera: _Camera = _Camera()
 
+    def take(self) -> str:
+        """Tells drives of one scene apart that are filmed in other ways; empty for a clear day at the usual rate."""
+        told = self.model_dump(include={"frame_rate", "conditions", "camera"}, exclude_defaults=True)
+        told = {name: value for name, value in told.items() if value != {}}
+        return json.dumps(told, sort_keys=True) if told else ""
+
     @field_validator("categories")
     @classmethod
     def _check_categories(cls, categories: tuple[str, ...]) -> tuple[str, ...]:
@@ -173,6 +180,7 @@ class Synthetic:
                 "The world is invented and its images are rendered, not filmed.",
                 *self._asked.conditions.notes(),
             ),
+            take=self._asked.take(),
         )
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:

@@ -55,7 +55,7 @@ def test_from_a_data_set_to_built_clips(toy, tmp_path):
     )
     assert result.exit_code == 0, result.output
     assert [clip["state"] for clip in json.loads(result.stdout)["clips"]] == ["built"] * 4
-    of_the_files = ("store", "checksum", "fingerprint", "doubts")
+    of_the_files = ("store", "checksum", "fingerprint", "doubts", "build_options")
     built, indexed = (read_clip_tables([path]).drop(of_the_files) for path in (store, table))
     assert_frame_equal(built, indexed)
     assert read_clip_tables([store])["doubts"].to_list() == [[]] * 4

@@ -76,7 +76,7 @@ def test_windows_that_fail_are_told_or_stop_everything(open_toy, tmp_path):
 def test_another_data_set_is_refused(open_toy, tmp_path):
     place, _ = open_toy(ToyDataset({"a": SURROUND}))
     (job, *_) = jobs_for(rows_of(replace(SURROUND, source="other")), place, tmp_path / "clips")
-    with pytest.raises(InputError, match=r"holds data of toy, but the clip 'toy-a_000000_002900' is of other"):
+    with pytest.raises(InputError, match=r"holds data of toy, but the clip 'a_000000_002900' is of other"):
         build_clips([job], workers=1)
 
 

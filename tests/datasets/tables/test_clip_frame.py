@@ -61,7 +61,7 @@ def test_stores_and_indexed_tables_are_read_together(write_store, make_clip, tmp
     ("change", "message"),
     [
         (lambda table: table.drop_columns(["scene_id"]), "column scene_id is missing"),
-        (with_version("4"), "table_version is 4, this release reads 5; build the clips again"),
+        (with_version("4"), "table_version is 4, this release reads 5; build or index the clips again"),
         (with_version("6"), "table_version is 6, this release reads 5; install a newer release"),
         (lambda table: table.replace_schema_metadata(None), "table_version is None; this is no clip table"),
         (with_column("duration_us", pa.array([1.0, 2.0])), "column duration_us is Float64, not Int64"),

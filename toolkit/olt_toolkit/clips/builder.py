@@ -20,15 +20,15 @@ from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
 from olt_generator.views.moving_objects import check_distances
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_generator.views.view_plan import ViewPlan, plan_views
-from olt_toolkit.clips.clip import CameraStream, Clip, ClipKind, ClipOrigin, EgoMotion, make_clip_id
+from olt_toolkit.clips.clip import CameraStream, Clip, ClipKind, ClipOrigin, EgoMotion
 from olt_toolkit.clips.feasibility import check_feasible
+from olt_toolkit.clips.identity import clip_id_of
 from olt_toolkit.clips.images import fit_images
 from olt_toolkit.clips.recovered_motion import RecoveredMotion
 from olt_toolkit.clips.views import BuildOptions, View, ViewMaker
 from olt_toolkit.policy.window import grid_frame_indices, sampled_frame_indices
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.ftheta_fit import fit_ftheta
-from olt_toolkit.rigs.names import FrontLens
 from olt_toolkit.runtime.steps import OnStep, Steps, unnoticed
 
 Indices = NDArray[np.int64]
@@ -146,16 +146,6 @@ def clip_kind(options: BuildOptions) -> ClipKind:
     return "GT" if options.use_reference_views else "Syn"
 
 
-def clip_id_of(source: str, name: str, options: BuildOptions) -> str:
-    """The id of the clip of that name that these options make of a recording that `source` reads.
-
-    Clips of one recording with different front views are different clips; a true front view is the same with each.
-    """
-    kind = clip_kind(options)
-    changed = kind != "GT" and options.front is not FrontLens.AS_NAMED
-    return make_clip_id(source, name, kind, options.seed, *([options.front.value] if changed else []))
-
-
 def _measure_motion(
     recording: Recording, options: BuildOptions, steps: Steps
 ) -> tuple[RecoveredMotion | None, EgoMotion, Trajectory, Array]:
@@ -206,12 +196,15 @@ def _assemble(
     # Video files need one constant rate, and readers take times from the timestamp tables: it only has to be close.
     rate = float(max(1, round(1e6 / float(np.median(np.diff(times_us))))))
     wanted = {camera: views[camera] for camera in options.cameras}
+    scene_id = options.scene_id or f"{recording.source}/{recording.name}"
+    origin = options.origin or ClipOrigin(recording.name, int(times_us[0]), int(times_us[-1]))
+    window_us = (origin.start_us, origin.end_us)
     return Clip(
-        clip_id=clip_id_of(recording.source, name, options),
+        clip_id=options.clip_id or clip_id_of(scene_id, "", window_us, kind, options.seed, options.front),
         name=name,
-        scene_id=options.scene_id or recording.name,
+        scene_id=scene_id,
         source=recording.source,
-        origin=options.origin or ClipOrigin(recording.name, int(times_us[0]), int(times_us[-1])),
+        origin=origin,
         kind=kind,
         category=options.category,
         factors=options.factors,
@@ -227,6 +220,7 @@ def _assemble(
         vehicle=recording.vehicle,
         provenance={camera: view.provenance for camera, view in wanted.items()},
         sample_t0_us=options.sample_t0_us,
+        build_options=options.build_options,
     )
 
 

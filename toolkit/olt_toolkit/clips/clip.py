@@ -205,8 +205,8 @@ class ClipDescription:
 
     Attributes:
         clip_id: UUID text (`make_clip_id`).
-        name: what people call the clip.
-        scene_id: the scene it shows; clips of one scene belong in one split.
+        name: what people call the clip; two clips may have one name.
+        scene_id: the scene it shows (`Drive.scene_id`); clips of one scene belong in one split.
         source: the reader of the recording.
         category, factors: long-tail category, "nominal", or `UNLABELLED`; the scene factors that hold.
         split: training split; None for a clip that is only indexed and that no rule has put into a split yet.
@@ -237,7 +237,7 @@ class Clip(ClipDescription):
     """One clip, ready to be stored; its streams, and where they came from, by camera name.
 
     `sample_t0_us` are the only times t0 at which it may be sampled, such as those before a crash; None for all times
-    that it covers.
+    that it covers. `build_options` are those of `ClipInfo`.
     """
 
     streams: dict[str, CameraStream]
@@ -245,6 +245,7 @@ class Clip(ClipDescription):
     vehicle: VehicleDimensions
     provenance: dict[str, ViewProvenance]
     sample_t0_us: tuple[int, ...] | None = None
+    build_options: str | None = None
 
     @property
     def images(self) -> dict[str, NDArray[np.uint8]]:
@@ -271,7 +272,8 @@ class ClipInfo(ClipDescription):
         fingerprint: what the front images look like (`clips.image_hash`); None where none was decoded.
         action_errors: for each of `sample_t0_us`, the mean distance (m) of its future from what the policy's action
             space can express; None where the motion is not known yet.
-        build_options: how the clip was built, as JSON; None where it is only indexed.
+        build_options: how the clip was built, as JSON (`clips.build_options`); None where it is only indexed, or where
+            whoever built it did not tell.
     """
 
     duration_us: int

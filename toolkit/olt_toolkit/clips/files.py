@@ -113,6 +113,7 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
         checksum=checksum,
         fingerprint=_fingerprint(clip.streams[FRONT_WIDE]) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,
+        build_options=clip.build_options,
     )
 
 

@@ -33,6 +33,11 @@ _PREVIEW_TILE = 288
 _PREVIEW_QUALITY = 60
 
 
+def picture_name(name: str, clip_id: str) -> str:
+    """What the pictures of a clip are called: two clips of one name do not share them."""
+    return f"{name}-{clip_id[:8]}"
+
+
 def write_clip_pictures(
     folder: Path,
     name: str,
@@ -52,7 +57,7 @@ def write_clip_pictures(
 
 
 def animation_path(folder: Path, name: str) -> Path:
-    """Where the animated preview of a clip of that name lies."""
+    """Where the animated preview lies that `write_clip_pictures` writes under that name."""
     return folder / f"{name}.webp"
 
 

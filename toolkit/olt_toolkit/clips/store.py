@@ -145,10 +145,13 @@ class ClipStore:
         Raises:
             InputError: no clip is called so, or several are.
         """
-        found = [clip_id for clip_id, info in self._clips.items() if text in (clip_id, info.name)]
+        found = [info for clip_id, info in self._clips.items() if text in (clip_id, info.name)]
         if len(found) == 1:
-            return found[0]
-        problem = f"no clip {text!r}" if not found else f"{len(found)} clips are called {text!r}: {', '.join(found)}"
+            return found[0].clip_id
+        told = ", ".join(f"{info.clip_id} ({info.kind} of scene {info.scene_id})" for info in found)
+        problem = (
+            f"{len(found)} clips are called {text!r}, give the id of one: {told}" if found else f"no clip {text!r}"
+        )
         raise InputError(f"{self.root}: {problem}; `olt clip inspect` lists the clips and their ids")
 
     def chunks(self) -> dict[int, list[str]]:

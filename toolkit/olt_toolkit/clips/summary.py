@@ -39,6 +39,7 @@ def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
 def summarize_info(info: ClipInfo) -> dict[str, Any]:
     """A row of the clip table."""
     return asdict(info) | {
+        "fingerprint": None if info.fingerprint is None else info.fingerprint.hex(),
         "factors": list(info.factors),
         "doubts": None if info.doubts is None else list(info.doubts),
         "sample_t0_us": list(info.sample_t0_us),

@@ -83,9 +83,12 @@ def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
 
 def read_clip_table(path: Path) -> list[ClipInfo]:
     """Read the table; an `InputError` where it is missing, of another version, or holds what no clip can have."""
-    table = read_table(path, SCHEMA.names, str(path))
+    table = read_table(path, [], str(path))
+    # Asked before the columns, which other versions have others of.
     check_table_version((table.schema.metadata or {}).get(VERSION_KEY), path)
     for name in SCHEMA.names:
+        if name not in table.column_names:
+            raise InputError(f"{path}: column {name} is missing")
         if table.schema.field(name).type != SCHEMA.field(name).type:
             raise InputError(f"{path}: column {name} is {table.schema.field(name).type}, not {SCHEMA.field(name).type}")
     check_rows(table, str(path))
@@ -102,7 +105,11 @@ def check_table_version(version: bytes | str | None, path: Path) -> None:
     if text is None or not text.isdecimal() or len(text) > _LONGEST_VERSION:
         raise InputError(f"{path}: table_version is {text!r:.40}; this is no clip table")
     if int(text) != TABLE_VERSION:
-        advice = "install a newer release" if int(text) > TABLE_VERSION else "build the clips again"
+        advice = (
+            "install a newer release"
+            if int(text) > TABLE_VERSION
+            else "build or index the clips again, under a new name"
+        )
         raise InputError(f"{path}: table_version is {text}, this release reads {TABLE_VERSION}; {advice}")
 
 

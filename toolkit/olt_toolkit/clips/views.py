@@ -55,7 +55,10 @@ class BuildOptions:
         use_reference_motion: take the recording's true trajectory although views are synthesized.
         poses, depth: where motion otherwise and distances come from.
         image_kind: how the recording's own images came to be, for the provenance.
-        name, scene_id: None for the recording's name.
+        name: None for the recording's name.
+        scene_id: None for the source and the name of the recording, which suit one that no data set tells an id of.
+        clip_id: None for that of these moments of the scene (`clips.identity`).
+        build_options: see `ClipInfo`.
         category, factors, split, sample_t0_us: see `Clip`.
         origin: what the recording was cut from; None where it is whole, and nothing more is known of it.
         seed: goes into the clip's id and provenance; nothing in the build is random yet.
@@ -74,6 +77,8 @@ class BuildOptions:
     image_kind: ViewKind = "observed"
     name: str | None = None
     scene_id: str | None = None
+    clip_id: str | None = None
+    build_options: str | None = None
     category: str = UNLABELLED
     factors: tuple[str, ...] = ()
     split: Split = "train"

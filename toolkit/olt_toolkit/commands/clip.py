@@ -220,9 +220,14 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
     from olt_toolkit.commands.clip_output import print_build
     from olt_toolkit.runtime.console import print_json, print_line, show_progress
 
-    recording, store = job.open(), ClipStore(job.store)
+    job, store = job.identify(), ClipStore(job.store)
     if job.clip_id in store:
-        raise InputError(f"{store.root}: already holds the clip {job.name!r}; give another --name, --seed or --out")
+        job.check_options(store.info(job.clip_id))
+        known = store.info(job.clip_id).name
+        raise InputError(
+            f"{store.root}: already holds the clip {known!r} of this recording; give another --seed or --out"
+        )
+    recording = job.open()
     if not as_json and (reason := why_no_sample(recording)):
         print_line(f"the clip will give no policy sample: {reason}")
     with show_progress("clip") as (on_progress, on_step):
@@ -276,7 +281,7 @@ def build_all(
 
 
 def _draw_stored(store: "ClipStore", clip_id: str, folder: Path) -> dict[str, str]:
-    from olt_toolkit.clips.pictures import write_clip_pictures
+    from olt_toolkit.clips.pictures import picture_name, write_clip_pictures
 
     info = store.info(clip_id)
     times_us = {name: store.read_timestamps(clip_id, name) for name in info.views}
@@ -288,4 +293,4 @@ def _draw_stored(store: "ClipStore", clip_id: str, folder: Path) -> dict[str, st
     images = {name: store.read_frames(clip_id, name, shown_us)[0] for name in info.views}
     not_whole = [name for name, view in info.views.items() if not view.is_seen_whole]
     origins = {name: store.read_origin(clip_id, name, shown_us) for name in not_whole}
-    return write_clip_pictures(folder, info.name, images, origins, shown_us)
+    return write_clip_pictures(folder, picture_name(info.name, clip_id), images, origins, shown_us)

@@ -88,8 +88,8 @@ def print_results(results: Sequence[BuildResult], store: Path) -> None:
     ]
     print_table(f"Clips in {store}", columns, rows)
     for result in results:
-        if result.state == "failed":
-            print_line(f"failed: {result.path.name}: {result.message}")
+        if result.message is not None:
+            print_line(f"{'failed' if result.state == 'failed' else 'left out'}: {result.path.name}: {result.message}")
 
 
 def print_plan(plan: dict[str, Any], folder: Path) -> None:

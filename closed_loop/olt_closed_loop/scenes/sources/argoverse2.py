@@ -188,6 +188,18 @@ def read_motion_ego(folder: Path) -> Trajectory:
     return _motion_ego(_table(path, "track_id timestep position_x position_y heading"), path)[0]
 
 
+def read_scenario_id(path: Path) -> str | None:
+    """The id that stands in a readable file of tracks, None where it has no column of ids; InputError for several."""
+    from pyarrow import parquet
+
+    if "scenario_id" not in parquet.read_schema(path).names:
+        return None
+    ids = np.unique(_table(path, "scenario_id")["scenario_id"].astype(str))
+    if len(ids) != 1:
+        raise InputError(f"{path}: column scenario_id holds {len(ids)} ids; give an unchanged copy of the scenario")
+    return str(ids[0])
+
+
 Columns = dict[str, NDArray[Any]]
 
 
