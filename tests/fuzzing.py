@@ -343,9 +343,9 @@ def _read_store(path):
 def _read_archive(path):
     from olt_toolkit.clips.chunk_archive import ChunkArchive
 
-    with zipfile.ZipFile(path) as known:
-        names = known.namelist()
     archive = ChunkArchive(path)
+    with zipfile.ZipFile(path) as known:  # it can be listed, or the line above refused it
+        names = known.namelist()
     for name in names:
         archive.read(name)
         archive.locate(name)
@@ -508,8 +508,6 @@ def main():
                 _check_message(error)
             except AssertionError as wrong:
                 problem = str(wrong)
-        except zipfile.BadZipFile as error:
-            problem = None if reader == "archive" else repr(error)
         except BaseException as error:  # polars' panics are not exceptions
             problem = "".join(traceback.format_exception(error))[-3000:]
         if (spent := time.process_time() - start) > MOST_CPU_SECONDS:

@@ -10,6 +10,7 @@ driver would have been alerted.
 
 import csv
 import io
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -146,7 +147,7 @@ def _read_rows(table: Path) -> list[dict[str, str]]:
 def _read_video(row: dict[str, str], folder: Path, split: Split, where: str) -> _Video:
     name = row.get("file_name") or (f"{row['id']}.mp4" if row.get("id") else "")
     path = folder / name
-    if not name or not path.resolve().is_relative_to(folder.resolve()):
+    if not name or not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
         raise InputError(
             f"{where}: neither 'id' nor 'file_name' names a video in {folder.name}; download the table again"
         )

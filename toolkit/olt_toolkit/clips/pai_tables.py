@@ -125,6 +125,8 @@ def read_indexed(path: Path, columns: list[str], index: list[str]) -> pd.DataFra
         raise InputError(
             f"{path}: its index is {names or 'missing'}; it must be {', '.join(index)}, written as a pandas index"
         )
+    if not all(pd.api.types.is_hashable(key) for key in frame.index):
+        raise InputError(f"{path}: its index {', '.join(index)} holds lists; it must hold words")
     if not frame.index.is_unique:
         repeated = frame.index[frame.index.duplicated()][0]
         raise InputError(f"{path}: {', '.join(index)} {repeated} is there more than once")
@@ -166,7 +168,10 @@ def _indexed(rows: dict[tuple[str, str], dict[str, float]], names: list[str]) ->
 def _row(frame: pd.DataFrame, key: str | tuple[str, str], columns: list[str], path: Path) -> dict[str, float]:
     if key not in frame.index:
         raise InputError(f"{path}: no row for {key if isinstance(key, str) else ', '.join(key)}")
-    values = frame[columns].to_numpy(dtype=np.float64)[frame.index.get_loc(key)]
+    try:
+        values = frame[columns].to_numpy(dtype=np.float64)[frame.index.get_loc(key)]
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: row {key} holds what is no number ({error})") from error
     if not np.isfinite(values).all():
         raise InputError(f"{path}: row {key} holds values that are not finite")
     return dict(zip(columns, values.tolist(), strict=True))
