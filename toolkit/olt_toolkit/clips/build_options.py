@@ -16,6 +16,7 @@ from olt_toolkit.clips.clip import ClipInfo
 from olt_toolkit.clips.estimators import Estimators, PoseEstimator
 from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.runtime.json_files import parse_json
 
 _OPTIONS = {
     "cameras": "--rig (cameras)",
