@@ -18,6 +18,7 @@ from olt_datasets.mixtures.recipe import Recipe
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_toolkit import __version__
+from olt_toolkit.runtime.json_files import parse_json, read_json
 
 MIXTURE_SUFFIXES = (".json", ".parquet")
 METADATA_KEY = "openlongtail mixture"
@@ -109,16 +110,19 @@ def read_mixture(path: Path) -> Mixture:
     return mixture
 
 
+def _parse_header(content: object) -> _Header:
+    # JSON knows no tuples and no numbers as keys; pydantic allows for that in JSON text alone.
+    return _Header.model_validate_json(json.dumps(content))
+
+
 def _read_parts(path: Path) -> tuple[_Header, pl.DataFrame]:
     if path.suffix == ".parquet":
         header = pl.read_parquet_metadata(path).get(METADATA_KEY)
         if header is None:
             raise ValueError("it was not written by `olt mix compose`")
-        return _Header.model_validate_json(header), pl.read_parquet(path).match_to_schema(SAMPLE_SCHEMA)
-    content = json.loads(path.read_bytes())
+        return _parse_header(parse_json(header, str(path))), pl.read_parquet(path).match_to_schema(SAMPLE_SCHEMA)
+    content = read_json(path, "mixture")
     if not isinstance(content, dict):
         raise ValueError("it is not a JSON object")
     samples = content.pop("samples", None)
-    # JSON knows no tuples and no numbers as keys; pydantic allows for that in JSON text alone.
-    header = _Header.model_validate_json(json.dumps(content))
-    return header, pl.DataFrame(samples, schema=SAMPLE_SCHEMA, strict=True)
+    return _parse_header(content), pl.DataFrame(samples, schema=SAMPLE_SCHEMA, strict=True)

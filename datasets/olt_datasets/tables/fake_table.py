@@ -68,6 +68,9 @@ def _rows(start: int, count: int) -> pa.Table:
     images["signs"] = random.integers(256, size=images["signs"].shape, dtype=np.uint8)
     width, buffer = _IMAGES * RECORD.itemsize, pa.py_buffer(images.tobytes())
     columns["fingerprint"] = pa.FixedSizeBinaryArray.from_buffers(pa.binary(width), count, [None, buffer])
+    columns["views"] = pa.ListArray.from_arrays(
+        np.zeros(count + 1, np.int32), pa.array([], SCHEMA.field("views").type.value_type)
+    )
     arrays = [
         columns[field.name].cast(field.type) if field.name in columns else pa.nulls(count, field.type)
         for field in SCHEMA
