@@ -7,11 +7,12 @@ import typer
 
 from olt_datasets.commands.comparing import AllowUncomparedOption
 from olt_datasets.commands.export import export
+from olt_datasets.commands.verify import verify
 from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, BuiltKind, SampleChoice, SplitRule
 from olt_toolkit.commands.clip import build_all
-from olt_toolkit.commands.clip_options import BuildingOptions, JsonOption, unpack_options
+from olt_toolkit.commands.clip_options import BuildingOptions, JsonOption, NoVerifyOption, unpack_options
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
-from olt_toolkit.rigs.names import ContractName
+from olt_toolkit.rigs.names import ContractName, MotionLabels
 from olt_toolkit.runtime.workers import Engine
 
 app = typer.Typer(
@@ -213,17 +214,23 @@ def build(
     kind: Annotated[BuiltKind, typer.Option(help="True views of all cameras, or views synthesized from the front.")],
     out: Annotated[Path, typer.Option(help="Folder of the clip store; it is made if it is missing.")],
     building: BuildingOptions,
+    labels: Annotated[
+        MotionLabels, typer.Option(help="Measured motion as it is, or as a car that does not slip would drive it.")
+    ] = MotionLabels.AS_MEASURED,
     source: SourceOption = None,
     cache: CacheOption = DEFAULT_CACHE,
     seed: Annotated[int, typer.Option(help="Goes into the clips' ids; nothing is drawn by chance.")] = 0,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a window that fails.")] = False,
+    no_verify: NoVerifyOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Build the clips of an indexed table and add them to a store, with split, category and origin of their rows.
 
-    Motion that the data set measured is taken as it is, else --poses recovers it. Given again, an interrupted build
+    Motion that the data set measured is taken, as it is or with --labels smoothed, else --poses recovers it, which is
+    smoothed in any case. Each sample's action error is measured: how far its future is from what the policy's actions
+    can express. Given again, an interrupted build
     goes on. Exit status 1 if windows failed with --keep-going.
     """
     from olt_datasets.tables.building import build_row, find_buildable
@@ -241,10 +248,16 @@ def build(
         store=out,
         opening=building.opening(),
         options=BuildOptions(
-            width=building.width, height=building.height, cameras=building.cameras, front=building.front, seed=seed
+            width=building.width,
+            height=building.height,
+            cameras=building.cameras,
+            front=building.front,
+            labels=labels,
+            seed=seed,
         ),
         estimators=building.estimators(),
         keep_going=keep_going,
+        verify=not no_verify,
     )
     rows = find_buildable(read_clip_table(table), kind)
     make_folder(out)
@@ -252,6 +265,7 @@ def build(
 
 
 app.command()(export)
+app.command()(verify)
 
 
 @app.command()

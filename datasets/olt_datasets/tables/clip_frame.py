@@ -21,8 +21,14 @@ from olt_toolkit.clips.clip import ClipKind, Split
 from olt_toolkit.clips.table import CLIP_TABLE, OPTIONAL_COLUMNS, VERSION_KEY, check_table_version
 from olt_toolkit.clips.table import SCHEMA as STORED_SCHEMA
 
-# The provenance of every view stays in the store; no mixture depends on it.
-SCHEMA = pl.DataFrame(STORED_SCHEMA.empty_table()).drop("views").schema
+_STORED = pl.DataFrame(STORED_SCHEMA.empty_table()).schema
+# Checksums of files and the provenance of views stay in the store; of the latter here are the shares of pixels over all
+# views of a clip: null where it is only indexed.
+SHARES = ("observed_share", "invented_share")
+SCHEMA = pl.Schema(
+    {name: dtype for name, dtype in _STORED.items() if name not in ("views", "file_checksums")}
+    | dict.fromkeys(SHARES, pl.Float64)
+)
 TABLE_SUFFIX = ".parquet"
 
 
@@ -90,12 +96,16 @@ def _scan_clip_table(path: Path) -> pl.LazyFrame:
     try:
         check_table_version(pl.read_parquet_metadata(file).get(VERSION_KEY.decode()), file)
         found = pl.read_parquet_schema(file)
-        for name, dtype in SCHEMA.items():
+        for name, dtype in _STORED.items():
             if name not in found:
                 raise InputError(f"{file}: column {name} is missing; build the clips again")
             if found[name] != dtype:
                 raise InputError(f"{file}: column {name} is {found[name]}, not {dtype}; build the clips again")
-        table = pl.scan_parquet(file).select(SCHEMA.names())
+        shares = [pl.col("views").list.eval(pl.element().struct.field(name).mean()).list.first() for name in SHARES]
+        table = pl.scan_parquet(file).with_columns(
+            *(each.alias(name) for each, name in zip(shares, SHARES, strict=True))
+        )
+        table = table.select(SCHEMA.names())
         is_sorted = _check_values(table, file)
     except (pl.exceptions.PolarsError, OSError) as error:
         reason = str(error).partition("\n")[0]
@@ -108,12 +118,20 @@ def _check_values(table: pl.LazyFrame, file: Path) -> bool:
     """Check every value, a few columns at a time; returns whether the rows are sorted by clip id."""
     statistics = pq.read_metadata(file)
     for name, dtype in SCHEMA.items():
-        if _count_empty_cells(table, name, dtype, statistics):
+        if name not in SHARES and _count_empty_cells(table, name, dtype, statistics):
             raise InputError(f"{file}: column {name} has empty cells; every clip needs a value")
     for name, allowed in (("kind", get_args(ClipKind)), ("split", get_args(Split))):
         unknown = _tell(table, pl.col(name).filter(~pl.col(name).is_in(allowed)).min())
         if unknown is not None:
             raise InputError(f"{file}: column {name} has {unknown!r}; it must be one of {', '.join(allowed)}")
+    times, errors = pl.col("sample_t0_us"), pl.col("action_errors")
+    if _tell(table, (times.list.len() != errors.list.len()).any()):
+        raise InputError(
+            f"{file}: column action_errors has not one number for each of sample_t0_us; build the clips again"
+        )
+    for name in SHARES:
+        if _tell(table, (~pl.col(name).is_between(0.0, 1.0)).any()):
+            raise InputError(f"{file}: column views has a {name} that is no share of 0 to 1; build the clips again")
     if _tell(table, (pl.col("end_us") < pl.col("start_us")).any()):
         raise InputError(f"{file}: column end_us is less than start_us; a clip ends after it starts")
     if _tell(table, (pl.col("clip_id") > pl.col("clip_id").shift(1)).all()):

@@ -85,6 +85,19 @@ class ClipStore:
         """Whether the clip waits to be committed; one that other code prepared does not count."""
         return self.prepared(clip_id) is not None
 
+    def copy_prepared(self, clip_id: str, root: Path) -> "ClipStore":
+        """A store at `root` that holds nothing but a copy of a prepared clip; an `InputError` where it is not there."""
+        if not self.is_prepared(clip_id):
+            raise InputError(f"{self.root}: clip {clip_id} is not prepared; prepare it with this code first")
+        clips = pack_chunk(root, 0, [self._prepared(clip_id)])
+        write_metadata(root, clips, [0])
+        write_clip_table(root / CLIP_TABLE, clips)
+        return ClipStore(root)
+
+    def discard(self, clip_id: str) -> None:
+        """Forget a prepared clip."""
+        shutil.rmtree(self._prepared(clip_id), ignore_errors=True)
+
     def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
         """Add prepared clips to the store; returns the ids of those that it did not hold already.
 

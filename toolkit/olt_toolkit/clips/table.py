@@ -14,7 +14,16 @@ import pyarrow.parquet as pq
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_toolkit.clips.clip import ClipInfo, ClipKind, ClipOrigin, Split, ViewKind, ViewProvenance, check_clip_id
+from olt_toolkit.clips.clip import (
+    ClipInfo,
+    ClipKind,
+    ClipOrigin,
+    NoiseBasis,
+    Split,
+    ViewKind,
+    ViewProvenance,
+    check_clip_id,
+)
 from olt_toolkit.clips.pai_tables import read_table
 
 CLIP_TABLE = "clips.parquet"
@@ -33,6 +42,7 @@ _VIEW = pa.struct(
         ("other_times_share", pa.float64()),
     ]
 )
+_FILE = pa.struct([("file", pa.string()), ("checksum", pa.string())])
 SCHEMA = pa.schema(
     [
         ("clip_id", pa.string()),
@@ -51,6 +61,7 @@ SCHEMA = pa.schema(
         ("doubts", pa.list_(pa.string())),
         ("scale_sigma", pa.float64()),
         ("acceleration_noise", pa.float64()),
+        ("acceleration_noise_basis", pa.string()),
         ("duration_us", pa.int64()),
         ("sample_t0_us", pa.list_(pa.int64())),
         ("no_sample_reason", pa.string()),
@@ -59,6 +70,7 @@ SCHEMA = pa.schema(
         ("fingerprint", pa.binary()),
         ("action_errors", pa.list_(pa.float64())),
         ("build_options", pa.string()),
+        ("file_checksums", pa.list_(_FILE)),
         ("views", pa.list_(_VIEW)),
     ],
     metadata={VERSION_KEY: str(TABLE_VERSION).encode()},
@@ -69,12 +81,14 @@ OPTIONAL_COLUMNS = frozenset(
         "doubts",
         "scale_sigma",
         "acceleration_noise",
+        "acceleration_noise_basis",
         "no_sample_reason",
         "country",
         "licence",
         "fingerprint",
         "action_errors",
         "build_options",
+        "file_checksums",
     }
 )
 
@@ -85,7 +99,9 @@ def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
     for info in clips:
         row = {field.name: getattr(info, field.name) for field in fields(info) if field.name != "origin"}
         views = [{"camera": camera, **asdict(view)} for camera, view in info.views.items()]
-        rows.append(row | asdict(info.origin) | {"views": views})
+        files = info.file_checksums
+        checksums = None if files is None else [{"file": name, "checksum": files[name]} for name in sorted(files)]
+        rows.append(row | asdict(info.origin) | {"views": views, "file_checksums": checksums})
     with write_whole(path) as temporary:
         pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), temporary)
 
@@ -122,12 +138,15 @@ def check_table_version(version: bytes | str | None, path: Path) -> None:
 def _info(row: dict[str, Any], where: str) -> ClipInfo:
     check_clip_id(row["clip_id"], where)
     views = [(f"view {view['camera']}: kind", view["kind"], ViewKind) for view in row["views"]]
-    for name, word, words in [("kind", row["kind"], ClipKind), ("split", row["split"], Split), *views]:
+    known = (("kind", ClipKind), ("split", Split), ("acceleration_noise_basis", NoiseBasis))
+    for name, word, words in [*((name, row[name], words) for name, words in known), *views]:
         if word is not None and word not in get_args(words):
             raise InputError(f"{where}: {name} is {word!r}; it must be one of {', '.join(get_args(words))}")
     row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
     row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
     row["doubts"] = None if row["doubts"] is None else tuple(row["doubts"])
     row["action_errors"] = None if row["action_errors"] is None else tuple(row["action_errors"])
+    files = row["file_checksums"]
+    row["file_checksums"] = None if files is None else {each["file"]: each["checksum"] for each in files}
     origin = ClipOrigin(**{field.name: row.pop(field.name) for field in fields(ClipOrigin)})
     return ClipInfo(**row, origin=origin)
