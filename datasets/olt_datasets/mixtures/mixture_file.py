@@ -87,7 +87,7 @@ def read_mixture(path: Path) -> Mixture:
         first = error.errors(include_url=False)[0]
         field = ".".join(map(str, first["loc"])) or "file"
         raise InputError(f"{path}: {field}: {first['msg']}; compose the mixture again") from error
-    except (ValueError, TypeError, pl.exceptions.PolarsError) as error:
+    except (InputError, ValueError, TypeError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(f"{path}: not a mixture ({reason}); compose it again") from error
     if len(samples) != sum(header.distinct) or any(samples[name].has_nulls() for name in SAMPLE_SCHEMA.names()[:-1]):
