@@ -96,7 +96,7 @@ def read_mixture(path: Path) -> Mixture:
                 f"{path}: version is {first['input']!r}, this release reads 3; compose it again"
             ) from error
         raise InputError(f"{path}: {field}: {first['msg']}; compose the mixture again") from error
-    except (ValueError, TypeError, pl.exceptions.PolarsError) as error:
+    except (InputError, ValueError, TypeError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(f"{path}: not a mixture ({reason}); compose it again") from error
     if len(samples) != sum(header.distinct) or any(samples[name].has_nulls() for name in _NEEDED):
