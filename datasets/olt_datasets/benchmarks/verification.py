@@ -42,10 +42,11 @@ def verify(
         **summarize(measured),
         "machine": describe_machine(),
     }
-    print_json(result) if as_json else _print_result(result)
+    print_json(result) if as_json else print_result(result)
 
 
-def _print_result(result: dict[str, Any]) -> None:
+def print_result(result: dict[str, Any]) -> None:
+    """Print what `fault_rates.summarize` gives as tables."""
     from olt_toolkit.runtime.console import print_line, print_table
 
     rows = [

@@ -2,6 +2,7 @@
 
 import io
 import tempfile
+from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
 
@@ -32,6 +33,11 @@ def freeze_frames(data: bytes) -> bytes:
     first = int(np.argmax(np.convolve(change, np.ones(_FROZEN), "valid")))
     frames[first : first + _FROZEN + 1] = frames[first]
     return _written(frames)
+
+
+def change_frames(data: bytes, change: Callable[[NDArray[np.uint8]], NDArray[np.uint8]]) -> bytes:
+    """With frames (n, H, W, 3) that `change` makes of its own."""
+    return _written(change(_frames(data)))
 
 
 def shift_start(data: bytes) -> bytes:

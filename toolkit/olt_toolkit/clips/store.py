@@ -245,6 +245,13 @@ class ClipStore:
         video, where = self._video(clip_id, camera)
         return decode_frames(video, indices, where), timestamps_us[indices]
 
+    def read_images(
+        self, clip_id: str, camera: str, indices: NDArray[np.int64], size: tuple[int, int] | None
+    ) -> NDArray[np.uint8]:
+        """Frames of one camera by number (m,) as policies take them; see `video.decode_images`."""
+        video, where = self._video(clip_id, camera)
+        return decode_images(video, indices, where, size)
+
     def read_origin(self, clip_id: str, camera: str, times_us: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Where the pixels of the frames that `read_frames` gives come from: a `PixelOrigin` each, (m, H, W).
 
