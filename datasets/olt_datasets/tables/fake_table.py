@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -9,6 +10,7 @@ import pyarrow.parquet as pq
 from olt_datasets.tables.clip_frame import check_table_name
 from olt_generator.files import write_whole
 from olt_generator.seeds import make_generator
+from olt_toolkit.clips.fingerprint import IMAGES, RECORD
 from olt_toolkit.clips.table import SCHEMA
 
 ROWS_AT_ONCE = 100_000
@@ -22,6 +24,14 @@ def write_fake_table(path: Path, clips: int) -> None:
     with write_whole(path) as temporary, pq.ParquetWriter(temporary, SCHEMA) as writer:
         for start in range(0, clips, ROWS_AT_ONCE):
             writer.write_table(_rows(start, min(ROWS_AT_ONCE, clips - start)))
+
+
+def _draw_fingerprints(random: np.random.Generator, count: int) -> list[bytes]:
+    """Fingerprints of images by chance, each like no other."""
+    images = np.zeros((count, IMAGES), RECORD)
+    images["time_ms"] = 1250 * np.arange(IMAGES)
+    images["signs"] = random.integers(256, size=images["signs"].shape, dtype=np.uint8)
+    return [each.tobytes() for each in images]
 
 
 def _rows(start: int, count: int) -> pa.Table:
@@ -55,6 +65,7 @@ def _rows(start: int, count: int) -> pa.Table:
         sample_t0_us=pl.lit(list(SAMPLE_TIMES_US)),
         created_with=pl.lit("made up"),
         checksum=digits(18) + digits(14),
+        fingerprint=pl.Series(_draw_fingerprints(random, count), dtype=pl.Binary),
     )
     columns = {name: frame[name].to_arrow() for name in frame.columns}
     arrays = [

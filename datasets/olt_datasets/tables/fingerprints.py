@@ -25,6 +25,8 @@ _OF_A_KEY = 8
 """Thumbnails that are taken of those that share a key."""
 _COMPARED = 8
 """Clips, the ones that share most keys, that are compared with one."""
+_MANY_KEYS = 8
+"""Shared keys; a clip that shares fewer is seldom a copy."""
 _ROWS_AT_ONCE = 100_000
 
 Pairs = NDArray[np.int64]
@@ -37,8 +39,8 @@ class Search:
 
     Attributes:
         pairs: places (m, 2), ascending, of clips of the first list and of a like clip of the second: one at most each.
-        crowded: places (c,) of clips of the first list that share keys with more clips than are compared, and for which
-            no like clip is among those compared: not compared in full.
+        crowded: places (c,) of clips of the first list that share many keys with more clips than are compared, and for
+            which no like clip is among those compared: not compared in full.
     """
 
     pairs: Pairs
@@ -181,16 +183,21 @@ def _search_part(part: _Thumbnails, index: _Index, found: dict[int, int], crowde
 
 
 def _find_candidates(part: _Thumbnails, index: _Index) -> tuple[pl.DataFrame, Places]:
-    """Clips, candidates of the index and whether mirrored, those first that share most keys; and clips with more."""
+    """Clips, candidates of the index and whether mirrored, those first that share most keys; and clips with more.
+
+    A clip has more candidates than these where one that shares many keys is cut off, or where most of its keys are
+    shared by more thumbnails than are taken.
+    """
     probes = make_probes(part.signs(), index.effort)
     owners = part.owners()
-    hits, left_out = [], []
+    hits, full_keys, met_keys = [], np.zeros(len(part.clips), np.int64), np.zeros(len(part.clips), np.int64)
     for table, keys in zip(probes, index.keys, strict=True):
         wanted = table.ravel() << np.uint64(32)
         low = np.searchsorted(keys, wanted)
         counts = np.searchsorted(keys, wanted + np.uint64(1 << 32)) - low
         probe, image = np.divmod(np.arange(table.size), table.shape[1])
-        left_out.append(owners[image[counts > _OF_A_KEY]])
+        met_keys += np.bincount(owners[image[counts > 0]], minlength=len(met_keys))
+        full_keys += np.bincount(owners[image[counts > _OF_A_KEY]], minlength=len(full_keys))
         # Evenly over those that share the key.
         for taken in range(min(_OF_A_KEY, int(counts.max(initial=0)))):
             more = np.flatnonzero(counts > taken)
@@ -208,9 +215,10 @@ def _find_candidates(part: _Thumbnails, index: _Index) -> tuple[pl.DataFrame, Pl
         .sort("clip", "len", "candidate", "mirrored", descending=[False, True, False, False])
         .with_columns(pl.int_range(pl.len()).over("clip").alias("rank"))
     )
-    left_out.append(ranked.filter(pl.col("rank") >= _COMPARED)["clip"].to_numpy())
+    cut = ranked.filter((pl.col("rank") >= _COMPARED) & (pl.col("len") >= _MANY_KEYS))
+    mostly_full = np.flatnonzero(2 * full_keys > met_keys)
     candidates = ranked.filter(pl.col("rank") < _COMPARED).select("clip", "candidate", pl.col("mirrored") == 1)
-    return candidates, np.unique(np.concatenate(left_out))
+    return candidates, np.union1d(mostly_full, cut["clip"].to_numpy()).astype(np.int64)
 
 
 def _unpack(signs: NDArray[np.uint8]) -> NDArray[np.float32]:
