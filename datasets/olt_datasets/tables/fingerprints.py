@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from olt_datasets.tables.thumbnail_alignment import Sequence, is_alike
 from olt_datasets.tables.thumbnail_keys import Effort, choose_effort, make_keys, make_probes
-from olt_toolkit.clips.fingerprint import IMAGES, RECORD
+from olt_datasets.tables.thumbnail_warps import list_crops, stack_warps
+from olt_toolkit.clips.fingerprint import COLUMNS, IMAGES, RECORD, ROWS
 
 # Keys of a block of the second list, held at once: 8 bytes each.
 _KEYS_AT_ONCE = 1 << 26
@@ -25,6 +26,10 @@ _OF_A_KEY = 8
 """Thumbnails that are taken of those that share a key."""
 _COMPARED = 8
 """Clips, the ones that share most keys, that are compared with one."""
+_MANY_KEYS = 8
+"""Shared keys; a clip that shares fewer is seldom a copy."""
+_LEAST_CORRELATION = 0.4
+"""Of two images that share a key; those of one place have more."""
 _ROWS_AT_ONCE = 100_000
 
 Pairs = NDArray[np.int64]
@@ -37,8 +42,8 @@ class Search:
 
     Attributes:
         pairs: places (m, 2), ascending, of clips of the first list and of a like clip of the second: one at most each.
-        crowded: places (c,) of clips of the first list that share keys with more clips than are compared, and for which
-            no like clip is among those compared: not compared in full.
+        crowded: places (c,) of clips of the first list that share many keys with more clips than are compared, and for
+            which no like clip is among those compared: not compared in full.
     """
 
     pairs: Pairs
@@ -181,36 +186,61 @@ def _search_part(part: _Thumbnails, index: _Index, found: dict[int, int], crowde
 
 
 def _find_candidates(part: _Thumbnails, index: _Index) -> tuple[pl.DataFrame, Places]:
-    """Clips, candidates of the index and whether mirrored, those first that share most keys; and clips with more."""
+    """Clips, candidates of the index and whether mirrored, those first that share most keys; and clips with more.
+
+    A clip has more candidates than these where one that shares many keys is cut off, or where most of its keys are
+    shared by more thumbnails than are taken.
+    """
     probes = make_probes(part.signs(), index.effort)
     owners = part.owners()
-    hits, left_out = [], []
+    hits, full_keys, met_keys = [], np.zeros(len(part.clips), np.int64), np.zeros(len(part.clips), np.int64)
     for table, keys in zip(probes, index.keys, strict=True):
         wanted = table.ravel() << np.uint64(32)
         low = np.searchsorted(keys, wanted)
         counts = np.searchsorted(keys, wanted + np.uint64(1 << 32)) - low
         probe, image = np.divmod(np.arange(table.size), table.shape[1])
-        left_out.append(owners[image[counts > _OF_A_KEY]])
+        met_keys += np.bincount(owners[image[counts > 0]], minlength=len(met_keys))
+        full_keys += np.bincount(owners[image[counts > _OF_A_KEY]], minlength=len(full_keys))
         # Evenly over those that share the key.
         for taken in range(min(_OF_A_KEY, int(counts.max(initial=0)))):
             more = np.flatnonzero(counts > taken)
             step = low[more] + taken * counts[more] // np.minimum(counts[more], _OF_A_KEY)
-            theirs = index.owners[(keys[step] & np.uint64(0xFFFFFFFF)).astype(np.int64)]
-            hits.append(np.stack([owners[image[more]], theirs, probe[more] % 2]))
-    votes = pl.DataFrame(
-        np.concatenate([np.empty((3, 0), np.int64), *hits], axis=1).T, ("clip", "candidate", "mirrored")
-    )
-    scenes, other_scenes = part.scenes[votes["clip"]], index.thumbnails.scenes[votes["candidate"]]
-    apart = votes.filter(pl.Series((scenes != other_scenes) | (scenes == 0)))
-    ranked = (
-        apart.group_by("clip", "candidate", "mirrored")
-        .len()
+            theirs = (keys[step] & np.uint64(0xFFFFFFFF)).astype(np.int64)
+            hits.append(np.stack([owners[image[more]], index.owners[theirs], probe[more], image[more], theirs]))
+    met = np.concatenate([np.empty((5, 0), np.int64), *hits], axis=1)
+    scenes, other_scenes = part.scenes[met[0]], index.thumbnails.scenes[met[1]]
+    ranked = _rank(met[:, (scenes != other_scenes) | (scenes == 0)])
+    likely = ranked.filter(_correlate(part, index, ranked) >= _LEAST_CORRELATION)
+    ranks = pl.int_range(pl.len()).over("clip")
+    cut = likely.filter((ranks >= _COMPARED) & (pl.col("len") >= _MANY_KEYS))
+    mostly_full = np.flatnonzero(2 * full_keys > met_keys)
+    candidates = likely.filter(ranks < _COMPARED).select("clip", "candidate", "mirrored")
+    return candidates, np.union1d(mostly_full, cut["clip"].to_numpy()).astype(np.int64)
+
+
+def _rank(met: NDArray[np.int64]) -> pl.DataFrame:
+    """Candidates by the keys they share, of (clip, candidate, probe, image, their image) a key (5, n)."""
+    keys = pl.DataFrame(met.T, ("clip", "candidate", "probe", "image", "theirs"))
+    return (
+        keys.group_by("clip", "candidate", (pl.col("probe") % 2 == 1).alias("mirrored"), maintain_order=True)
+        .agg(pl.len(), pl.col("probe", "image", "theirs").first())
         .sort("clip", "len", "candidate", "mirrored", descending=[False, True, False, False])
-        .with_columns(pl.int_range(pl.len()).over("clip").alias("rank"))
     )
-    left_out.append(ranked.filter(pl.col("rank") >= _COMPARED)["clip"].to_numpy())
-    candidates = ranked.filter(pl.col("rank") < _COMPARED).select("clip", "candidate", pl.col("mirrored") == 1)
-    return candidates, np.unique(np.concatenate(left_out))
+
+
+def _correlate(part: _Thumbnails, index: _Index, candidates: pl.DataFrame) -> pl.Series:
+    """Correlation of one pair of images of each candidate that share a key, as the probe warps the first."""
+    correlations = np.empty(len(candidates), np.float32)
+    stacked, filled = stack_warps(list_crops(index.effort.scales, (0.0,)))
+    for number, warp in enumerate(np.split(stacked.toarray(), len(filled))):
+        for mirrored in (False, True):
+            rows = np.flatnonzero(candidates["probe"].to_numpy() == 2 * number + mirrored)
+            mine = _unpack(part.records["signs"][candidates["image"].to_numpy()[rows]]) @ warp.T
+            mine = mine.reshape(-1, ROWS, COLUMNS)[:, :, ::-1].reshape(mine.shape) if mirrored else mine
+            theirs = _unpack(index.thumbnails.records["signs"][candidates["theirs"].to_numpy()[rows]])
+            norms = np.linalg.norm(mine, axis=1) * np.sqrt(filled[number].sum())
+            correlations[rows] = np.einsum("nc,nc->n", mine, theirs) / norms
+    return pl.Series("correlation", correlations)
 
 
 def _unpack(signs: NDArray[np.uint8]) -> NDArray[np.float32]:
