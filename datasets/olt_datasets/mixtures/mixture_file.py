@@ -13,6 +13,7 @@ import polars as pl
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from olt_datasets.mixtures.mixture import SAMPLE_SCHEMA, Mixture, MixtureComponent
+from olt_datasets.mixtures.quality import SAMPLE_QUALITIES
 from olt_datasets.mixtures.recipe import Recipe
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
@@ -21,6 +22,8 @@ from olt_toolkit.runtime.json_files import parse_json, read_json
 
 MIXTURE_SUFFIXES = (".json", ".parquet")
 METADATA_KEY = "openlongtail mixture"
+# Of the columns of samples those in which every cell is filled.
+_NEEDED = [name for name in SAMPLE_SCHEMA if name not in ("country", *SAMPLE_QUALITIES)]
 
 
 class _Header(BaseModel):
@@ -29,19 +32,20 @@ class _Header(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     format: Literal["openlongtail mixture"] = "openlongtail mixture"
-    version: Literal[2] = 2
+    version: Literal[3] = 3
     created_with: str = __version__
     recipe: Recipe
     seed: int
     checksum: str
     items: int
     available: list[int]
+    not_measured: list[int]
     distinct: list[int]
     summary: dict[str, Any]
 
     @model_validator(mode="after")
     def _check(self) -> "_Header":
-        if not len(self.available) == len(self.distinct) == len(self.recipe.components):
+        if not len(self.available) == len(self.not_measured) == len(self.distinct) == len(self.recipe.components):
             raise ValueError("the recipe and the mixture differ in their number of components")
         return self
 
@@ -62,6 +66,7 @@ def write_mixture(mixture: Mixture, path: Path) -> None:
         checksum=mixture.checksum,
         items=mixture.items,
         available=[part.available for part in mixture.components],
+        not_measured=[part.not_measured for part in mixture.components],
         distinct=[len(part.samples) for part in mixture.components],
         summary=mixture.describe(),
     ).model_dump_json()
@@ -86,15 +91,19 @@ def read_mixture(path: Path) -> Mixture:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(map(str, first["loc"])) or "file"
+        if field == "version":
+            raise InputError(
+                f"{path}: version is {first['input']!r}, this release reads 3; compose it again"
+            ) from error
         raise InputError(f"{path}: {field}: {first['msg']}; compose the mixture again") from error
     except (InputError, ValueError, TypeError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(f"{path}: not a mixture ({reason}); compose it again") from error
-    if len(samples) != sum(header.distinct) or any(samples[name].has_nulls() for name in SAMPLE_SCHEMA.names()[:-1]):
+    if len(samples) != sum(header.distinct) or any(samples[name].has_nulls() for name in _NEEDED):
         raise InputError(f"{path}: samples: some are missing; compose the mixture again")
     ends = accumulate(header.distinct)
     parts = [samples.slice(end - count, count) for end, count in zip(ends, header.distinct, strict=True)]
-    components = map(MixtureComponent, header.recipe.components, header.available, parts)
+    components = map(MixtureComponent, header.recipe.components, header.available, header.not_measured, parts)
     mixture = Mixture(header.recipe, header.seed, header.items, tuple(components))
     if mixture.checksum != header.checksum:
         raise InputError(f"{path}: samples: not those that were composed; compose the mixture again")

@@ -56,6 +56,18 @@ EpochShares = dict[Annotated[int, Field(ge=0, le=MOST_EPOCHS)], Annotated[float,
 Caps = Annotated[dict[str, Count], Field(max_length=_MOST_CAPS)]
 
 
+# Fields of a filter that limit what was measured of a clip or, for the last, of a sample; `quality` knows the numbers.
+LIMITS = (
+    "observed_share_min",
+    "invented_share_max",
+    "unseen_share_max",
+    "acceleration_noise_max",
+    "action_error_max",
+)
+Weighed = Literal["invented_share", "unseen_share", "acceleration_noise", "action_error"]
+Halvings = dict[Weighed, Annotated[float, Field(gt=0.0, allow_inf_nan=False)]]
+
+
 class Filter(BaseModel):
     """Which clips of the table a component may use; every condition given must hold.
 
@@ -66,6 +78,13 @@ class Filter(BaseModel):
         factors_any, factors_all, factors_none: the clip has at least one, all, none of these scene factors.
         doubts: "none" leaves out clips of which something is in doubt, such as the direction of their motion; "any"
             takes them. Clips that are only indexed, so that nobody looked, have none yet.
+        observed_share_min, invented_share_max, unseen_share_max: the clip has at least or at most this share of pixels
+            that cameras saw, that are made up, that are black; over all its views.
+        acceleration_noise_max: its acceleration labels are expected to err by so many m/s2 at most.
+        action_error_max: of its samples those alone whose future is so many metres at most from what the policy's
+            actions can express.
+        not_measured: whether clips of which a number is asked for, here or in `weight_by`, and was not measured are
+            left out, or taken as if it were fine.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -79,6 +98,22 @@ class Filter(BaseModel):
     factors_all: FactorWords = ()
     factors_none: FactorWords = ()
     doubts: Literal["none", "any"] = "none"
+    observed_share_min: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    invented_share_max: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    unseen_share_max: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    acceleration_noise_max: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+    action_error_max: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
+    not_measured: Literal["leave_out", "take"] = "leave_out"
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """The limits that are given, by the name of their field."""
+        given = {name: getattr(self, name) for name in LIMITS}
+        return {name: limit for name, limit in given.items() if limit is not None}
+
+    def without_limits(self) -> "Filter":
+        """The same conditions but for the limits."""
+        return self.model_copy(update=dict.fromkeys(LIMITS))
 
     def __str__(self) -> str:
         conditions = self.model_dump(exclude_defaults=True)
@@ -105,6 +140,9 @@ class Component(BaseModel):
         prefer: which kind to use where GT and Syn clips show the same scene in the same time window: "GT" takes
             measured views where there are any and synthesized ones elsewhere. None uses both.
         caps: by category, the most samples that may be used.
+        weight_by: what makes a sample less likely to be drawn, and how much of it halves its weight: with
+            `{invented_share: 0.3}` a sample of 0.6 is drawn a quarter as readily as one of 0. Several numbers multiply.
+            Where all samples are drawn, weights choose nothing; they change no loss.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -119,6 +157,7 @@ class Component(BaseModel):
     samples_per_clip: Count | None = None
     prefer: Literal["GT", "Syn"] | None = None
     caps: Caps = {}
+    weight_by: Halvings = {}
 
     @model_validator(mode="after")
     def _check(self) -> "Component":
@@ -130,6 +169,8 @@ class Component(BaseModel):
             raise ValueError("'share_by_epoch' is 0 in every epoch; remove the component")
         if self.t0 == "keyframe" and self.samples_per_clip is not None:
             raise ValueError("'t0: keyframe' is one sample per clip; remove 'samples_per_clip'")
+        if self.where.not_measured == "take" and not (self.where.limits or self.weight_by):
+            raise ValueError("'not_measured' is for limits and 'weight_by'; add one or remove it")
         if self.prefer is not None and self.where.kind != "any":
             raise ValueError(f"'prefer' chooses between kinds, but 'where' asks for kind {self.where.kind} only")
         return self

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.sources.pictures import LARGEST_BYTES, decode_picture
-from olt_datasets.sources.times import images_within, starting_at
+from olt_datasets.sources.times import images_within, nearest_images, starting_at
 from olt_generator.errors import InputError
 from olt_generator.files import read_bounded
 from olt_generator.video import shrink
@@ -37,6 +37,7 @@ class KittiDrive(Protocol):
     """A drive folder, of which times, calibration and names of files are read; images and poses as they are needed."""
 
     camera: str
+    images: list[Path]
     image_us: NDArray[np.int64]
     has_motion: bool
     notes: tuple[str, ...]
@@ -76,6 +77,16 @@ class KittiDrives:
             country="DE",
             notes=drive.notes,
         )
+
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`; every image is decoded on its own."""
+        drive = self._read(self._folder(key))
+        numbers = nearest_images(drive.image_us, times_us)
+        distinct, places = np.unique(numbers, return_inverse=True)
+        images, _ = read_images([drive.images[number] for number in distinct], width)
+        return images[places], drive.image_us[numbers]
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""

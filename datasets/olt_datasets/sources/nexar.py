@@ -16,11 +16,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_datasets.sources.video import CAMERA, UNKNOWN_CAMERA, open_video_window
 from olt_generator.errors import InputError
 from olt_generator.files import read_bounded
-from olt_generator.video import read_frame_times
+from olt_generator.video import read_frame_times, read_video_images
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
@@ -124,6 +125,12 @@ class Nexar:
             usable_us=usable_us,
             notes=notes,
         )
+
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`; key frames are decoded without others."""
+        return read_video_images(self._video(key).path, times_us, reach_us, width)
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""

@@ -101,6 +101,12 @@ class Pandaset:
             )
         )
 
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`."""
+        return self._read(key).peek(times_us, width)
+
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; the front images are freed of their distortion."""
         return self._read(key).open(window_us, options)

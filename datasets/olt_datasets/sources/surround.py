@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.sources.mosaic import Mosaic, coverage
-from olt_datasets.sources.pictures import LARGEST_BYTES, decode_picture
+from olt_datasets.sources.pictures import LARGEST_BYTES, REDUCTIONS, decode_picture
 from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator import Camera, InputError, PinholeCamera, Trajectory
 from olt_generator.files import read_bounded
@@ -114,6 +114,18 @@ class SurroundDrive:
             notes=(*notes, *mosaics, *unsteady, *self.assumptions),
         )
 
+    def peek(self, times_us: NDArray[np.int64], width: int) -> tuple[Image, NDArray[np.int64]]:
+        """See `Dataset.peek`; images are decoded at reduced size and freed of their distortion."""
+        front = self.cameras[self.front]
+        numbers = nearest_images(front.times_us, times_us)
+        distinct, places = np.unique(numbers, return_inverse=True)
+        lens = front.mounted.camera
+        reduction = max(each for each in REDUCTIONS if lens.width >= each * width or each == 1)
+        reduced = lens.resized(-(-lens.width // reduction), -(-lens.height // reduction))
+        _, straighten = straightened(reduced, width)
+        images = np.stack([straighten(read_image(front.files[each], lens, reduction)) for each in distinct.tolist()])
+        return images[places], front.times_us[numbers]
+
     def open(self, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""
         options.refuse_camera(f"{self.source}/{self.key}")
@@ -164,15 +176,20 @@ class SurroundDrive:
         )
 
 
-def read_image(stored: StoredImage, camera: Camera) -> Image:
-    """A stored image as (H, W, 3) RGB; InputError where it is missing, damaged or not at the size of its camera."""
+def read_image(stored: StoredImage, camera: Camera, reduction: int = 1) -> Image:
+    """A stored image as (H, W, 3) RGB; InputError where it is missing, damaged or not at the size of its camera.
+
+    Each side of the image is divided by `reduction`, 1, 2, 4 or 8, and rounded up; little else is decoded.
+    """
     if isinstance(stored, Path) and not stored.is_file():
         raise InputError(f"{stored}: no such image; copy the data set again")
     content = read_bounded(stored, "image", LARGEST_BYTES) if isinstance(stored, Path) else stored.read_bytes()
-    image = decode_picture(content, str(stored))
-    if image.shape[:2] != (camera.height, camera.width):
-        height, width = image.shape[:2]
-        raise InputError(f"{stored}: is {width} x {height} pixels; its camera has {camera.width} x {camera.height}")
+    image = decode_picture(content, str(stored), reduction)
+    if image.shape[:2] != (-(-camera.height // reduction), -(-camera.width // reduction)):
+        about = "about " if reduction > 1 else ""
+        height, width = (reduction * side for side in image.shape[:2])
+        has = f"{camera.width} x {camera.height}"
+        raise InputError(f"{stored}: is {about}{width} x {height} pixels; its camera has {has}")
     return image
 
 

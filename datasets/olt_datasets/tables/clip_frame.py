@@ -23,8 +23,14 @@ from olt_toolkit.clips.table import CLIP_TABLE, VERSION_KEY, check_table_version
 from olt_toolkit.clips.table import SCHEMA as STORED_SCHEMA
 from olt_toolkit.clips.table_values import check_file
 
-# The provenance of every view stays in the store; no mixture depends on it.
-SCHEMA = pl.DataFrame(STORED_SCHEMA.empty_table()).drop("views").schema
+_STORED = pl.DataFrame(STORED_SCHEMA.empty_table()).schema
+# Checksums of files and the provenance of views stay in the store; of the latter here are the shares of pixels over all
+# views of a clip: null where it is only indexed.
+SHARES = ("observed_share", "invented_share")
+SCHEMA = pl.Schema(
+    {name: dtype for name, dtype in _STORED.items() if name not in ("views", "file_checksums")}
+    | dict.fromkeys(SHARES, pl.Float64)
+)
 TABLE_SUFFIX = ".parquet"
 _UUID = "^[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}$"
 
@@ -93,12 +99,16 @@ def _scan_clip_table(path: Path) -> pl.LazyFrame:
     try:
         check_table_version(pl.read_parquet_metadata(file).get(VERSION_KEY.decode()), file)
         found = pl.read_parquet_schema(file)
-        for name, dtype in SCHEMA.items():
+        for name, dtype in _STORED.items():
             if name not in found:
                 raise InputError(f"{file}: column {name} is missing; build the clips again")
             if found[name] != dtype:
                 raise InputError(f"{file}: column {name} is {found[name]}, not {dtype}; build the clips again")
-        table = pl.scan_parquet(file).select(SCHEMA.names())
+        shares = [pl.col("views").list.eval(pl.element().struct.field(name).mean()).list.first() for name in SHARES]
+        table = pl.scan_parquet(file).with_columns(
+            *(each.alias(name) for each, name in zip(shares, SHARES, strict=True))
+        )
+        table = table.select(SCHEMA.names())
         check_file(file)
         is_sorted = _check_ids(table, file)
     except (pl.exceptions.PolarsError, OSError) as error:

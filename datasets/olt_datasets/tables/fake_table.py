@@ -10,15 +10,20 @@ import pyarrow.parquet as pq
 from olt_datasets.tables.clip_frame import check_table_name
 from olt_generator.files import write_whole
 from olt_generator.seeds import make_generator
+from olt_toolkit.clips.fingerprint import RECORD
 from olt_toolkit.clips.table import SCHEMA
 
 ROWS_AT_ONCE = 100_000
 LONG_TAIL = ("cyclists", "work_zone", "uncommon_vehicle", "animal")
+_IMAGES = 4
 SAMPLE_TIMES_US = (1_700_000, 5_100_000, 8_500_000, 11_900_000)
 
 
 def write_fake_table(path: Path, clips: int) -> None:
-    """A table of indexed clips in order of their ids: two kinds, four long-tail categories, four times t0 a clip."""
+    """A table of indexed clips in order of their ids: two kinds, four long-tail categories, four times t0 a clip.
+
+    Fingerprints are drawn by chance, so that no clip looks like another.
+    """
     check_table_name(path)
     with write_whole(path) as temporary, pq.ParquetWriter(temporary, SCHEMA) as writer:
         for start in range(0, clips, ROWS_AT_ONCE):
@@ -58,6 +63,11 @@ def _rows(start: int, count: int) -> pa.Table:
         checksum=digits(18) + digits(14),
     )
     columns = {name: frame[name].to_arrow() for name in frame.columns}
+    images = np.empty((count, _IMAGES), RECORD)
+    images["time_ms"] = 20_000 // _IMAGES * np.arange(_IMAGES)
+    images["signs"] = random.integers(256, size=images["signs"].shape, dtype=np.uint8)
+    width, buffer = _IMAGES * RECORD.itemsize, pa.py_buffer(images.tobytes())
+    columns["fingerprint"] = pa.FixedSizeBinaryArray.from_buffers(pa.binary(width), count, [None, buffer])
     columns["views"] = pa.ListArray.from_arrays(
         np.zeros(count + 1, np.int32), pa.array([], SCHEMA.field("views").type.value_type)
     )

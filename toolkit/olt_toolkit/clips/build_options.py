@@ -16,6 +16,7 @@ from olt_toolkit.clips.clip import ClipInfo
 from olt_toolkit.clips.estimators import Estimators, PoseEstimator
 from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.names import MotionLabels
 from olt_toolkit.runtime.json_files import parse_json
 
 _OPTIONS = {
@@ -39,6 +40,8 @@ def describe_build(options: BuildOptions, estimators: Estimators, opening: OpenO
         "samples": None if options.sample_t0_us is None else _digest(*options.sample_t0_us),
     }
     kind = clip_kind(options)
+    if options.labels is MotionLabels.SMOOTHED and (kind == "GT" or takes_reference):
+        told["labels"] = options.labels.value
     if kind != "GT":
         poses = PoseEstimator.REFERENCE if takes_reference else estimators.poses
         fov = opening.horizontal_fov

@@ -41,6 +41,11 @@ class ChunkArchive:
         with _readable(path), zipfile.ZipFile(path) as archive:
             self._members = {info.filename: info for info in archive.infolist()}
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all members."""
+        return tuple(self._members)
+
     def __contains__(self, name: str) -> bool:
         return name in self._members
 

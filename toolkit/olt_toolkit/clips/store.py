@@ -85,6 +85,19 @@ class ClipStore:
         """Whether the clip waits to be committed; one that other code prepared does not count."""
         return self.prepared(clip_id) is not None
 
+    def copy_prepared(self, clip_id: str, root: Path) -> "ClipStore":
+        """A store at `root` that holds nothing but a copy of a prepared clip; an `InputError` where it is not there."""
+        if not self.is_prepared(clip_id):
+            raise InputError(f"{self.root}: clip {clip_id} is not prepared; prepare it with this code first")
+        clips = pack_chunk(root, 0, [self._prepared(clip_id)])
+        write_metadata(root, clips, [0])
+        write_clip_table(root / CLIP_TABLE, clips)
+        return ClipStore(root)
+
+    def discard(self, clip_id: str) -> None:
+        """Forget a prepared clip."""
+        shutil.rmtree(self._prepared(clip_id), ignore_errors=True)
+
     def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
         """Add prepared clips to the store; returns the ids of those that it did not hold already.
 
@@ -231,6 +244,13 @@ class ClipStore:
         indices = self._frame_indices(clip_id, camera, timestamps_us, times_us)
         video, where = self._video(clip_id, camera)
         return decode_frames(video, indices, where), timestamps_us[indices]
+
+    def read_images(
+        self, clip_id: str, camera: str, indices: NDArray[np.int64], size: tuple[int, int] | None
+    ) -> NDArray[np.uint8]:
+        """Frames of one camera by number (m,) as policies take them; see `video.decode_images`."""
+        video, where = self._video(clip_id, camera)
+        return decode_images(video, indices, where, size)
 
     def read_origin(self, clip_id: str, camera: str, times_us: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Where the pixels of the frames that `read_frames` gives come from: a `PixelOrigin` each, (m, H, W).

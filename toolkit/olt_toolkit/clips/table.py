@@ -36,6 +36,7 @@ _VIEW = pa.struct(
         ("other_times_share", pa.float64()),
     ]
 )
+_FILE = pa.struct([("file", pa.string()), ("checksum", pa.string())])
 SCHEMA = pa.schema(
     [
         ("clip_id", pa.string()),
@@ -54,6 +55,7 @@ SCHEMA = pa.schema(
         ("doubts", pa.list_(pa.string())),
         ("scale_sigma", pa.float64()),
         ("acceleration_noise", pa.float64()),
+        ("acceleration_noise_basis", pa.string()),
         ("duration_us", pa.int64()),
         ("sample_t0_us", pa.list_(pa.int64())),
         ("no_sample_reason", pa.string()),
@@ -62,6 +64,7 @@ SCHEMA = pa.schema(
         ("fingerprint", pa.binary()),
         ("action_errors", pa.list_(pa.float64())),
         ("build_options", pa.string()),
+        ("file_checksums", pa.list_(_FILE)),
         ("views", pa.list_(_VIEW)),
     ],
     metadata={VERSION_KEY: str(TABLE_VERSION).encode()},
@@ -74,7 +77,9 @@ def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
     for info in clips:
         row = {field.name: getattr(info, field.name) for field in fields(info) if field.name != "origin"}
         views = [{"camera": camera, **asdict(view)} for camera, view in info.views.items()]
-        rows.append(row | asdict(info.origin) | {"views": views})
+        files = info.file_checksums
+        checksums = None if files is None else [{"file": name, "checksum": files[name]} for name in sorted(files)]
+        rows.append(row | asdict(info.origin) | {"views": views, "file_checksums": checksums})
     table = pa.Table.from_pylist(rows, schema=SCHEMA)
     check_rows(table, str(path))
     with write_whole(path) as temporary:
@@ -119,5 +124,7 @@ def _info(row: dict[str, Any], where: str) -> ClipInfo:
     row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
     row["doubts"] = None if row["doubts"] is None else tuple(row["doubts"])
     row["action_errors"] = None if row["action_errors"] is None else tuple(row["action_errors"])
+    files = row["file_checksums"]
+    row["file_checksums"] = None if files is None else {each["file"]: each["checksum"] for each in files}
     origin = ClipOrigin(**{field.name: row.pop(field.name) for field in fields(ClipOrigin)})
     return ClipInfo(**row, origin=origin)

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
-from olt_toolkit.clips.clip import ClipKind, Split, ViewKind
+from olt_toolkit.clips.clip import ClipKind, NoiseBasis, Split, ViewKind
 from olt_toolkit.clips.parquet_files import open_parquet, rows_at_once
 
 OPTIONAL_COLUMNS = frozenset(
@@ -24,16 +24,23 @@ OPTIONAL_COLUMNS = frozenset(
         "doubts",
         "scale_sigma",
         "acceleration_noise",
+        "acceleration_noise_basis",
         "no_sample_reason",
         "country",
         "licence",
         "fingerprint",
         "action_errors",
         "build_options",
+        "file_checksums",
     }
 )
 _NEVER_EMPTY = frozenset({"name", "scene_id", "source", "category"})
-_WORDS = {"kind": get_args(ClipKind), "split": get_args(Split), "views: kind": get_args(ViewKind)}
+_WORDS = {
+    "kind": get_args(ClipKind),
+    "split": get_args(Split),
+    "acceleration_noise_basis": get_args(NoiseBasis),
+    "views: kind": get_args(ViewKind),
+}
 _TIMES = ("start_us", "end_us", "duration_us", "sample_t0_us")
 # Bytes. A name becomes the name of a file, with a suffix.
 _LONGEST = {"name": 200, "fingerprint": 1 << 20, "build_options": 1 << 20}

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from olt_generator.seeds import make_generator
-from olt_toolkit.clips.image_hash import FINGERPRINT_IMAGES, fingerprint_images, hash_image
+from olt_toolkit.clips.fingerprint import FINGERPRINT_IMAGES, fingerprint_images, hash_image
 
 
 def make_picture(name):
@@ -43,7 +43,7 @@ def test_a_picture_that_darkens_to_the_right_sets_every_bit():
 def test_a_fingerprint_is_of_images_spread_over_the_sequence(count):
     frames = np.stack([make_picture(index) for index in range(count)])
     hashes = [hash_image(frame) for frame in frames]
-    fingerprint = fingerprint_images(frames)
+    fingerprint = fingerprint_images(frames, np.arange(count))
     assert len(fingerprint) == 8 * FINGERPRINT_IMAGES
     places = [hashes.index(int(each)) for each in np.frombuffer(fingerprint, ">u8")]
     assert places == [min(count - 1, count * (2 * part + 1) // 10) for part in range(5)]
