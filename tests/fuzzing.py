@@ -113,7 +113,7 @@ class Fuzzer:
             while number == 0 or (end is not None and time.monotonic() < end):
                 tried = given(mutations(path.name, valid).map(Content))(attempt)
                 tried = settings(
-                    max_examples=examples if end is None else 200,
+                    max_examples=examples if end is None else 40,
                     derandomize=end is None,
                     database=None,
                     deadline=None,
