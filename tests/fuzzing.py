@@ -414,7 +414,7 @@ def _check_recipe(path):
 
     recipe, table = read_recipe(path), scan_clip_tables([path.parent / "clips.parquet"])
     check_recipe(recipe, table)
-    compose_mixture(recipe, table, 0)
+    compose_mixture(recipe, table, 0, (), True)
 
 
 def _read_dataset(path):

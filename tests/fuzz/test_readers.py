@@ -108,7 +108,9 @@ def whole_files(tmp_path_factory):
         (root / name).write_text(text.lstrip())
     stage = files("olt_sft_recipes.training") / "stages" / "toy_stage1.yaml"
     (root / "stage.yaml").write_text(stage.read_text())
-    mixture = compose_mixture(read_recipe(root / "recipe.yaml"), scan_clip_tables([root / "clips.parquet"]), 0)
+    mixture = compose_mixture(
+        read_recipe(root / "recipe.yaml"), scan_clip_tables([root / "clips.parquet"]), 0, (), True
+    )
     for suffix in ("json", "parquet"):
         write_mixture(mixture, root / f"mixture.{suffix}")
     (root / "labels.csv").write_text(
