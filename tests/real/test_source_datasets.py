@@ -1,5 +1,7 @@
 """Data sets of front cameras and of trajectories, on real files."""
 
+import shutil
+
 import numpy as np
 import pytest
 
@@ -16,7 +18,7 @@ def test_the_kitti_raw_drive(shared_real, tmp_path):
     folder = shared_real / "kitti_raw_2011_09_26_drive_0013"
     dataset = open_dataset(folder, tmp_path)
     drive = dataset.drive(".")
-    assert drive.scene_id == "kitti_raw/2011_09_26_drive_0013"
+    assert drive.scene_id == "kitti_raw/9040faf20ffbeb965d47"
     assert len(drive.front_us) == 120
     # Not at 10 Hz: 0.1034 s apart by the drive's own time stamps.
     assert np.median(np.diff(drive.front_us)) == pytest.approx(103_400, abs=500)
@@ -30,6 +32,26 @@ def test_the_kitti_raw_drive(shared_real, tmp_path):
     assert np.array_equal(recording.frames, beginning.frames[5:10])
     poses = reference.in_first_frame().T_world_rig[: len(beginning.frames)]
     assert np.allclose(poses, beginning.reference.T_world_rig, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "kitti_raw_2011_09_26_drive_0013",
+        "kitti_odometry_06_first51_gray",
+        "argoverse2_motion_scenario_0a1e6f0a",
+        "argoverse2_sensor_log_7fab2350",
+    ],
+)
+def test_a_drive_keeps_its_scene_under_another_name(shared_real, tmp_path, name):
+    scene_id = open_dataset(shared_real / name).drive(".").scene_id
+    copy, link = tmp_path / "day" / "01", tmp_path / "link"
+    shutil.copytree(shared_real / name, copy)
+    link.symlink_to(copy)
+    assert open_dataset(copy).drive(".").scene_id == scene_id
+    assert open_dataset(link).drive(".").scene_id == scene_id
+    folder = open_dataset(tmp_path / "day")
+    assert [folder.drive(key).scene_id for key in folder.keys()] == [scene_id]  # noqa: SIM118 - a data set is no dict
 
 
 def test_the_kitti_odometry_sequence(shared_real, tmp_path):

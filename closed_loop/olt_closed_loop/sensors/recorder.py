@@ -14,7 +14,7 @@ from olt_generator.progress import Progress, silent
 from olt_generator.seeds import derive_seed
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.recordings.recording import Recording, StatedAccuracy
 from olt_toolkit.rigs.rig import FRONT_WIDE
 from olt_toolkit.rigs.rig_files import pav_rig
 
@@ -84,6 +84,7 @@ def record_drive(
         T_rig_camera=front.T_rig_camera,
         vehicle=scene.vehicle,
         reference=Trajectory(drive_us - timestamps_us[0], T_world_rig),
+        accuracy=StatedAccuracy("the motion by which the scene was driven, without errors", acceleration=0.0),
         distance=distance,
         views=images,
         mounted={name: rig[name] for name in images},

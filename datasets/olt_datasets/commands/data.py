@@ -7,11 +7,12 @@ import typer
 
 from olt_datasets.commands.comparing import AllowUncomparedOption
 from olt_datasets.commands.export import export
+from olt_datasets.commands.verify import verify
 from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, BuiltKind, SampleChoice, SplitRule
 from olt_toolkit.commands.clip import build_all
-from olt_toolkit.commands.clip_options import BuildingOptions, JsonOption, unpack_options
+from olt_toolkit.commands.clip_options import BuildingOptions, JsonOption, NoVerifyOption, unpack_options
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
-from olt_toolkit.rigs.names import ContractName
+from olt_toolkit.rigs.names import ContractName, MotionLabels
 from olt_toolkit.runtime.workers import Engine
 
 app = typer.Typer(
@@ -97,6 +98,8 @@ def index(
         print_line(f"{summary.fingerprints} clips have a fingerprint, by which near-duplicates are found")
         example = "".join(f", as {key}" for key in summary.without_clips[:1])
         print_line(f"{len(summary.without_clips)} drives fill no window{example}")
+        for key, first in summary.copies.items():
+            print_line(f"left out: {key}: the same recording as {first}")
         for omission in summary.left_out:
             print_line(f"left out: {word_omission(omission)}")
         for key, message in summary.unreadable.items():
@@ -188,9 +191,12 @@ def check(
     from olt_datasets.tables.clip_frame import scan_clip_tables
     from olt_datasets.tables.leak_report import word_report
     from olt_datasets.tables.leaks import find_table_leaks
+    from olt_datasets.tables.scenes import refuse_unknown_scenes
     from olt_toolkit.runtime.console import print_json, print_line
 
-    report = find_table_leaks(scan_clip_tables(tables), held_out or (), external or ())
+    table = scan_clip_tables(tables)
+    refuse_unknown_scenes(table, held_out or (), "--held-out")
+    report = find_table_leaks(table, held_out or (), external or ())
     if as_json:
         print_json(report.to_dict())
     else:
@@ -208,17 +214,23 @@ def build(
     kind: Annotated[BuiltKind, typer.Option(help="True views of all cameras, or views synthesized from the front.")],
     out: Annotated[Path, typer.Option(help="Folder of the clip store; it is made if it is missing.")],
     building: BuildingOptions,
+    labels: Annotated[
+        MotionLabels, typer.Option(help="Measured motion as it is, or as a car that does not slip would drive it.")
+    ] = MotionLabels.AS_MEASURED,
     source: SourceOption = None,
     cache: CacheOption = DEFAULT_CACHE,
     seed: Annotated[int, typer.Option(help="Goes into the clips' ids; nothing is drawn by chance.")] = 0,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a window that fails.")] = False,
+    no_verify: NoVerifyOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Build the clips of an indexed table and add them to a store, with split, category and origin of their rows.
 
-    Motion that the data set measured is taken as it is, else --poses recovers it. Given again, an interrupted build
+    Motion that the data set measured is taken, as it is or with --labels smoothed, else --poses recovers it, which is
+    smoothed in any case. Each sample's action error is measured: how far its future is from what the policy's actions
+    can express. Given again, an interrupted build
     goes on. Exit status 1 if windows failed with --keep-going.
     """
     from olt_datasets.tables.building import build_row, find_buildable
@@ -236,10 +248,16 @@ def build(
         store=out,
         opening=building.opening(),
         options=BuildOptions(
-            width=building.width, height=building.height, cameras=building.cameras, front=building.front, seed=seed
+            width=building.width,
+            height=building.height,
+            cameras=building.cameras,
+            front=building.front,
+            labels=labels,
+            seed=seed,
         ),
         estimators=building.estimators(),
         keep_going=keep_going,
+        verify=not no_verify,
     )
     rows = find_buildable(read_clip_table(table), kind)
     make_folder(out)
@@ -247,6 +265,7 @@ def build(
 
 
 app.command()(export)
+app.command()(verify)
 
 
 @app.command()

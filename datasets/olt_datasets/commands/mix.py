@@ -220,6 +220,12 @@ def diff(
     rows = [(name, *(numbers[column] for column in columns)) for name, numbers in samples.items()]
     print_table("Distinct samples", ("component", "in both", "first only", "second only"), rows)
     rows = [
+        (name, *("not measured" if mean is None else f"{mean:.4g}" for mean in means))
+        for name, means in summary["quality"].items()
+        if means[0] != means[1]
+    ]
+    print_table("Means over items that differ", ("of", "first", "second"), rows)
+    rows = [
         (group, value, f"{before:.2%}", f"{after:.2%}", f"{after - before:+.2%}")
         for group in GROUPS
         for value, (before, after) in summary[f"by_{group}"].items()
@@ -255,10 +261,26 @@ def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:
         for value, numbers in summary[f"by_{group}"].items()
     ]
     print_table("What is in it", ("by", "value", "got", "share", "distinct"), rows)
+    _show_quality(summary)
     columns = ("global_batch", "samples_per_epoch", "padded_samples", "steps_per_epoch", "total_steps")
     rows = [(stage, *(numbers[column] for column in columns)) for stage, numbers in summary["training"].items()]
     heads = ("devices x batch x accumulation x epochs", *(column.replace("_", " ") for column in columns))
     print_table("Steps of training", heads, rows)
+
+
+def _show_quality(summary: dict[str, Any]) -> None:
+    """Means over items of what was measured of their pixels and labels, and of how many items each is not known."""
+    from olt_datasets.mixtures.quality import word_not_measured, word_quality
+    from olt_toolkit.runtime.console import print_line, print_table
+
+    parts = {part["name"]: part["quality"] for part in summary["components"]} | {"all": summary["quality"]}
+    rows = [(name, *map(word_quality, quality, quality.values())) for name, quality in parts.items()]
+    print_table("Pixels and labels of its items", ("component", *summary["quality"]), rows)
+    for part in summary["components"]:
+        if part["weights"] is not None:
+            print_line(f"{part['name']}: weights chose {part['weights']}")
+        if part["not_measured"]:
+            print_line(f"{part['name']}: {word_not_measured(part['not_measured'], part['where'])}")
 
 
 def _cell(value: object) -> object:

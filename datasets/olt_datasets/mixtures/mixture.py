@@ -19,6 +19,7 @@ import polars as pl
 from olt_datasets.mixtures.epoch_batches import EpochBatches
 from olt_datasets.mixtures.epoch_order import Draw, EpochOrder, Rows
 from olt_datasets.mixtures.epoch_plan import EpochPlan
+from olt_datasets.mixtures.quality import SAMPLE_QUALITIES, describe_quality
 from olt_datasets.mixtures.recipe import Component, Recipe
 from olt_datasets.mixtures.selection import (
     AbsentValue,
@@ -41,7 +42,9 @@ from olt_toolkit.policy.sample import SampleKey
 KEY_COLUMNS = ("store", "clip_id", "t0_us")
 GROUPS = ("source", "kind", "category", "factors", "country")
 SAMPLE_SCHEMA = pl.Schema(
-    {"store": pl.String, "clip_id": pl.String, "t0_us": pl.Int64} | {name: SCHEMA[name] for name in GROUPS}
+    {"store": pl.String, "clip_id": pl.String, "t0_us": pl.Int64}
+    | {name: SCHEMA[name] for name in GROUPS}
+    | dict.fromkeys(SAMPLE_QUALITIES, pl.Float64)
 )
 LEAK_COLUMNS = ("clip_id", "scene_id", "source", "kind", "split", "store", "start_us", "end_us", "fingerprint")
 NOT_TOLD = "not told"
@@ -50,11 +53,23 @@ NOT_TOLD = "not told"
 
 @dataclass(frozen=True)
 class MixtureComponent:
-    """The distinct samples (columns of `SAMPLE_SCHEMA`) that one component gives, of so many available."""
+    """The distinct samples (columns of `SAMPLE_SCHEMA`) that one component gives, of so many available.
+
+    `not_measured` clips lack a number that it asks for, and were left out or taken as its filter says.
+    """
 
     component: Component
     available: int
+    not_measured: int
     samples: pl.DataFrame
+
+    def word_weights(self) -> str | None:
+        """What the weights of the component chose; None where it has none."""
+        if not self.component.weight_by:
+            return None
+        if len(self.samples) == self.available:
+            return f"nothing: all {self.available} samples are drawn; ask for fewer"
+        return f"{len(self.samples)} of {self.available} samples"
 
     def permute(self, index: int, seed: int, epoch: int) -> Rows:
         """All rows of `samples` in the order of one pass through them."""
@@ -125,7 +140,8 @@ class Mixture:
     def describe(self, epoch: int = 0) -> dict[str, Any]:
         """What was asked and what was got in an epoch, by component and in all by each of `GROUPS`.
 
-        `got` counts items, `distinct` the samples that they are drawn from, `repeats` the most uses of one sample. A
+        `got` counts items, `distinct` the samples that they are drawn from, `repeats` the most uses of one sample,
+        `quality` what is known of their pixels and labels (`describe_quality`). `weights` tells what weights chose. A
         sample counts once for each of its factors, so that these may add up to more or less than all items.
         """
         counts = self.counts(epoch)
@@ -150,10 +166,14 @@ class Mixture:
                     "available": part.available,
                     "distinct": len(part.samples),
                     "repeats": math.ceil(count / len(part.samples)),
+                    "not_measured": part.not_measured,
+                    "weights": part.word_weights(),
+                    "quality": describe_quality(part.samples, used),
                 }
-                for part, share, count in zip(self.components, shares, counts, strict=True)
+                for part, share, count, used in zip(self.components, shares, counts, uses, strict=True)
             ],
             "items_by_epoch": {str(named): self.counts(named) for named in self.recipe.named_epochs},
+            "quality": describe_quality(self.samples, all_uses),
             **{f"by_{group}": _sum_uses(self.samples[group], all_uses) for group in GROUPS},
         }
 
@@ -219,7 +239,7 @@ def compose_and_check(
     if shortages:
         raise InputError(word_shortage(shortages[0]))
     items = samples_per_epoch(recipe, selections)
-    columns = [name for name in dict.fromkeys([*SAMPLE_SCHEMA, *LEAK_COLUMNS]) if name != "t0_us"]
+    columns = [name for name in dict.fromkeys([*SAMPLE_SCHEMA, *LEAK_COLUMNS]) if name not in ("t0_us", "action_error")]
     drawn = [
         selection.draw(most, seed, columns)
         for selection, most in zip(selections, most_items(recipe, items), strict=True)
@@ -238,7 +258,9 @@ def compose_and_check(
             "fingerprints, or allow what cannot be compared (--allow-uncompared)"
         )
     components = [
-        MixtureComponent(selection.component, selection.available, samples.select(SAMPLE_SCHEMA.names()))
+        MixtureComponent(
+            selection.component, selection.available, selection.not_measured, samples.select(SAMPLE_SCHEMA.names())
+        )
         for selection, samples in zip(selections, drawn, strict=True)
     ]
     return Mixture(recipe, seed, items, tuple(components)), report

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.scenes.sources.argoverse2 import read_motion_ego, read_sensor_ego
+from olt_closed_loop.scenes.sources.argoverse2 import read_motion_ego, read_scenario_id, read_sensor_ego
+from olt_datasets.sources.content import hash_content, read_content
 from olt_generator import InputError, Trajectory
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
@@ -53,9 +54,11 @@ class Argoverse2:
         """See `Dataset.drive`; drive time 0 is the first pose, as there are no images."""
         ego = self.ego_motion(key)
         folder = (self._root / key).resolve()
+        (file,) = folder.glob(self._files[key])
+        scene = read_scenario_id(file) if self._files[key] == _SCENARIO else None
         return Drive(
             source=NAME,
-            scene_id=f"{NAME}/{folder.name}",
+            scene_id=f"{NAME}/{scene or hash_content(read_content(file))}",
             key=key,
             front_us=np.empty(0, np.int64),
             cameras=(),

@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images
+from olt_datasets.sources.content import hash_content, read_content
+from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, read_text
 from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.motion.mounting import align_mounting
 from olt_generator.poses import Array, camera_pose_in_rig, invert, make_pose
@@ -46,7 +47,7 @@ class KittiOdometrySequence:
 
     def __init__(self, path: Path) -> None:
         """Read all but the images; InputError where files are missing, damaged or too many for times or poses."""
-        self.scene = path.name
+        self._name = path.name
         self.images = list_images(path / "image_0")
         if not self.images:
             raise InputError(f"{path / 'image_0'}: holds no images; copy the sequence again")
@@ -78,6 +79,15 @@ class KittiOdometrySequence:
         part_of = () if raw is None else (f"It is a part of KITTI's raw drive {raw}; do not split them apart.",)
         self.notes = (*self._assumptions, *part_of)
 
+    def identify(self) -> str:
+        """See `KittiDrive.identify`: a hash of the first, the middle and the last image's file and of their number.
+
+        Times and poses do not enter it, because copies of a sequence come with and without them.
+        """
+        count = len(self.images)
+        images = (read_content(self.images[index]) for index in (0, count // 2, count - 1))
+        return hash_content(str(count).encode(), *images)
+
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """See `KittiDrive.record`."""
         frames, size = read_images([self.images[index] for index in indices], width)
@@ -88,7 +98,7 @@ class KittiOdometrySequence:
             # From the start's rig, whose z is up, rather than from its camera.
             reference = Trajectory(self.image_us, T_rig_camera @ self._T_start_camera @ invert(T_rig_camera))
         return Recording(
-            name=self.scene,
+            name=self._name,
             source=NAME,
             frames=frames,
             timestamps_us=self.image_us[indices],
@@ -114,7 +124,7 @@ def _read_times(path: Path, count: int) -> tuple[NDArray[np.int64], tuple[str, .
 def _read_rows(path: Path, count: int) -> Array:
     """Rows (n, count) of a text file; a name with a colon at the start of a line is left out."""
     rows = []
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         words = [word for word in line.split() if not word.endswith(":")]
         try:
             values = [float(word) for word in words]

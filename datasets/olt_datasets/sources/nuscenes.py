@@ -108,6 +108,14 @@ class Nuscenes:
         images = pl.scan_parquet(camera_images(self._tables[key], self._cache))
         return images.filter(pl.col("scene") == key).collect().sort("channel", "timestamp")
 
+    def _token(self, key: str, rows: pl.DataFrame) -> str:
+        """The scene's token: names, unlike tokens, are given anew by whoever makes tables of this form."""
+        tokens = rows["scene_token"].unique().sort()
+        if len(tokens) != 1:
+            table = self._tables[key] / "scene.json"
+            raise InputError(f"{table}: {len(tokens)} scenes are called {key!r} ({', '.join(tokens)}); rename them")
+        return tokens[0]
+
     def _read(self, key: str, rows: pl.DataFrame) -> SurroundDrive:
         on_disk = pl.Series([(self.root / name).is_file() for name in rows["filename"]], dtype=pl.Boolean)
         groups = {channel: part for (channel,), part in rows.filter(on_disk).group_by("channel", maintain_order=True)}
@@ -117,6 +125,7 @@ class Nuscenes:
         return SurroundDrive(
             source=SOURCE,
             key=key,
+            scene=self._token(key, rows),
             front=FRONT,
             cameras={str(name): self._camera(f"scene {key}: {name}", part, start_us) for name, part in groups.items()},
             ego=_ego_motion(rows, start_us),

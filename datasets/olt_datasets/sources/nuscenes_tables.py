@@ -22,9 +22,10 @@ POSITION = ["x", "y", "z"]
 QUATERNION = ["qw", "qx", "qy", "qz"]
 MOUNTING = [f"camera_{name}" for name in (*POSITION, *QUATERNION)]
 LENS = ["fx", "fy", "cx", "cy"]
-IMAGE = ["scene", "description", "location", "channel", "filename", "timestamp", "width", "height", "calibrated_sensor"]
+SCENE = ["scene", "scene_token", "description", "location"]
+IMAGE = [*SCENE, "channel", "filename", "timestamp", "width", "height", "calibrated_sensor"]
 # Changes with the columns, so that files of another version of this module are not taken.
-_FORMAT = "1"
+_FORMAT = "2"
 _BATCH = 50_000
 _ROW_GROUP = 20_000
 
@@ -88,21 +89,21 @@ def _read_calibrations(release: Path) -> pl.DataFrame:
 
 
 def _read_scenes(release: Path) -> pl.DataFrame:
-    """Name, description and place of the scene, by the token of the sample."""
+    """Name, token, description and place of the scene, by the token of the sample."""
     logs = {row["token"]: row["location"] for row in read_rows(release / "log.json", {"token": str, "location": str})}
     path = release / "scene.json"
     scenes = {}
     for row in read_rows(path, {"token": str, "name": str, "description": str, "log_token": str}):
         if row["log_token"] not in logs:
             raise InputError(f"{path}: scene {row['name']}: log.json has no log_token {row['log_token']}")
-        scenes[row["token"]] = (row["name"], row["description"], logs[row["log_token"]])
+        scenes[row["token"]] = (row["name"], row["token"], row["description"], logs[row["log_token"]])
     path = release / "sample.json"
     rows = []
     for row in read_rows(path, {"token": str, "scene_token": str}):
         if row["scene_token"] not in scenes:
             raise InputError(f"{path}: sample {row['token']}: scene.json has no scene_token {row['scene_token']}")
         rows.append((row["token"], *scenes[row["scene_token"]]))
-    schema = dict.fromkeys(["sample_token", "scene", "description", "location"], pl.String)
+    schema = dict.fromkeys(["sample_token", *SCENE], pl.String)
     return pl.DataFrame(rows, schema, orient="row")
 
 
@@ -117,7 +118,7 @@ def _read_sample_data(release: Path, calibrations: set[str]) -> pl.DataFrame:
         if row["calibrated_sensor_token"] in calibrations
     )
     schema = {name: pl.Int64 if fields[name] is int else pl.String for name in names}
-    images = _collect(rows, schema).rename({"calibrated_sensor_token": "calibrated_sensor"})
+    images = _collect(rows, schema, path).rename({"calibrated_sensor_token": "calibrated_sensor"})
     outside = images.filter(pl.col("filename").str.contains(r"^/|(^|/)\.\.(/|$)"))["filename"]
     if len(outside):
         raise InputError(f"{path}: filename {outside[0]!r} leaves the data set")
@@ -133,13 +134,16 @@ def _read_poses(release: Path, wanted: set[str]) -> pl.DataFrame:
         if row["token"] in wanted
     )
     schema = {"ego_pose_token": pl.String} | dict.fromkeys([*POSITION, *QUATERNION], pl.Float64)
-    return _collect(rows, schema)
+    return _collect(rows, schema, path)
 
 
-def _collect(rows: Iterator[tuple[Any, ...]], schema: dict[str, Any]) -> pl.DataFrame:
+def _collect(rows: Iterator[tuple[Any, ...]], schema: dict[str, Any], path: Path) -> pl.DataFrame:
     """A table of many rows, of which few are ever Python objects."""
     batches = iter(lambda: list(islice(rows, _BATCH)), [])
-    parts = [pl.DataFrame(batch, schema, orient="row") for batch in batches]
+    try:
+        parts = [pl.DataFrame(batch, schema, orient="row") for batch in batches]
+    except (OverflowError, TypeError, pl.exceptions.PolarsError) as error:
+        raise InputError(f"{path}: holds an integer of more than 64 bits ({error}); copy it again") from error
     return pl.concat(parts) if parts else pl.DataFrame(schema=schema)
 
 

@@ -28,6 +28,7 @@ What the values mean: `olt_closed_loop.scenes.conditions`, `olt_closed_loop.sens
 Equal files give equal images. Category, scene factors, motion and all views are known exactly.
 """
 
+import json
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -67,7 +68,7 @@ _generate_scene = lru_cache(maxsize=8)(generate_scene)
 class _Conditions(BaseModel):
     """Light and weather."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     light: Light = "day"
     rain: Share = 0.0
@@ -87,7 +88,7 @@ class _Conditions(BaseModel):
 class _Camera(BaseModel):
     """Effects of the cameras."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     exposure_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
     readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
@@ -115,7 +116,7 @@ class _Camera(BaseModel):
 class _Specification(BaseModel):
     """The content of `synthetic.yaml`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     categories: Annotated[tuple[str, ...], Field(min_length=1)]
     seed: Annotated[int, Field(ge=0)]
@@ -125,6 +126,12 @@ class _Specification(BaseModel):
     split: Split | None = None
     conditions: _Conditions = _Conditions()
     camera: _Camera = _Camera()
+
+    def take(self) -> str:
+        """Tells drives of one scene apart that are filmed in other ways; empty for a clear day at the usual rate."""
+        told = self.model_dump(include={"frame_rate", "conditions", "camera"}, exclude_defaults=True)
+        told = {name: value for name, value in told.items() if value != {}}
+        return json.dumps(told, sort_keys=True) if told else ""
 
     @field_validator("categories")
     @classmethod
@@ -176,6 +183,7 @@ class Synthetic:
                 "The world is invented and its images are rendered, not filmed.",
                 *self._asked.conditions.notes(),
             ),
+            take=self._asked.take(),
         )
 
     def peek(

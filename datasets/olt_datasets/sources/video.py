@@ -41,10 +41,17 @@ from olt_generator.doubts import Doubt
 from olt_generator.files import write_whole
 from olt_generator.motion.odometry import MAX_STEP_SECONDS
 from olt_generator.omissions import Omission
-from olt_generator.video import Video, read_frame_times, read_video, read_video_images, read_video_window
+from olt_generator.video import (
+    Video,
+    read_frame_times,
+    read_frame_times_and_digest,
+    read_video,
+    read_video_images,
+    read_video_window,
+)
 from olt_toolkit import OpenOptions, Recording, load_rig
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.drives import WHOLE, DatasetReader, Drive, Licence
+from olt_toolkit.recordings.drives import DatasetReader, Drive, Licence
 from olt_toolkit.rigs.rig import FRONT_WIDE
 
 NAME = "video"
@@ -90,15 +97,15 @@ class Videos:
         return sorted(self._videos)
 
     def drive(self, key: str) -> Drive:
-        """See `Dataset.drive`; reads the times of the frames and decodes none."""
+        """See `Dataset.drive`; reads the coded frames and decodes none."""
         video = self._video(key)
         _check_front(video, self._videos.values())
-        folder = (video.parent if key == WHOLE else self._path).resolve()
+        front_us, digest = read_frame_times_and_digest(video)
         return Drive(
             source=NAME,
-            scene_id=f"{NAME}/{folder.name}/{video.name if key == WHOLE else key}",
+            scene_id=f"{NAME}/{digest}",
             key=key,
-            front_us=read_frame_times(video),
+            front_us=front_us,
             cameras=(CAMERA,),
             ego_span_us=None,
             true_views=(FRONT_WIDE,),

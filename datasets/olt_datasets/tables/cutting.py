@@ -13,7 +13,8 @@ import numpy as np
 
 from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, SampleChoice
 from olt_generator.errors import InputError
-from olt_toolkit.clips.clip import ClipInfo, ClipOrigin, make_clip_id
+from olt_toolkit.clips.clip import ClipInfo, ClipKind, ClipOrigin
+from olt_toolkit.clips.identity import clip_id_of
 from olt_toolkit.policy.sample import KEYFRAME_US
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, STEP_US, Coverage, Span, sample_times
 from olt_toolkit.recordings.drives import Drive
@@ -51,28 +52,28 @@ class Cutting:
             raise InputError(f"windows of {self.seconds:g} s: give a duration above 0")
 
 
-def cut_drive(drive: Drive, cutting: Cutting, licence: str | None) -> list[ClipInfo]:
+def cut_drive(drive: Drive, cutting: Cutting, licence: str | None, name: str | None = None) -> list[ClipInfo]:
     """The clips that the windows of a drive would be, as rows of a clip table.
 
     Such a clip is not built yet. It is of kind GT where the data set has true images for all cameras of the contract,
     and front only elsewhere; its sample times are those that it will give once its other views are made. Times of its
     front images are counted from the start of the drive. Its split is that of the data set, None where that has none.
-    The same drive and cutting give the same ids everywhere, and a GT clip keeps its id when it is built.
+    The same drive and cutting give the same ids everywhere, and a GT clip keeps its id when it is built. `name` is what
+    people call the drive; its key by default.
     """
     told = asdict(drive)
+    del told["key"]  # where the drive lies changes nothing of it
     front_us = told.pop("front_us").astype("<i8").tobytes()
     description = _hash_of(json.dumps(told, sort_keys=True).encode() + front_us)
-    kind = "front_only" if cutting.contract.lacking(drive.true_views) else "GT"
-    # The key may be the same in two folders; the scene is not.
-    scene = drive.scene_id.removeprefix(f"{drive.source}/").replace("/", "-")
+    kind: ClipKind = "front_only" if cutting.contract.lacking(drive.true_views) else "GT"
+    called = name or drive.key.replace("/", "-")
     clips = []
     for start, end in find_windows(drive, cutting):
         times, reason = find_samples(drive, (start, end), cutting.samples)
-        name = f"{scene}_{start // 1000:06d}_{end // 1000:06d}"
         clips.append(
             ClipInfo(
-                clip_id=make_clip_id(drive.source, name, kind, 0),
-                name=name,
+                clip_id=clip_id_of(drive.scene_id, drive.take, (start, end), kind),
+                name=f"{called}_{start // 1000:06d}_{end // 1000:06d}",
                 scene_id=drive.scene_id,
                 source=drive.source,
                 origin=ClipOrigin(drive.key, start, end, drive.country, licence),

@@ -23,7 +23,7 @@ from olt_generator.omissions import Omission
 from olt_generator.progress import Progress, silent
 from olt_toolkit import ClipInfo, DatasetPlace
 from olt_toolkit.clips.table import SCHEMA, write_clip_table
-from olt_toolkit.recordings.drives import Dataset, list_left_out
+from olt_toolkit.recordings.drives import WHOLE, Dataset, list_left_out
 from olt_toolkit.runtime.threads import use_one_thread
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
@@ -31,6 +31,8 @@ from olt_toolkit.runtime.workers import Engine, map_parallel
 _PARTS = 512
 _ROWS_AT_ONCE = 500_000
 _ROW_GROUP = 250_000
+# Columns that tell where a recording lies, and may change while a row stays what it is.
+_WHERE = ("recording", "name")
 
 
 @dataclass(frozen=True)
@@ -39,8 +41,9 @@ class IndexSummary:
 
     `kept` rows were taken from the table that was there before, with their splits: they describe the same windows.
     `fingerprints` rows tell what the clip looks like; `unreadable` tells by drive why images that this takes could not
-    be decoded. `without_clips` are keys of drives that fill no window, `failed` tells why drives could not be
-    described, and `left_out` what the data set passed over beside them.
+    be decoded. `without_clips` are keys of drives that fill no window, `copies` those of recordings that are in the
+    data set under a key before theirs, which is told, and whose clips are in the table once; `failed` tells why drives
+    could not be described, and `left_out` what the data set passed over beside them.
     """
 
     source: str
@@ -52,6 +55,7 @@ class IndexSummary:
     fingerprints: int
     unreadable: dict[str, str] = field(default_factory=dict)
     without_clips: list[str] = field(default_factory=list)
+    copies: dict[str, str] = field(default_factory=dict)
     failed: dict[str, str] = field(default_factory=dict)
     left_out: list[Omission] = field(default_factory=list)
 
@@ -69,8 +73,8 @@ def index_dataset(
     """Write the table of all clips that the drives of a data set can be cut into; it appears whole.
 
     Where the table is there already, rows that still describe the same window of the same drive are taken from it, so
-    that splits which were given to them stay, and fingerprints are not made again; rows of windows and drives that are
-    gone are left out.
+    that splits which were given to them stay, also where folders were renamed, and fingerprints are not made again;
+    rows of windows and drives that are gone are left out. A recording that is there twice gives its clips once.
 
     Args:
         on_progress: told the share of drives that are done.
@@ -105,10 +109,10 @@ def index_dataset(
         ]
         indexed = map_parallel(_Part.index, parts, workers, on_progress, engine)
         clips = sum(part.clips for part in indexed)
-        kept, fingerprints = _merge([part.file for part in parts], clips, table, known)
+        kept, fingerprints, copies = _merge([part.file for part in parts], clips, table, known)
     times = pl.col("sample_t0_us").list.len()
-    samples = pl.scan_parquet(table).select((times > 0).sum(), times.sum().alias("samples"))
-    clips_with_samples, sample_count = samples.collect(engine="streaming").row(0)
+    counted = pl.scan_parquet(table).select(pl.len(), (times > 0).sum().alias("give"), times.sum().alias("samples"))
+    clips, clips_with_samples, sample_count = counted.collect(engine="streaming").row(0)
     return IndexSummary(
         source=place.open().source,
         drives=len(keys),
@@ -118,6 +122,7 @@ def index_dataset(
         kept=kept,
         fingerprints=fingerprints,
         unreadable={key: message for part in indexed for key, message in part.unreadable.items()},
+        copies=copies,
         without_clips=[key for part in indexed for key in part.without_clips],
         failed={key: message for part in indexed for key, message in part.failed.items()},
         left_out=list(list_left_out(place.path, place.cache)) if place.source is None else [],
@@ -154,7 +159,8 @@ class _Part:
         failed = {}
         for key in self.keys:
             try:
-                clips[key] = cut_drive(dataset.drive(key), self.cutting, dataset.licence.name)
+                name = self.place.drive_name(key) if key == WHOLE else None
+                clips[key] = cut_drive(dataset.drive(key), self.cutting, dataset.licence.name, name)
             except InputError as error:
                 if not self.keep_going:
                     raise
@@ -187,30 +193,42 @@ class _Part:
         return set(same.collect(engine="streaming")["clip_id"])
 
 
-def _merge(parts: list[Path], clips: int, table: Path, known: Path | None) -> tuple[int, int]:
-    """Write the rows of all parts by clip id; how many are from the table known already, and have a fingerprint."""
-    kept, fingerprints, fresh = 0, 0, pl.scan_parquet(parts)
+def _merge(parts: list[Path], clips: int, table: Path, known: Path | None) -> tuple[int, int, dict[str, str]]:
+    """Write the rows of all parts by clip id, one for each.
+
+    Returns:
+        How many rows were taken from the table that is known already, how many have a fingerprint, and the keys of
+        drives whose clips another drive gives too, with the first such key: they are the same recording.
+    """
+    kept, fingerprints, copies, fresh = 0, 0, {}, pl.scan_parquet(parts)
     # Ids are evenly spread: these bounds divide them into ranges of about as many.
     count = math.ceil(clips / _ROWS_AT_ONCE)
     bounds = ["", *(f"{round(2**32 * part / count):08x}" for part in range(1, count)), "g"]
     with write_whole(table) as temporary, pq.ParquetWriter(temporary, SCHEMA, compression="zstd") as writer:
         for low, high in pairwise(bounds):
             in_range = pl.col("clip_id").is_between(pl.lit(low), pl.lit(high), closed="left")
-            rows = fresh.filter(in_range).collect()
+            rows, found = _leave_out_copies(fresh.filter(in_range).collect())
+            copies |= found
             if known is not None:
-                before = pl.scan_parquet(known).filter(in_range)
-                made = rows.lazy().select("clip_id", "checksum", made="fingerprint")
-                both = before.join(made, on=("clip_id", "checksum"))
-                same = both.with_columns(fingerprint=pl.coalesce("fingerprint", "made")).drop("made").collect()
+                before = pl.scan_parquet(known).filter(in_range).drop(_WHERE)
+                made = rows.lazy().select("clip_id", "checksum", *_WHERE, made="fingerprint")
+                same = before.join(made, on=("clip_id", "checksum"))
+                same = same.with_columns(fingerprint=pl.coalesce("fingerprint", "made")).select(rows.columns).collect()
                 kept += len(same)
                 rows = pl.concat([rows.join(same, on="clip_id", how="anti"), same])
             rows = rows.sort("clip_id")
-            repeated = rows.filter(pl.col("clip_id") == pl.col("clip_id").shift(1))
-            if len(repeated):
-                raise InputError(
-                    f"two windows are called {repeated['name'][0]!r}; keys must differ in more than slashes and dashes"
-                )
             stored = rows.select(SCHEMA.names).to_arrow(compat_level=pl.CompatLevel.oldest()).cast(SCHEMA)
             fingerprints += len(rows) - rows["fingerprint"].null_count()
             writer.write_table(stored, row_group_size=_ROW_GROUP)
-    return kept, fingerprints
+    return kept, fingerprints, dict(sorted(copies.items()))
+
+
+def _leave_out_copies(rows: pl.DataFrame) -> tuple[pl.DataFrame, dict[str, str]]:
+    """Of rows with one id that with the first key, and the keys of the others with that first one."""
+    if rows["clip_id"].is_unique().all():
+        return rows, {}
+    rows = rows.sort("clip_id", "recording")
+    first = rows.unique("clip_id", keep="first", maintain_order=True)
+    others = rows.filter(~pl.col("clip_id").is_first_distinct())
+    pairs = others.join(first.select("clip_id", first="recording"), on="clip_id").select("recording", "first")
+    return first, dict(pairs.unique().rows())

@@ -8,6 +8,7 @@ from typing import Any
 SHOWN = 3
 NO_FINGERPRINT = "no fingerprint"
 NOTHING_TO_SEE = "images too plain to compare (fog, night, a wall)"
+TOO_MANY_ALIKE = "looks of more clips than are compared with one"
 
 
 @dataclass(frozen=True)

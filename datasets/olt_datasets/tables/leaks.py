@@ -4,12 +4,15 @@ from collections.abc import Collection
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
-from olt_datasets.tables.fingerprints import find_near_duplicates, is_telling
+from olt_datasets.tables.fingerprints import is_telling, search_near_duplicates
 from olt_datasets.tables.leak_report import (
     NO_FINGERPRINT,
     NOTHING_TO_SEE,
+    TOO_MANY_ALIKE,
     ClipPlace,
     Comparison,
     Leak,
@@ -19,7 +22,7 @@ from olt_datasets.tables.leak_report import (
 from olt_datasets.tables.shared_moments import find_shared_moments
 
 _PLACE = ("clip_id", "scene_id", "split", "store")
-_HAS = pl.col("fingerprint").is_not_null()
+_ROWS_AT_ONCE = 100_000
 
 
 def find_leaks(
@@ -143,15 +146,12 @@ def _word_shared(row: dict[str, Any]) -> Leak:
 
 
 def _find_near_duplicates(clips: pl.LazyFrame, guarded: pl.LazyFrame, never: pl.Expr) -> tuple[list[Leak], Comparison]:
-    columns = (*_PLACE, "fingerprint")
-    mine = clips.select(*columns, never=pl.lit(False)).collect(engine="streaming")
-    theirs = guarded.select(*columns, never=never).collect(engine="streaming")
-    comparison = _count_comparable(mine["fingerprint"], theirs["fingerprint"])
-    pairs = find_near_duplicates(mine["fingerprint"], theirs["fingerprint"])
-    here, there = (frame.drop("fingerprint")[place] for frame, place in ((mine, pairs[:, 0]), (theirs, pairs[:, 1])))
+    mine, theirs = (frame.select(*_PLACE, "fingerprint", never=never) for frame in (clips, guarded))
+    search = search_near_duplicates(mine, theirs)
+    comparison = _count_comparable(mine, theirs, len(search.crowded))
+    here, there = (_take(frame, search.pairs[:, side]) for side, frame in enumerate((mine, theirs)))
     alike = here.hstack(there.select(pl.all().name.suffix("_other")))
-    apart = pl.col("split").ne_missing(pl.col("split_other")) | pl.col("never_other")
-    found = alike.filter((pl.col("scene_id") != pl.col("scene_id_other")) & apart)
+    found = alike.filter(pl.col("split").ne_missing(pl.col("split_other")) | pl.col("never_other"))
     leaks = []
     for row in found.sort("scene_id", "clip_id", "scene_id_other", "clip_id_other").iter_rows(named=True):
         place, other = _place(row), _place(row, "_other")
@@ -159,20 +159,36 @@ def _find_near_duplicates(clips: pl.LazyFrame, guarded: pl.LazyFrame, never: pl.
     return leaks, comparison
 
 
-def _count_comparable(first: pl.Series, second: pl.Series) -> Comparison:
-    total = len(first) * len(second)
-    have = [len(each) - each.null_count() for each in (first, second)]
-    telling = [int(is_telling(each).sum()) for each in (first, second)]
-    with_fingerprints, compared = have[0] * have[1], telling[0] * telling[1]
-    missed = {NO_FINGERPRINT: total - with_fingerprints, NOTHING_TO_SEE: with_fingerprints - compared}
-    clips = {
-        NO_FINGERPRINT: len(first) + len(second) - sum(have),
-        NOTHING_TO_SEE: sum(have) - sum(telling),
+def _take(frame: pl.LazyFrame, places: NDArray[np.int64]) -> pl.DataFrame:
+    """The rows at places (m,), which may repeat, without their fingerprints."""
+    wanted = pl.LazyFrame({"place": places}, schema={"place": pl.UInt32})
+    numbered = frame.drop("fingerprint").with_row_index("place")
+    rows = numbered.join(wanted, on="place", how="semi").collect(engine="streaming")
+    return wanted.collect().join(rows, on="place", how="left", maintain_order="left").drop("place")
+
+
+def _count_comparable(first: pl.LazyFrame, second: pl.LazyFrame, crowded: int) -> Comparison:
+    """Pairs of clips of two tables that could be compared, and those that could not, `crowded` clips of the first."""
+    (clips, have, telling), (others, others_have, others_telling) = map(_count_fingerprints, (first, second))
+    compared = (telling - crowded) * others_telling
+    missed = {
+        NO_FINGERPRINT: (clips * others - have * others_have, clips + others - have - others_have),
+        NOTHING_TO_SEE: (have * others_have - telling * others_telling, have + others_have - telling - others_telling),
+        TOO_MANY_ALIKE: (crowded * others_telling, crowded),
     }
-    missed = {why: count for why, count in missed.items() if count}
-    return Comparison(
-        "near-duplicate", "pairs of clips by their fingerprints", compared, missed, {why: clips[why] for why in missed}
-    )
+    missed = {why: counts for why, counts in missed.items() if counts[0]}
+    pairs, of_clips = ({why: counts[place] for why, counts in missed.items()} for place in (0, 1))
+    return Comparison("near-duplicate", "pairs of clips by their fingerprints", compared, pairs, of_clips)
+
+
+def _count_fingerprints(frame: pl.LazyFrame) -> tuple[int, int, int]:
+    """The number of clips, of those with a fingerprint, and of those whose fingerprint can be compared."""
+    clips = have = telling = 0
+    for rows in frame.select("fingerprint").collect_batches(chunk_size=_ROWS_AT_ONCE, engine="streaming"):
+        clips += len(rows)
+        have += len(rows) - rows["fingerprint"].null_count()
+        telling += int(is_telling(rows["fingerprint"]).sum())
+    return clips, have, telling
 
 
 def _count(frame: pl.LazyFrame) -> int:

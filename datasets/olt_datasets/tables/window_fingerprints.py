@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_toolkit.clips.fingerprint import fingerprint_images, fingerprint_times
@@ -12,6 +13,9 @@ from olt_toolkit.recordings.drives import Dataset
 WIDTH = 320
 """Pixels of the images that are looked at."""
 _WINDOWS_AT_ONCE = 24
+# A fingerprint needs an image every ten metres or so; the denser they are, the fewer of them are key frames.
+_SPACING_US = 400_000
+_FEWEST = 4
 
 
 def fingerprint_windows(
@@ -38,10 +42,18 @@ def fingerprint_windows(
     return found, failed
 
 
+def choose_moments(window: Span) -> NDArray[np.int64]:
+    """Those of the moments that a fingerprint would like that are `_SPACING_US` apart, but four at least."""
+    wanted = fingerprint_times(*window)
+    step = -(-_SPACING_US // max(1, int(wanted[1] - wanted[0])))
+    step = min(step, len(wanted) // _FEWEST)
+    return wanted[step // 2 :: step]
+
+
 def _fingerprint_some(dataset: Dataset, key: str, windows: Sequence[Span]) -> list[bytes]:
-    wanted = [fingerprint_times(*window) for window in windows]
-    # No image is nearer to another moment that is wanted of the same window.
-    reach = [np.full(len(each), np.diff(each, append=each[-1] + 1).min() // 2) for each in wanted]
+    wanted = [choose_moments(window) for window in windows]
+    # Half of the way to the next moment that is wanted of the window.
+    reach = [np.full(len(each), (each[1] - each[0]) // 2) for each in wanted]
     frames, times_us = dataset.peek(key, np.concatenate(wanted), WIDTH, np.concatenate(reach))
     fingerprints = []
     ends = np.cumsum([len(each) for each in wanted])

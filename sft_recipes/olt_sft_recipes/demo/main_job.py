@@ -40,12 +40,14 @@ from olt_toolkit import (
     Recording,
     __version__,
     build_clip,
+    open_dataset,
     open_recording,
 )
 from olt_toolkit.clips.clip import Clip, Split
 from olt_toolkit.clips.pictures import contact_sheet, write_picture
 from olt_toolkit.clips.summary import summarize_build
 from olt_toolkit.clips.trajectory_errors import draw_motions
+from olt_toolkit.recordings.drives import WHOLE
 from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_WIDE
 from olt_toolkit.runtime.console import make_progress
@@ -154,7 +156,7 @@ def run_demo(out: Path, settings: DemoSettings, video: Path | None = None, worke
         # Two mixtures of as many samples: nominal drives alone, and with the long tail; neither from a scene on which
         # the policies are judged.
         def compose(name: str) -> Mixture:
-            held_out = [*scenes["validation"], *scenes["evaluation"]]
+            held_out = [f"synthetic/{scene}" for scene in (*scenes["validation"], *scenes["evaluation"])]
             clips = read_clip_tables([out / "clips"])
             # Every scene is invented by a seed of its own, also where its small images show too little to compare.
             return compose_mixture(find_recipe(name), clips, settings.seed, held_out, allow_uncompared=True)
@@ -252,7 +254,8 @@ def build_input_clip(out: Path, settings: DemoSettings, video: Path | None, scen
     height, width = settings.input_size
     options = BuildOptions(width, height, seed=settings.seed, name="input")
     if video is not None:
-        recording = open_video(video, settings)
+        recording, dataset = open_video(video, settings), open_dataset(video)
+        options = replace(options, scene_id=dataset.drive(WHOLE).scene_id)
     else:
         scene, cameras = read_scene(scene_path(out, scene_names[0])), (CROSS_LEFT, FRONT_WIDE, CROSS_RIGHT)
         recording = record_drive(scene, width, height, settings.frame_rate, cameras, with_distance=True)

@@ -101,7 +101,7 @@ def test_check_lists_shortages_and_leaks(stores, write_store, make_clip):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (lambda plan: plan.update(version=1), "version: Input should be 3"),
+        (lambda plan: plan.update(version=2), "version is 2, this release reads 3; compose it again"),
         (lambda plan: plan.pop("seed"), "seed: Field required"),
         (lambda plan: plan.update(more=1), "more: Extra inputs are not permitted"),
         (lambda plan: plan["available"].pop(), "file: Value error, the recipe and the mixture differ"),

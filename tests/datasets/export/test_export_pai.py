@@ -4,6 +4,7 @@ import shutil
 import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
@@ -43,7 +44,7 @@ def mixture(stores):
     recipe = Recipe.model_validate(
         {"name": "test", "description": "Test.", "version": 1, "split": "train", "components": components}
     )
-    return compose_mixture(recipe, read_clip_tables(list(stores)), seed=0)
+    return compose_mixture(recipe, read_clip_tables(list(stores)), seed=0, allow_uncompared=True)
 
 
 @pytest.fixture(scope="module")
@@ -175,6 +176,20 @@ def test_what_the_public_readers_cannot_do_is_said(mixed, whole):
     (note,) = mixed[0]["notes"]
     assert note.startswith("long_tail: 20 items of 10 samples per epoch") and "0.625 and not 0.7692" in note
     assert whole[0]["notes"] == [] and whole[0]["clips_with_default_keyframe"] == 0
+
+
+def test_the_devkit_takes_splits_from_their_own_file(whole, stores, open_devkit, tmp_path):
+    _, out = whole
+    devkit = open_devkit(out)
+    assert devkit.clip_index["split"].tolist() == ["train"] * 5 and devkit.split_name == "default"
+    splits = pd.read_parquet(out / "splits/default.parquet")
+    assert splits.columns.tolist() == ["split"] and splits.index.tolist() == devkit.clip_index.index.tolist()
+    # The file goes before the index, as the devkit's release 0.2.3 has it.
+    changed = tmp_path / "changed"
+    shutil.copytree(out, changed)
+    splits.assign(split="val").to_parquet(changed / "splits/default.parquet")
+    shutil.rmtree(tmp_path / "cache")
+    assert open_devkit(changed).clip_index["split"].tolist() == ["val"] * 5
 
 
 def test_country_and_licence_are_carried_along(whole, open_devkit):

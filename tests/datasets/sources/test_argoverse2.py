@@ -24,6 +24,7 @@ def write_scenario(folder, name="0a1e", steps=110, track="AV", **changed):
         "position_x": np.concatenate([1000.0 + 20.0 * np.sin(yaw), np.zeros(steps)]),
         "position_y": np.concatenate([-500.0 - 20.0 * np.cos(yaw), np.zeros(steps)]),
         "heading": np.concatenate([yaw, np.zeros(steps)]),
+        "scenario_id": [name] * 2 * steps,
     } | changed
     order = np.random.default_rng(0).permutation(2 * steps)
     table = {name: np.asarray(values)[order] for name, values in columns.items() if values is not None}
@@ -56,6 +57,26 @@ def test_scenarios_and_logs_of_all_splits_are_drives(tmp_path):
     assert drives[1].scene_id == "argoverse2/0a1e"
     assert drives[1].country == "US"
     assert any("no images" in note for note in drives[1].notes)
+
+
+def test_drives_are_told_by_what_is_in_their_files(tmp_path):
+    folders = [
+        write_scenario(tmp_path / "train"),
+        write_scenario(tmp_path / "val", scenario_id=None),
+        write_log(tmp_path / "train" / "7fab"),
+        write_log(tmp_path / "train" / "other", tx_m=1e-7 * np.arange(400)),
+    ]
+    ids = [DATASET.open(folder, tmp_path).drive(".").scene_id for folder in folders]
+    assert ids[0] == "argoverse2/0a1e"
+    assert len(set(ids)) == 4
+    moved = [folder.rename(tmp_path / f"folder {index}") for index, folder in enumerate(folders)]
+    assert [DATASET.open(folder, tmp_path).drive(".").scene_id for folder in moved] == ids
+
+
+def test_a_scenario_of_several_ids_is_refused(tmp_path):
+    folder = write_scenario(tmp_path, scenario_id=["a", "b"] * 110)
+    with pytest.raises(InputError, match="column scenario_id holds 2 ids"):
+        DATASET.open(folder, tmp_path).drive(".")
 
 
 def test_trajectories_are_those_of_the_rig_on_the_ground(tmp_path):

@@ -53,6 +53,17 @@ def drive_ramp(degrees=98.0, metres=51.0, frames=64):
     return planar_pose(x[::100], y[::100], yaw[::100])
 
 
+def test_sequences_are_told_by_their_images(tmp_path):
+    first = write_sequence(tmp_path / "06")
+    without_times = write_sequence(tmp_path / "copy", times=False)
+    (without_times / "poses.txt").unlink()
+    (tmp_path / "day").mkdir()
+    other = write_sequence(tmp_path / "day" / "06")
+    cv2.imwrite(str(other / "image_0" / f"{FRAMES // 2:06d}.png"), np.full((HEIGHT, WIDTH), 99, np.uint8))
+    ids = [open_dataset(folder, tmp_path).drive(".").scene_id for folder in (first, without_times, other)]
+    assert ids[0] == ids[1] != ids[2]
+
+
 @pytest.mark.parametrize("names", [False, True])
 def test_a_sequence_is_read_whole(tmp_path, names):
     recording = open_recording(write_sequence(tmp_path / "06", names=names))

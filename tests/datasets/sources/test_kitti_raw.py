@@ -155,10 +155,25 @@ def test_kitti_drives_of_a_folder(tmp_path):
     key = "2011_09_26/2011_09_26_drive_0001_sync"
     assert (dataset.source, dataset.keys()) == ("kitti_raw", [key])
     drive = dataset.drive(key)
-    assert drive.scene_id == "kitti_raw/2011_09_26_drive_0001"
+    assert drive.scene_id.startswith("kitti_raw/")
     assert drive.front_us.tolist() == [100_000 * k for k in range(FRAMES)]
     assert drive.ego_span_us == (0, 500_000)
     assert drive.country == "DE"
+
+
+def test_drives_are_told_by_their_times_and_their_first_image(tmp_path):
+    drive, official = write_drive(tmp_path / "a"), write_drive(tmp_path / "b", official=True)
+    scene_id = open_dataset(drive).drive(".").scene_id
+    assert open_dataset(official).drive(".").scene_id == scene_id
+    moved = drive.rename(tmp_path / "2011_10_03_drive_0042")
+    assert open_dataset(moved).drive(".").scene_id == scene_id
+    times, image = moved / "image_02_timestamps.txt", moved / "image_02" / "0000000000.png"
+    written = times.read_text()
+    times.write_text(written.replace("13:10:5", "13:20:5"))
+    assert open_dataset(moved).drive(".").scene_id != scene_id
+    times.write_text(written)
+    cv2.imwrite(str(image), np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    assert open_dataset(moved).drive(".").scene_id != scene_id
 
 
 def test_the_drives_of_a_folder_are_its_recordings_or_those_of_the_data_set(tmp_path):

@@ -56,6 +56,13 @@ def test_the_layout_of_the_challenge(challenge, tmp_path):
     assert dataset.open("train/00022", (0, 200_000), OpenOptions()).source == "nexar"
 
 
+def test_videos_of_one_id_in_a_split_are_refused(tmp_path):
+    rows = [{"file_name": "positive/00022.mp4"}, {"file_name": "negative/00022.mp4"}]
+    write_table(tmp_path / "train" / "metadata.csv", rows)
+    with pytest.raises(InputError, match=r"line 3: train/negative/00022 and train/positive/00022 have one id"):
+        open_dataset(tmp_path, tmp_path / "cache")
+
+
 def test_what_leads_to_a_collision_ends_before_the_alert(challenge, tmp_path):
     dataset = open_dataset(challenge, tmp_path / "cache")
     assert dataset.drive("train/00022").usable_us == (0, 749_999)

@@ -45,7 +45,7 @@ def test_drives_are_told_from_the_tables(write_nuscenes, tmp_path):
     dataset = open_dataset(write_nuscenes(), tmp_path / "cache")
     assert (dataset.source, dataset.keys()) == ("nuscenes", [KEY])
     drive = dataset.drive(KEY)
-    assert drive.scene_id == "nuscenes/scene-0007"
+    assert drive.scene_id == "nuscenes/s"
     assert drive.front_us.tolist() == [83_333 * k for k in range(109)]
     assert drive.ego_span_us == (0, 83_333 * 108 + 20_000)
     assert set(drive.cameras) == set(load_rig("nuscenes").cameras)
@@ -53,6 +53,19 @@ def test_drives_are_told_from_the_tables(write_nuscenes, tmp_path):
     assert (drive.country, drive.split) == ("SG", None)
     assert any("Wait, turn left" in note for note in drive.notes)
     assert any("cross_left view is a mosaic of several cameras, which shows 61% of it" in note for note in drive.notes)
+
+
+def test_scenes_are_told_by_token_and_not_by_name(write_nuscenes, tmp_path):
+    def add_namesake(tables):
+        tables["scene"].append(tables["scene"][0] | {"token": "t"})
+        tables["sample"][0]["scene_token"] = "t"
+
+    tree = write_nuscenes(seconds=2.0)
+    moved = tree.rename(tmp_path / "moved")
+    assert DATASET.open(moved, tmp_path / "cache").drive(KEY).scene_id == "nuscenes/s"
+    twice = DATASET.open(write_nuscenes(seconds=2.0, change=add_namesake), tmp_path / "cache")
+    with pytest.raises(InputError, match=r"scene\.json: 2 scenes are called 'scene-0007' \(s, t\)"):
+        twice.drive(KEY)
 
 
 def test_the_test_release_is_test(write_nuscenes, tmp_path):

@@ -42,7 +42,7 @@ def test_drives_are_told_without_images(pandaset_tree, tmp_path):
     dataset = open_dataset(pandaset_tree, tmp_path)
     assert (dataset.source, dataset.keys()) == ("pandaset", ["001"])
     drive = dataset.drive("001")
-    assert drive.scene_id == "pandaset/001"
+    assert drive.scene_id.startswith("pandaset/")
     assert drive.front_us.tolist() == [100_000 * k for k in range(80)]
     assert drive.ego_span_us == (0, 7_900_000)
     assert set(drive.cameras) == {"front_camera", "front_left_camera", "left_camera", "front_right_camera"}
@@ -50,6 +50,14 @@ def test_drives_are_told_without_images(pandaset_tree, tmp_path):
     assert drive.category == "unlabelled"
     assert any("t0 can only lie between 1.500 and 1.500 s" in note for note in drive.notes)
     assert any("cross_left view is a mosaic of several cameras, which shows 80% of it" in note for note in drive.notes)
+
+
+def test_sequences_are_told_by_their_times_and_first_image(pandaset_tree, own_tree, tmp_path):
+    scene_id = DATASET.open(pandaset_tree, tmp_path).drive("001").scene_id
+    (own_tree / "001").rename(own_tree / "042")
+    assert DATASET.open(own_tree, tmp_path).drive("042").scene_id == scene_id
+    change(own_tree / "042" / "camera" / "front_camera" / "timestamps.json", lambda times: [t + 1000 for t in times])
+    assert DATASET.open(own_tree, tmp_path).drive("042").scene_id != scene_id
 
 
 def test_there_is_exactly_one_sample_once_clip_time_begins_earlier(pandaset_tree, tmp_path):

@@ -45,6 +45,17 @@ def test_drives_are_those_asked_for(open_world):
     assert set(drive.true_views) == set(drive.cameras) == set(CAMERA_INDEX)
 
 
+def test_the_scene_is_the_world_and_the_take_how_it_is_filmed(open_world):
+    key = "nominal_000007"
+    usual, night, fast = (
+        open_world(SPECIFICATION + more).drive(key)
+        for more in ("", "conditions: {light: night}\n", "frame_rate: 20.0\n")
+    )
+    assert usual.scene_id == night.scene_id == fast.scene_id
+    assert usual.take == open_world(SPECIFICATION + "conditions: {light: day}\nduration: 9.0\n").drive(key).take == ""
+    assert len({usual.take, night.take, fast.take}) == 3
+
+
 def test_a_window_is_that_part_of_the_whole_drive(open_world):
     dataset = open_world()
     window = dataset.open("nominal_000007", (1_050_000, 1_300_000), SMALL)

@@ -138,8 +138,13 @@ def test_ids_are_told_by_the_window_and_checksums_by_everything_told():
         assert changed[0].checksum != clips[0].checksum
 
 
-def test_drives_of_one_key_in_two_folders_give_different_clips():
+def test_clips_are_told_apart_by_scene_and_take_and_not_by_key_or_name():
     here = make_drive(".", images=100)
-    there = replace(here, scene_id="toy/elsewhere")
-    (first, *_), (second, *_) = (cut_drive(drive, Cutting(), None) for drive in (here, there))
-    assert first.clip_id != second.clip_id
+    others = [replace(here, scene_id="toy/elsewhere"), replace(here, take="night")]
+    ids = [cut_drive(drive, Cutting(), None)[0].clip_id for drive in (here, *others)]
+    assert len(set(ids)) == 3
+    (moved, *_) = cut_drive(replace(here, key="day/1"), Cutting(), None)
+    (named, *_) = cut_drive(here, Cutting(), None, name="town")
+    assert moved.clip_id == named.clip_id == ids[0]
+    assert moved.checksum == named.checksum
+    assert (moved.name, named.name) == ("day-1_000000_004000", "town_000000_004000")

@@ -13,8 +13,9 @@ from olt_datasets.tables.cutting import Cutting
 from olt_datasets.tables.fingerprints import is_telling
 from olt_datasets.tables.indexing import index_dataset
 from olt_datasets.tables.splits import SplitRule, Splitting, split_table
+from olt_datasets.tables.window_fingerprints import choose_moments
 from olt_generator.errors import InputError
-from olt_toolkit.clips.fingerprint import fingerprint_images, fingerprint_times
+from olt_toolkit.clips.fingerprint import fingerprint_images
 from olt_toolkit.recordings.drives import DatasetPlace
 
 from ..toy_drives import ToyDataset, film, make_drive
@@ -70,7 +71,7 @@ def test_every_window_gets_a_fingerprint_of_its_own_images(toy, tmp_path):
     for row in table.iter_rows(named=True):
         inside = dataset.drives[row["recording"]].front_us
         inside = inside[(inside >= row["start_us"]) & (inside <= row["end_us"])]
-        wanted = fingerprint_times(row["start_us"], row["end_us"])
+        wanted = choose_moments((row["start_us"], row["end_us"]))
         shown = inside[np.abs(inside[:, None] - wanted).argmin(axis=0)]
         look = dataset.looks.get(row["recording"], row["recording"])
         assert row["fingerprint"] == fingerprint_images(film(look, shown), shown - row["start_us"])
@@ -102,7 +103,7 @@ def test_fingerprints_are_made_once(toy, tmp_path):
 
 def test_windows_whose_images_are_damaged_have_no_fingerprint(toy, tmp_path):
     place, dataset = toy
-    wanted = fingerprint_times(4_200_000, 8_200_000)[0]
+    wanted = choose_moments((4_200_000, 8_200_000))[0]
     damaged_us = int(dataset.drives["a"].front_us[np.abs(dataset.drives["a"].front_us - wanted).argmin()])
     dataset.damaged_us = {"a": damaged_us}
     summary = index(place, tmp_path / "clips.parquet")
@@ -141,9 +142,42 @@ def test_what_cannot_be_indexed_is_refused(toy, tmp_path, open_toy):
         index(place, tmp_path / "old.parquet")
     with pytest.raises(InputError, match="has no drive"):
         index(open_toy(ToyDataset({}))[0], tmp_path / "clips.parquet")
-    twins = ToyDataset({"a/b": make_drive("a/b"), "a-b": make_drive("a-b")})
-    with pytest.raises(InputError, match="two windows are called 'a-b_00"):
-        index(open_toy(twins)[0], tmp_path / "clips.parquet")
+
+
+def test_a_recording_that_is_there_twice_is_listed_and_cut_once(open_toy, tmp_path, monkeypatch):
+    first = make_drive("day/one", 200, scene_id="toy/same")
+    drives = {"day/one": first, "copy": replace(first, key="copy"), "other": make_drive("other", 100)}
+    place, _ = open_toy(ToyDataset(drives))
+    summary = index(place, tmp_path / "once.parquet")
+    assert (summary.drives, summary.clips, summary.copies) == (3, 6, {"day/one": "copy"})
+    table = read_clip_tables([tmp_path / "once.parquet"])
+    assert set(table["recording"]) == {"copy", "other"}
+    assert table["clip_id"].is_unique().all()
+    monkeypatch.setattr(indexing, "_ROWS_AT_ONCE", 2)
+    monkeypatch.setattr(indexing, "_PARTS", 1)
+    assert index(place, tmp_path / "ranges.parquet").copies == {"day/one": "copy"}
+    assert pq.read_table(tmp_path / "ranges.parquet").equals(pq.read_table(tmp_path / "once.parquet"))
+
+
+def test_rows_of_a_renamed_drive_stay_and_tell_its_new_place(toy, tmp_path):
+    place, dataset = toy
+    path = tmp_path / "clips.parquet"
+    index(place, path)
+    split_table(path, Splitting(SplitRule.EXTERNAL, ("toy",)), path)
+    dataset.drives["z"] = replace(dataset.drives.pop("a"), key="z")
+    summary = index(place, path)
+    assert (summary.clips, summary.kept) == (6, 6)
+    table = read_clip_tables([path])
+    assert set(table["recording"]) == {"b", "z"}
+    assert set(table["split"]) == {"test"}
+    assert "z_000000_004000" in table["name"].to_list()
+
+
+def test_two_drives_whose_keys_look_alike_are_two(open_toy, tmp_path):
+    place, _ = open_toy(ToyDataset({"a/b": make_drive("a/b"), "a-b": make_drive("a-b")}))
+    summary = index(place, tmp_path / "clips.parquet")
+    assert (summary.clips, summary.copies) == (4, {})
+    assert len(set(read_clip_tables([tmp_path / "clips.parquet"])["name"])) == 2
 
 
 def test_the_number_of_workers_changes_no_byte(tmp_path, shared_real):

@@ -1,15 +1,14 @@
 """A planted leak of each kind is found, and a clean table has none."""
 
+import numpy as np
 import polars as pl
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from olt_datasets.tables.fingerprints import LARGEST_DISTANCE, find_close_hashes, find_near_duplicates
 from olt_datasets.tables.leak_report import summarize_leaks
 from olt_datasets.tables.leaks import find_leaks, find_table_leaks
 from olt_generator.seeds import make_generator
 from olt_toolkit.clips.clip import ClipOrigin
+from olt_toolkit.clips.fingerprint import RECORD
 
 
 def rules(report):
@@ -20,17 +19,12 @@ def seconds(start, end):
     return ClipOrigin("drive", int(1e6 * start), int(1e6 * end))
 
 
-def draw_hashes(name):
-    return tuple(make_generator("hashes", name).integers(0, 2**64, 5, dtype="uint64").tolist())
-
-
-def flip(hashes, bits, count=5):
-    """The first hashes changed in so many bits, the others replaced."""
-    return tuple(value ^ (2**bits - 1) for value in hashes[:count]) + draw_hashes("others")[count:]
-
-
-def pack(hashes):
-    return None if hashes is None else b"".join(value.to_bytes(8, "big") for value in hashes)
+def draw_look(name):
+    """A fingerprint by chance: of one name the same, of two like no other."""
+    images = np.zeros(8, RECORD)
+    images["time_ms"] = 2500 * np.arange(8)
+    images["signs"] = make_generator("look", name).integers(256, size=images["signs"].shape, dtype=np.uint8)
+    return images.tobytes()
 
 
 @pytest.fixture(scope="module")
@@ -94,65 +88,24 @@ def test_windows_that_share_a_moment_across_splits(make_clip, make_table, start,
 
 
 @pytest.mark.parametrize(
-    ("fingerprint", "leaks"),
-    [
-        (flip(draw_hashes("street"), LARGEST_DISTANCE), True),
-        (flip(draw_hashes("street")[::-1], LARGEST_DISTANCE), True),
-        (flip(draw_hashes("street"), LARGEST_DISTANCE, count=3), True),
-        (flip(draw_hashes("street"), LARGEST_DISTANCE, count=2), False),
-        (flip(draw_hashes("street"), LARGEST_DISTANCE + 1), False),
-        (draw_hashes("street")[:1] * 5, False),
-        (draw_hashes("field"), False),
-        (None, False),
-    ],
+    ("fingerprint", "leaks"), [(draw_look("street"), True), (draw_look("field"), False), (None, False), (b"", False)]
 )
 def test_near_duplicates_of_another_scene_in_another_split(make_clip, make_table, fingerprint, leaks):
     table = make_table(
-        make_clip(1, fingerprint=pack(draw_hashes("street"))),
-        make_clip(2, fingerprint=pack(fingerprint), split="test"),
-        make_clip(3, fingerprint=pack(draw_hashes("street"))),
+        make_clip(1, fingerprint=draw_look("street")),
+        make_clip(2, fingerprint=fingerprint, split="test"),
+        make_clip(3, fingerprint=draw_look("street")),
         make_clip(4, fingerprint=None),
     )
     chosen = table.filter(pl.col("split") == "train")
     assert rules(find_leaks(chosen, table)) == [("near-duplicate", "scene_1"), ("near-duplicate", "scene_3")] * leaks
 
 
-def test_images_without_structure_are_like_nothing(make_clip, make_table):
-    table = make_table(make_clip(1, fingerprint=bytes(40)), make_clip(2, fingerprint=bytes(40), split="test"))
-    assert rules(find_leaks(table[:1], table)) == []
-
-
-@given(
-    st.lists(st.integers(0, 2**64 - 1), max_size=6),
-    st.lists(st.tuples(st.integers(0, 5), st.sets(st.integers(0, 63), max_size=6)), max_size=12),
-)
-def test_close_hashes_are_all_those_that_differ_in_few_bits(first, changes):
-    second = [
-        (first[place] if place < len(first) else place) ^ sum(1 << bit for bit in bits) for place, bits in changes
-    ]
-    pairs = find_close_hashes(
-        pl.Series(first, dtype=pl.UInt64).to_numpy(), pl.Series(second, dtype=pl.UInt64).to_numpy()
-    )
-    expected = [
-        [i, j] for i, a in enumerate(first) for j, b in enumerate(second) if (a ^ b).bit_count() <= LARGEST_DISTANCE
-    ]
-    assert pairs.tolist() == expected
-
-
-def test_the_search_in_parts_finds_what_it_finds_at_once(monkeypatch):
-    hashes = make_generator("many").integers(0, 2**64, 400, dtype="uint64")
-    fingerprints = pl.Series([pack(row) for row in hashes.reshape(80, 5).tolist()], dtype=pl.Binary)
-    found = find_near_duplicates(fingerprints, fingerprints)
-    assert found.tolist() == [[place, place] for place in range(80)]
-    monkeypatch.setattr("olt_datasets.tables.fingerprints._PAIRS_AT_ONCE", 3)
-    assert find_near_duplicates(fingerprints, fingerprints).tolist() == found.tolist()
-
-
 def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
     clean = [
-        make_clip(1, fingerprint=pack(draw_hashes(1))),
-        make_clip(2, fingerprint=pack(draw_hashes(2)), split="val"),
-        make_clip(3, fingerprint=pack(draw_hashes(3)), split="test", source="nexar"),
+        make_clip(1, fingerprint=draw_look(1)),
+        make_clip(2, fingerprint=draw_look(2), split="val"),
+        make_clip(3, fingerprint=draw_look(3), split="test", source="nexar"),
         make_clip(4, scene_id="scene_1", origin=seconds(21, 30), split="test"),
         make_clip(5, split=None, scene_id="scene_1"),
     ]
@@ -160,7 +113,7 @@ def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
     planted = {
         "overlap": make_clip(6, scene_id="scene_2", split="test"),
         "twin": make_clip(7, scene_id="scene_1", kind="Syn", split="val"),
-        "near-duplicate": make_clip(8, fingerprint=pack(draw_hashes(1)), split="val"),
+        "near-duplicate": make_clip(8, fingerprint=draw_look(1), split="val"),
         "held out": make_clip(9, scene_id="held"),
         "external": make_clip(10, source="nexar"),
     }
@@ -181,11 +134,11 @@ def comparison(report, rule):
 
 def test_what_could_not_be_compared_is_counted(make_clip, make_table):
     table = make_table(
-        make_clip(1, fingerprint=pack(draw_hashes(1))),
-        make_clip(2, fingerprint=pack(draw_hashes(2))),
-        make_clip(3, fingerprint=bytes(40)),
+        make_clip(1, fingerprint=draw_look(1)),
+        make_clip(2, fingerprint=draw_look(2)),
+        make_clip(3, fingerprint=b""),
         make_clip(4, fingerprint=None),
-        make_clip(5, fingerprint=pack(draw_hashes(5)), split="test"),
+        make_clip(5, fingerprint=draw_look(5), split="test"),
         make_clip(6, fingerprint=None, split="test"),
         make_clip(7, split=None),
     )
@@ -215,9 +168,7 @@ def test_what_could_not_be_compared_is_counted(make_clip, make_table):
     ],
 )
 def test_nothing_to_compare_is_not_clean(make_clip, make_table, splits, empty):
-    clips = [
-        make_clip(number, split=split, fingerprint=pack(draw_hashes(number))) for number, split in enumerate(splits)
-    ]
+    clips = [make_clip(number, split=split, fingerprint=draw_look(number)) for number, split in enumerate(splits)]
     report = find_table_leaks(make_table(*clips).lazy())
     assert report.empty == empty
     assert report.is_complete is report.to_dict()["clean"] is (empty is None)
@@ -227,11 +178,11 @@ def test_nothing_to_compare_is_not_clean(make_clip, make_table, splits, empty):
 def test_clips_like_those_that_are_never_trained_on(make_clip, make_table):
     """A copy of a held-out scene under another name, and of a clip from an external source, wherever these stand."""
     table = make_table(
-        make_clip(1, fingerprint=pack(draw_hashes("held"))),
-        make_clip(2, fingerprint=pack(draw_hashes("outside"))),
-        make_clip(3, fingerprint=pack(draw_hashes("held")), scene_id="held"),
-        make_clip(4, fingerprint=pack(draw_hashes("outside")), source="nexar", split=None),
-        make_clip(5, fingerprint=pack(draw_hashes("held")), split=None),
+        make_clip(1, fingerprint=draw_look("held")),
+        make_clip(2, fingerprint=draw_look("outside")),
+        make_clip(3, fingerprint=draw_look("held"), scene_id="held"),
+        make_clip(4, fingerprint=draw_look("outside"), source="nexar", split=None),
+        make_clip(5, fingerprint=draw_look("held"), split=None),
     )
     chosen = table.filter(pl.col("scene_id").is_in(["scene_1", "scene_2"]))
     report = find_leaks(chosen, table, held_out_scenes=["held"], external_sources=["nexar"])
@@ -243,8 +194,8 @@ def test_clips_like_those_that_are_never_trained_on(make_clip, make_table):
 def test_both_clips_and_their_stores_are_told(make_clip, make_table):
     table = pl.concat(
         [
-            make_table(make_clip(1, fingerprint=pack(draw_hashes("street"))), store="/gt"),
-            make_table(make_clip(2, fingerprint=pack(draw_hashes("street")), split="test"), store="/syn"),
+            make_table(make_clip(1, fingerprint=draw_look("street")), store="/gt"),
+            make_table(make_clip(2, fingerprint=draw_look("street"), split="test"), store="/syn"),
             make_table(make_clip(3, scene_id="scene_1", split="test"), store="/later"),
         ]
     )

@@ -1,5 +1,6 @@
 """Reading and writing video files."""
 
+import hashlib
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -85,6 +86,23 @@ def read_frame_times(path: Path, duration: float | None = None) -> NDArray[np.in
     with open_video(path) as video:
         times = [frame.time for frame in _shown(read_coded_frames(video, duration))]
     return _microseconds([time for time in times if duration is None or time - times[0] < duration])
+
+
+def read_frame_times_and_digest(path: Path) -> tuple[NDArray[np.int64], str]:
+    """The times (n,) of `read_frame_times`, and 20 hexadecimal digits that tell this recording from any other.
+
+    The digits are BLAKE2b of the times and of all coded pictures: neither the file's name and place nor what else is in
+    it (sound, titles, where its index lies) changes them. Nothing is decoded.
+
+    Raises:
+        InputError: see `read_frame_times`.
+    """
+    digest = hashlib.blake2b(digest_size=10)
+    with open_video(path) as video:
+        times = [frame.time for frame in _shown(read_coded_frames(video, on_packet=digest.update))]
+    times_us = _microseconds(times)
+    digest.update(times_us.astype("<i8").tobytes())
+    return times_us, digest.hexdigest()
 
 
 def read_video_window(

@@ -33,6 +33,11 @@ _PREVIEW_TILE = 288
 _PREVIEW_QUALITY = 60
 
 
+def picture_name(name: str, clip_id: str) -> str:
+    """What the pictures of a clip are called: two clips of one name do not share them."""
+    return f"{name}-{clip_id[:8]}"
+
+
 def write_clip_pictures(
     folder: Path,
     name: str,
@@ -52,7 +57,7 @@ def write_clip_pictures(
 
 
 def animation_path(folder: Path, name: str) -> Path:
-    """Where the animated preview of a clip of that name lies."""
+    """Where the animated preview lies that `write_clip_pictures` writes under that name."""
     return folder / f"{name}.webp"
 
 
@@ -136,8 +141,10 @@ def _share_text(origin: NDArray[np.uint8], wanted: PixelOrigin, words: str) -> s
 
 def write_picture(path: Path, picture: Image) -> None:
     """Write an RGB picture (H, W, 3) in the format of the path's suffix; the file appears whole."""
+    coded, content = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    assert coded, f"OpenCV does not write {path.suffix} pictures of shape {picture.shape}"
     with write_whole(path) as temporary:
-        cv2.imwrite(str(temporary), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        temporary.write_bytes(content.tobytes())
 
 
 def write_animation(path: Path, frames: Image, frame_rate: float) -> None:

@@ -12,6 +12,7 @@ from olt_toolkit.commands.clip_options import (
     DeviceOption,
     DurationOption,
     JsonOption,
+    NoVerifyOption,
     StoreArgument,
     unpack_options,
 )
@@ -48,6 +49,7 @@ def build(
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a recording that fails.")] = False,
+    no_verify: NoVerifyOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Recording to trajectory, distance and views; then clips in the store and pictures beside them."""
@@ -74,7 +76,7 @@ def build(
     )
     store, opening = make_folder(out), building.opening(duration)
     jobs = [
-        BuildJob(place, key, store, None, opening, options, estimators, keep_going=keep_going)
+        BuildJob(place, key, store, None, opening, options, estimators, keep_going=keep_going, verify=not no_verify)
         for place, key in find_drives(recording, cache)
     ]
     if jobs[0].place.path == recording and jobs[0].key == WHOLE:
@@ -220,9 +222,14 @@ def _build_one(job: "BuildJob", as_json: bool) -> None:
     from olt_toolkit.commands.clip_output import print_build
     from olt_toolkit.runtime.console import print_json, print_line, show_progress
 
-    recording, store = job.open(), ClipStore(job.store)
+    job, store = job.identify(), ClipStore(job.store)
     if job.clip_id in store:
-        raise InputError(f"{store.root}: already holds the clip {job.name!r}; give another --name, --seed or --out")
+        job.check_options(store.info(job.clip_id))
+        known = store.info(job.clip_id).name
+        raise InputError(
+            f"{store.root}: already holds the clip {known!r} of this recording; give another --seed or --out"
+        )
+    recording = job.open()
     if not as_json and (reason := why_no_sample(recording)):
         print_line(f"the clip will give no policy sample: {reason}")
     with show_progress("clip") as (on_progress, on_step):
@@ -276,7 +283,7 @@ def build_all(
 
 
 def _draw_stored(store: "ClipStore", clip_id: str, folder: Path) -> dict[str, str]:
-    from olt_toolkit.clips.pictures import write_clip_pictures
+    from olt_toolkit.clips.pictures import picture_name, write_clip_pictures
 
     info = store.info(clip_id)
     times_us = {name: store.read_timestamps(clip_id, name) for name in info.views}
@@ -288,4 +295,4 @@ def _draw_stored(store: "ClipStore", clip_id: str, folder: Path) -> dict[str, st
     images = {name: store.read_frames(clip_id, name, shown_us)[0] for name in info.views}
     not_whole = [name for name, view in info.views.items() if not view.is_seen_whole]
     origins = {name: store.read_origin(clip_id, name, shown_us) for name in not_whole}
-    return write_clip_pictures(folder, info.name, images, origins, shown_us)
+    return write_clip_pictures(folder, picture_name(info.name, clip_id), images, origins, shown_us)

@@ -8,7 +8,6 @@ entry-point group `olt.datasets`, so packages further up bring their own formats
 
 import math
 import tempfile
-from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
@@ -49,7 +48,8 @@ class Drive:
 
     Attributes:
         source: name of the reader.
-        scene_id: the scene, unique over all data sets: it begins with the reader's name and a slash.
+        scene_id: the scene, unique over all data sets: the reader's name, a slash, and an id that stands in the source
+            or else a hash of what was recorded. Names and places of files and folders do not enter it.
         key: what opens the drive again, unique in its data set.
         front_us: (n,) int64 drive times of the front images, strictly increasing, the first is 0; empty for a data
             set without images.
@@ -64,6 +64,7 @@ class Drive:
         event_t0s_us: drive times that the data set marks as the moments to learn from.
         usable_us: drive times within which it may be imitated (a window that ends in a crash may not); None for all.
         notes: a sentence for everything that a user of the drive must know, such as what was assumed.
+        take: tells recordings of one scene apart, such as those of one invented world by day and by night.
     """
 
     source: str
@@ -80,6 +81,7 @@ class Drive:
     event_t0s_us: tuple[int, ...] = ()
     usable_us: Span | None = None
     notes: tuple[str, ...] = ()
+    take: str = ""
 
 
 class Dataset(Protocol):
@@ -210,13 +212,17 @@ def open_recording(path: Path, options: OpenOptions | None = None, cache: Path |
 
 def open_start(dataset: Dataset, key: str, options: OpenOptions) -> Recording:
     """Open a drive from its start, up to the duration of the options; motion is known while images last."""
-    end_us = math.ceil(min(options.duration * 1e6, 2.0**62)) - 1
-    recording = dataset.open(key, (0, end_us), options)
+    recording = dataset.open(key, start_window(options), options)
     if recording.reference is None:
         return recording
     times_us = recording.timestamps_us
     shown = Trajectory(times_us, recording.reference.interpolate(times_us))
     return replace(recording, reference=shown.in_first_frame())
+
+
+def start_window(options: OpenOptions) -> Span:
+    """The drive times within which the images lie that `open_start` decodes."""
+    return 0, math.ceil(min(options.duration * 1e6, 2.0**62)) - 1
 
 
 def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlace, str]]:
@@ -226,7 +232,7 @@ def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlac
     else the drives of the data set that it is.
 
     Raises:
-        InputError: there is none, or two have one name.
+        InputError: there is none.
     """
     place = DatasetPlace(path, cache)
     inside = sorted(path.iterdir()) if path.is_dir() else []
@@ -243,9 +249,6 @@ def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlac
         raise InputError(
             f"{path}: holds no recording that any reader knows; give a video, a drive, a folder of them or a data set"
         )
-    for name, count in Counter(each.drive_name(key) for each, key in found).items():
-        if count > 1:
-            raise InputError(f"{path}: {count} recordings are called {name!r}; rename them, clips are told by name")
     return found
 
 

@@ -117,6 +117,7 @@ class WaymoE2E:
         return SurroundDrive(
             source=NAME,
             key=key,
+            scene=key,
             front=FRONT,
             cameras={name: CameraImages(mounted[name], images[name], times_us) for name in steady},
             ego=chain_paths(paths, f"Waymo E2E drive {key}"),

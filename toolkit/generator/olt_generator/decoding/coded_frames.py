@@ -1,6 +1,6 @@
 """The coded frames of a video file: when each is shown, which are hidden, and whether all are there."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
@@ -58,7 +58,7 @@ class OpenVideo:
 def open_video(path: Path) -> Iterator[OpenVideo]:
     """Open a file; FFmpeg's errors inside become `InputError`."""
     if not path.is_file():
-        raise InputError(f"{path}: no such video file")
+        raise InputError(f"{path}: {'not a regular file' if path.exists() else 'no such video file'}; give a video")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; copy or download it again")
     try:
@@ -75,10 +75,13 @@ def open_video(path: Path) -> Iterator[OpenVideo]:
         raise InputError(f"{path}: not a readable video ({error.strerror}); copy or convert it again") from error
 
 
-def read_coded_frames(video: OpenVideo, duration: float | None = None) -> list[CodedFrame]:
+def read_coded_frames(
+    video: OpenVideo, duration: float | None = None, on_packet: Callable[[Packet], None] | None = None
+) -> list[CodedFrame]:
     """All frames, shown and hidden, in the order of their times; B-frames lie in another order in the file.
 
-    Only the beginning of the file is read where a duration in seconds from the first shown frame is given.
+    Only the beginning of the file is read where a duration in seconds from the first shown frame is given. `on_packet`
+    is given each coded picture, in the order of the file.
 
     Raises:
         InputError: none is shown, one has no time or that of another, or the file was cut off.
@@ -90,6 +93,8 @@ def read_coded_frames(video: OpenVideo, duration: float | None = None) -> list[C
         if packet.size == 0:
             continue  # the end of the stream
         check_packet(path, packet, count)
+        if on_packet is not None:
+            on_packet(packet)
         coded += _code(path, packet, count, video.edits)
         count += 1
         if first is None and not coded[-1].is_hidden:

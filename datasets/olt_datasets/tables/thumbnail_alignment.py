@@ -1,0 +1,187 @@
+"""Whether two sequences of thumbnails show one drive: at any offset and half to double speed, cropped, turned.
+
+All thumbnails of one sequence are warped alike, and laid on those of the other along a straight line in time, as
+SeqSLAM does (M. Milford, G. Wyeth: SeqSLAM, ICRA 2012). Of the warp and line on which they are most alike, two numbers
+are told: the mean correlation of the images, and that of what changes in them, of their differences from the mean of
+the matched images. Drives of one camera have the bonnet, the horizon, the lane and the words on the image in common,
+but none of what passes by.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_datasets.tables.thumbnail_warps import SparseMatrix, Warp, list_crops, stack_warps
+from olt_toolkit.clips.fingerprint import COLUMNS, ROWS
+
+SCALES = (0.8, 0.9, 1.0, 1.11, 1.25)
+SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
+SPEEDS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.11, 1.25, 1.43, 1.67, 2.0)
+# Warps that are tried along lines in time: those that are best with each image on any other.
+_WARPS_KEPT = 6
+_LEAST_SHARE = 0.35
+"""Of the images of the shorter sequence that must be matched."""
+# A mean over few images is high by chance more often: by this over the root of their number.
+_FEW_IMAGES = 0.35
+_LEAST_SCORE, _LEAST_SCORE_OF_DIM = 0.55, 0.8
+_STANDING = 0.06
+_LEAST_ALIKE_STANDING = 0.94
+_WEIGHT_OF_CHANGES = 2.0
+_TINY = 1e-6
+_NEAR = tuple(
+    Warp(1.0 + enlarged, along, down, turn)
+    for enlarged in (-0.05, 0.0, 0.05)
+    for along in (-0.5, 0.0, 0.5)
+    for down in (-0.5, 0.0, 0.5)
+    for turn in (-0.04, 0.0, 0.04)
+)
+
+Floats = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Sequence:
+    """Thumbnails (k, cells), -1 or 1, at ascending times (k,) in seconds; dim where most of them are (night)."""
+
+    signs: Floats
+    seconds: NDArray[np.float64]
+    dim: bool = False
+
+    @property
+    def mirrored(self) -> "Sequence":
+        """The same of mirrored images."""
+        images = self.signs.reshape(-1, ROWS, COLUMNS)[:, :, ::-1]
+        return Sequence(np.ascontiguousarray(images).reshape(self.signs.shape), self.seconds, self.dim)
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """How alike two sequences are.
+
+    Attributes:
+        alike: mean correlation of the matched images, -1 ... 1.
+        moving: correlation of their differences from the mean of the matched images, -1 ... 1.
+        activity: those differences' share of the energy, in the sequence where it is smaller: 0 for a standing clip.
+        matched: how many images of the shorter sequence were matched.
+    """
+
+    alike: float
+    moving: float
+    activity: float
+    matched: int
+
+
+def is_alike(first: Sequence, second: Sequence) -> bool:
+    """Whether two sequences show one drive: what changes is alike, or next to nothing changes and all is alike.
+
+    The limits are chosen on drives of KITTI and a dashcam and on synthetic worlds, among them pairs by night and pairs
+    with the same bonnet and words on them; docs/benchmarks.md tells what they give on others.
+    """
+    found = compare(first, second)
+    score = found.moving + 0.25 * found.alike + 0.5 * min(found.activity, 0.3) - 0.6 / np.sqrt(found.matched)
+    least = _LEAST_SCORE_OF_DIM if first.dim or second.dim else _LEAST_SCORE
+    return bool(score >= least or (found.activity < _STANDING and found.alike >= _LEAST_ALIKE_STANDING))
+
+
+def compare(first: Sequence, second: Sequence) -> Likeness:
+    """How alike two sequences are where they are most so; mirrored ones are for the caller to try."""
+    short, long = sorted((first, second), key=_duration)
+    warp, line = _find_warp_and_line(short, long)
+    hit = line < len(long.signs)
+    return _refine(short.signs[hit], long.signs[line[hit]], warp)
+
+
+def _find_warp_and_line(short: Sequence, long: Sequence) -> tuple[Warp, NDArray[np.int64]]:
+    """The crop, and which image of the longer sequence lies on each of the shorter (k,), its length for none."""
+    crops = list_crops(SCALES, SHIFTS)
+    stacked, filled = stack_warps(crops)
+    warped = _warp(stacked, short.signs)
+    norms = np.sqrt(np.einsum("wkc,wkc->wk", warped, warped))
+    # Of signs, where the warp fills cells.
+    other_norms = np.sqrt(filled.sum(axis=1, keepdims=True))
+    correlations = (warped @ long.signs.T) / (norms * other_norms + _TINY)[..., None]
+    kept = np.argsort(_bounds(correlations))[-_WARPS_KEPT:]
+    lines = _lines(short.seconds.tobytes(), long.seconds.tobytes())
+    counts = (lines < len(long.signs)).sum(axis=1)
+    alike = _sum_along(correlations[kept], lines) / counts
+    moving = _correlate_changes_along(warped[kept], long.signs * filled[kept, None], lines)
+    score = (alike + _WEIGHT_OF_CHANGES * moving) * (1.0 - _FEW_IMAGES / np.sqrt(counts))
+    warp, line = np.unravel_index(score.argmax(), score.shape)
+    return crops[kept[warp]], lines[line]
+
+
+def _refine(mine: Floats, theirs: Floats, warp: Warp) -> Likeness:
+    """How alike matched images (n, cells) are where the second are turned and moved a little under the first's warp."""
+    stacked, filled = stack_warps((warp,))
+    near, near_filled = stack_warps(_NEAR)
+    found = _measure(_warp(stacked, mine) * near_filled[:, None], _warp(near, theirs) * filled[:, None])
+    return max(found, key=lambda each: each.alike + _WEIGHT_OF_CHANGES * each.moving)
+
+
+def _duration(sequence: Sequence) -> float:
+    return float(sequence.seconds[-1] - sequence.seconds[0])
+
+
+def _warp(stacked: SparseMatrix, signs: Floats) -> Floats:
+    """Images (warps, k, cells) of thumbnails (k, cells)."""
+    return (stacked @ signs.T).reshape(-1, signs.shape[1], len(signs)).transpose(0, 2, 1)
+
+
+def _bounds(correlations: Floats) -> Floats:
+    """For each warp, the mean over the better half of the images of the best correlation of each."""
+    best = np.sort(correlations.max(axis=2), axis=1)
+    return best[:, best.shape[1] // 2 :].mean(axis=1)
+
+
+@lru_cache(maxsize=4096)
+def _lines(short: bytes, long: bytes) -> NDArray[np.int64]:
+    """Which image of the longer sequence (lines, k) lies on each image of the shorter; its length for none.
+
+    Times as bytes, so that sequences with equal times share their lines.
+    """
+    mine, theirs = (np.frombuffer(each) - np.frombuffer(each).mean() for each in (short, long))
+    my_step, their_step = (np.ptp(each) / max(len(each) - 1, 1) for each in (mine, theirs))
+    fewest = min(len(mine), len(theirs))
+    least = max(min(2, fewest), _LEAST_SHARE * fewest)
+    between = 0.5 * (theirs[1:] + theirs[:-1])
+    lines = []
+    for speed in SPEEDS:
+        step = max(their_step, my_step * speed)
+        reach = 0.5 * (np.ptp(mine) * speed + np.ptp(theirs))
+        offsets = np.arange(-reach, reach + _TINY, 0.5 * step) if step > 0.0 else np.zeros(1)
+        moments = mine * speed + offsets[:, None]
+        nearest = np.searchsorted(between, moments)
+        near = np.abs(moments - theirs[nearest]) <= 0.5 * step + _TINY
+        found = np.where(near, nearest, len(theirs))
+        lines.append(found[near.sum(axis=1) >= least])
+    return np.concatenate(lines)
+
+
+def _sum_along(values: Floats, lines: NDArray[np.int64]) -> Floats:
+    """Sums (warps, lines) of values (warps, k, m) along lines (lines, k), m for no value."""
+    padded = np.pad(values, ((0, 0), (0, 0), (0, 1)))
+    return padded[:, np.arange(values.shape[1]), lines].sum(axis=2)
+
+
+def _correlate_changes_along(mine: Floats, theirs: Floats, lines: NDArray[np.int64]) -> Floats:
+    """Correlation (warps, lines) of images (warps, k, cells), (warps, m, cells) without the mean of each sequence."""
+    changes, other_changes = mine - mine.mean(axis=1, keepdims=True), theirs - theirs.mean(axis=1, keepdims=True)
+    hit = (lines < theirs.shape[1]).astype(np.float32)
+    energy = (changes**2).sum(axis=2) @ hit.T
+    other_energy = np.pad((other_changes**2).sum(axis=2), ((0, 0), (0, 1)))[:, lines].sum(axis=2)
+    products = changes @ other_changes.transpose(0, 2, 1)
+    return _sum_along(products, lines) / (np.sqrt(energy * other_energy) + _TINY)
+
+
+def _measure(mine: Floats, theirs: Floats) -> list[Likeness]:
+    """How alike matched images (warps, n, cells) are, for each warp."""
+    norms = np.sqrt((mine**2).sum(axis=2) * (theirs**2).sum(axis=2))
+    alike = ((mine * theirs).sum(axis=2) / (norms + _TINY)).mean(axis=1)
+    changes, other_changes = (each - each.mean(axis=1, keepdims=True) for each in (mine, theirs))
+    energy, other_energy = ((each**2).sum(axis=(1, 2)) for each in (changes, other_changes))
+    moving = (changes * other_changes).sum(axis=(1, 2)) / (np.sqrt(energy * other_energy) + _TINY)
+    shares = [part / ((each**2).sum(axis=(1, 2)) + _TINY) for part, each in ((energy, mine), (other_energy, theirs))]
+    columns = (alike.tolist(), moving.tolist(), np.minimum(*shares).tolist())
+    return [Likeness(*row, mine.shape[1]) for row in zip(*columns, strict=True)]

@@ -1,0 +1,95 @@
+"""Keys under which thumbnails that look alike meet: candidates for near-duplicates without comparing all pairs.
+
+Each table of keys has a few dozen bits a thumbnail, and each bit tells on which side of a random plane it lies
+(locality sensitive hashing: M. Charikar, Similarity estimation techniques from rounding algorithms, STOC 2002). Planes
+are random in the space of the thumbnail's low spatial frequencies, which a crop, a turn or a few metres of driving
+change least, without those that are even along a row: sky above and road below are alike in all drives.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_datasets.tables.thumbnail_warps import list_crops, stack_warps
+from olt_generator.seeds import make_generator
+from olt_toolkit.clips.fingerprint import COLUMNS, IMAGES, ROWS
+
+WAVES_ALONG, WAVES_DOWN = 6, 4
+_FEWEST_BITS, _MOST_BITS = 18, 32
+# Bits beyond those that number all thumbnails: 1 in 64 of them meets another by chance.
+_SPARE_BITS = 6
+_PROBED_SCALES = (0.85, 1.0, 1.18)
+
+Signs = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is spent on candidates; what is asked of small tables would take too long for large ones.
+
+    Attributes:
+        tables: tables of keys.
+        bits: bits of a key.
+        scales: sizes at which thumbnails are looked up, each as it is and mirrored.
+    """
+
+    tables: int
+    bits: int
+    scales: tuple[float, ...]
+
+    @property
+    def probes(self) -> int:
+        """Keys of a table under which a thumbnail is looked up."""
+        return 2 * len(self.scales)
+
+
+def choose_effort(clips: int) -> Effort:
+    """The effort for a search among so many clips."""
+    bits = int(np.clip(np.ceil(np.log2(IMAGES * max(clips, 1))) + _SPARE_BITS, _FEWEST_BITS, _MOST_BITS))
+    return Effort(8, bits, _PROBED_SCALES) if clips <= LARGE_TABLE else Effort(4, bits, (1.0,))
+
+
+LARGE_TABLE = 100_000
+"""Clips, above which fewer keys are looked up."""
+
+
+def make_keys(signs: Signs, effort: Effort) -> NDArray[np.uint64]:
+    """Keys (tables, n) of thumbnails (n, cells)."""
+    return _round_to_keys(signs @ _waves().T, effort)
+
+
+def make_probes(signs: Signs, effort: Effort) -> NDArray[np.uint64]:
+    """Keys (tables, probes, n) under which what looks like thumbnails (n, cells) may be; odd probes are mirrored."""
+    stacked, _ = stack_warps(list_crops(effort.scales, (0.0,)))
+    waves = _waves()
+    parity = np.repeat([(-1.0) ** wave for wave in range(1, WAVES_ALONG + 1)], WAVES_DOWN).astype(np.float32)
+    probes = []
+    for warp in np.split(stacked.toarray(), len(effort.scales)):
+        amplitudes = signs @ (waves @ warp).T
+        probes += [_round_to_keys(amplitudes, effort), _round_to_keys(parity * amplitudes, effort)]
+    return np.stack(probes, axis=1)
+
+
+@lru_cache(maxsize=1)
+def _waves() -> Signs:
+    """Cosines (waves, cells): those along a row slowest, without the constant along a row."""
+    along = np.cos(np.pi * np.arange(1, WAVES_ALONG + 1)[:, None] * (np.arange(COLUMNS) + 0.5) / COLUMNS)
+    down = np.cos(np.pi * np.arange(WAVES_DOWN)[:, None] * (np.arange(ROWS) + 0.5) / ROWS)
+    down[0] /= np.sqrt(2.0)
+    return np.einsum("ax,dy->adyx", along, down).reshape(-1, ROWS * COLUMNS).astype(np.float32)
+
+
+@lru_cache(maxsize=4)
+def _planes(tables: int, bits: int) -> Signs:
+    planes = make_generator("planes of thumbnail keys").standard_normal((8 * _MOST_BITS, WAVES_ALONG * WAVES_DOWN))
+    return planes[: tables * bits].astype(np.float32)
+
+
+def _round_to_keys(amplitudes: Signs, effort: Effort) -> NDArray[np.uint64]:
+    sides = (amplitudes @ _planes(effort.tables, effort.bits).T > 0.0).reshape(len(amplitudes), effort.tables, -1)
+    padded = np.zeros((*sides.shape[:2], 32), bool)
+    padded[..., : effort.bits] = sides
+    keys = np.packbits(padded, axis=2).view(">u4")[..., 0]
+    return keys.T.astype(np.uint64)
