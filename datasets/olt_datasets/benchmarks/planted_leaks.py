@@ -85,6 +85,10 @@ def _changed(change: Callable[[Frames], Frames]) -> Plant:
     return plant
 
 
+def _copy(video: Path, copy: Path) -> None:
+    shutil.copy(video, copy)
+
+
 def _link(video: Path, copy: Path) -> None:
     copy.symlink_to(video)
 
@@ -105,7 +109,7 @@ def _crop(frames: Frames) -> Frames:
 
 
 PLANTS: dict[str, Plant] = {
-    "copy": shutil.copy,
+    "copy": _copy,
     "symlink": _link,
     "renamed": _rename,
     "re-encoded": _changed(_code_again),

@@ -6,6 +6,7 @@ from itertools import combinations
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from olt_generator.cameras import Mask
 from olt_generator.poses import Array
 from olt_toolkit.clips.verification.clip_evidence import ClipEvidence
 from olt_toolkit.clips.verification.findings import Finding, Verdict, not_compared
@@ -105,7 +106,7 @@ def check_tele(clip: ClipEvidence) -> Iterator[Finding]:
     yield _judge_tele_times(match)
 
 
-def _judge_place(match: TeleMatch, known: Array) -> Finding:
+def _judge_place(match: TeleMatch, known: Mask) -> Finding:
     here = float(match.at_place[known].mean())
     rivals = {
         "the tele image is mirrored": match.mirrored[known],

@@ -87,7 +87,7 @@ def stretch_gains(steps: ImageSteps, said: Array, other: Array) -> Array:
     count = np.bincount(stretch, minlength=STRETCHES)
     sums = np.stack([np.bincount(stretch, column, minlength=STRETCHES) for column in by_step[known].T], axis=1)
     means = np.where(count[:, None] > 0, sums / np.maximum(count, 1)[:, None], np.nan)
-    return np.concatenate([means[:, :1], count[:, None], means[:, 1:]], axis=1)
+    return np.concatenate([means[:, :1], count[:, None].astype(np.float64), means[:, 1:]], axis=1)
 
 
 def sum_up(gains: Array) -> Gain:
