@@ -8,7 +8,7 @@ import polars as pl
 import pytest
 
 import olt_toolkit.recordings.drives
-from olt_datasets.tables.clip_frame import SCHEMA
+from olt_datasets.tables.clip_frame import SCHEMA, SHARES
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import (
@@ -70,8 +70,14 @@ def _make_clip(
     )
 
 
+def _mean_shares(clip: ClipInfo) -> dict[str, float | None]:
+    return {
+        name: np.mean([getattr(view, name) for view in clip.views.values()]) if clip.views else None for name in SHARES
+    }
+
+
 def _make_table(*clips: ClipInfo, store: str = "/store") -> pl.DataFrame:
-    rows = [{**vars(clip), **vars(clip.origin), "store": store} for clip in clips]
+    rows = [{**vars(clip), **vars(clip.origin), **_mean_shares(clip), "store": store} for clip in clips]
     rows = [{name: row[name] for name in (*SCHEMA, "store")} for row in rows]
     return pl.DataFrame(rows, schema={**SCHEMA, "store": pl.String})
 

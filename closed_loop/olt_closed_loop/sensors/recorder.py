@@ -14,7 +14,7 @@ from olt_generator.progress import Progress, silent
 from olt_generator.seeds import derive_seed
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.window import Span
-from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.recordings.recording import Recording, StatedAccuracy
 from olt_toolkit.rigs.rig import FRONT_WIDE
 from olt_toolkit.rigs.rig_files import pav_rig
 
@@ -28,6 +28,7 @@ def record_drive(
     with_distance: bool = False,
     on_progress: Progress = silent,
     window_us: Span | None = None,
+    images_us: NDArray[np.int64] | None = None,
     conditions: Conditions = CLEAR_DAY,
     effects: Mapping[str, CameraEffects] | None = None,
 ) -> Recording:
@@ -42,6 +43,7 @@ def record_drive(
         on_progress: called with the share that is done.
         window_us: keep only the images between these times, both included; None for the whole length. The reference
             covers all of the drive in any case, so it may reach before the first image and beyond the last.
+        images_us: keep only the images at these times of those that the frame rate gives.
         conditions: light and weather.
         effects: of the cameras, by name; those that are not named have none.
 
@@ -54,6 +56,8 @@ def record_drive(
     T_world_rig = scene.ego.interpolate(drive_us + scene.ego.timestamps_us[0])
     first_us, last_us = window_us or (0, drive_us[-1])
     filmed = (drive_us >= first_us) & (drive_us <= last_us)
+    if images_us is not None:
+        filmed &= np.isin(drive_us, images_us)
     if not filmed.any():
         raise InputError(f"{scene.name}: no image lies between {first_us} and {last_us} us of the drive")
     timestamps_us = drive_us[filmed]
@@ -80,6 +84,7 @@ def record_drive(
         T_rig_camera=front.T_rig_camera,
         vehicle=scene.vehicle,
         reference=Trajectory(drive_us - timestamps_us[0], T_world_rig),
+        accuracy=StatedAccuracy("the motion by which the scene was driven, without errors", acceleration=0.0),
         distance=distance,
         views=images,
         mounted={name: rig[name] for name in images},

@@ -1,17 +1,18 @@
 """`olt data`: index data sets, label and split them, check them for leaks, build their clips and export them."""
 
-from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from olt_datasets.commands.comparing import AllowUncomparedOption
 from olt_datasets.commands.export import export
+from olt_datasets.commands.verify import verify
 from olt_datasets.tables.choices import PAPER_FRAMES, PAPER_STRIDE, BuiltKind, SampleChoice, SplitRule
 from olt_toolkit.commands.clip import build_all
-from olt_toolkit.commands.clip_options import BuildingOptions, JsonOption, unpack_options
+from olt_toolkit.commands.clip_options import BuildingOptions, JsonOption, NoVerifyOption, unpack_options
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
-from olt_toolkit.rigs.names import ContractName
+from olt_toolkit.rigs.names import ContractName, MotionLabels
 from olt_toolkit.runtime.workers import Engine
 
 app = typer.Typer(
@@ -52,14 +53,17 @@ def index(
     ] = ContractName.ALPAMAYO_R1,
     cache: CacheOption = DEFAULT_CACHE,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged drives and list them.")] = False,
+    no_fingerprints: Annotated[
+        bool, typer.Option("--no-fingerprints", help="Decode no image; near-duplicates are not found then.")
+    ] = False,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     as_json: JsonOption = False,
 ) -> None:
-    """List all clips that a data set can be cut into, without decoding an image.
+    """List all clips that a data set can be cut into.
 
-    The table says of each clip at which times it will give a policy sample, or why at none. Exit status 1 if drives
-    failed with --keep-going.
+    Of the images a few small ones of each clip are decoded, to find clips that look alike. The table says of each clip
+    at which times it will give a policy sample, or why at none. Exit status 1 if drives failed with --keep-going.
     """
     from dataclasses import asdict
 
@@ -79,7 +83,10 @@ def index(
     cutting = Cutting(frames, stride, seconds, samples, find_contract(rig.value))
     place = DatasetPlace(root, cache.expanduser(), source)
     with show_progress("drives") as (on_progress, _):
-        summary = index_dataset(place, out, cutting, workers or default_workers(), on_progress, keep_going, engine)
+        summary = index_dataset(
+            *(place, out, cutting, workers or default_workers(), on_progress, keep_going, engine),
+            with_fingerprints=not no_fingerprints,
+        )
     if as_json:
         print_json({"table": str(out), **asdict(summary)})
     else:
@@ -88,12 +95,15 @@ def index(
             f"{summary.clips_with_samples} of them give {summary.samples} policy samples; the others say why not"
         )
         print_line(f"{summary.kept} rows were kept from the table as it was")
+        print_line(f"{summary.fingerprints} clips have a fingerprint, by which near-duplicates are found")
         example = "".join(f", as {key}" for key in summary.without_clips[:1])
         print_line(f"{len(summary.without_clips)} drives fill no window{example}")
         for key, first in summary.copies.items():
             print_line(f"left out: {key}: the same recording as {first}")
         for omission in summary.left_out:
             print_line(f"left out: {word_omission(omission)}")
+        for key, message in summary.unreadable.items():
+            print_line(f"left out: fingerprints of {key}: {message}")
         for key, message in summary.failed.items():
             print_line(f"failed: {key}: {message}")
     if summary.failed:
@@ -138,8 +148,11 @@ def split(
     """Put clips into splits by a rule.
 
     seen: the latest windows of every scene are test. unseen: whole scenes are. external: a whole source is, and is
-    never trained on. own: the data set's own splits, which every clip must have.
+    never trained on. own: the data set's own splits, which every clip must have. Shares that would leave a split
+    without a clip, or without a sample, are refused.
     """
+    from dataclasses import asdict
+
     from olt_datasets.tables.splits import Splitting, split_table
     from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json, print_table
@@ -151,9 +164,10 @@ def split(
     refuse_unused(given, f"rule {rule.value} leaves no share to choose")
     counts = split_table(table, Splitting(rule, tuple(source or ()), val, test, gap, seed), out)
     if as_json:
-        print_json({"table": str(out), "rule": rule.value, "clips": counts})
+        print_json({"table": str(out), "rule": rule.value, **asdict(counts)})
     else:
-        print_table(f"Splits of {out} by rule {rule.value}", ("split", "clips"), list(counts.items()))
+        rows = [(name, count, counts.scenes[name], counts.samples[name]) for name, count in counts.clips.items()]
+        print_table(f"Splits of {out} by rule {rule.value}", ("split", "clips", "scenes", "samples"), rows)
 
 
 @app.command()
@@ -165,31 +179,30 @@ def check(
     external: Annotated[
         list[str] | None, typer.Option(help="A source that is not trained on; repeat for more than one.")
     ] = None,
+    allow_uncompared: AllowUncomparedOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """List everything that leaks from one split into another. Exit status 1 if anything does.
+    """List everything that leaks from one split into another, and say what was compared to find it.
 
     GT and Syn clips of the same moments, windows of a scene that overlap, clips of other scenes that look alike,
-    held-out scenes and external sources in training.
+    held-out scenes and external sources in training. Exit status 1 if anything leaks, if there is nothing to compare,
+    or if clips could not be compared.
     """
     from olt_datasets.tables.clip_frame import scan_clip_tables
+    from olt_datasets.tables.leak_report import word_report
     from olt_datasets.tables.leaks import find_table_leaks
     from olt_datasets.tables.scenes import refuse_unknown_scenes
     from olt_toolkit.runtime.console import print_json, print_line
 
     table = scan_clip_tables(tables)
     refuse_unknown_scenes(table, held_out or (), "--held-out")
-    leaks = find_table_leaks(table, held_out or (), external or ())
+    report = find_table_leaks(table, held_out or (), external or ())
     if as_json:
-        print_json({"clean": not leaks, "leaks": [vars(leak) for leak in leaks]})
+        print_json(report.to_dict())
     else:
-        counts = ", ".join(f"{count} {rule}" for rule, count in Counter(leak.rule for leak in leaks).items())
-        print_line(f"{len(leaks)} leaks: {counts}" if leaks else "no leaks")
-        for leak in leaks[:_SHOWN]:
-            print_line(f"  {leak.rule}: {leak}")
-        if len(leaks) > _SHOWN:
-            print_line(f"  and {len(leaks) - _SHOWN} more; --json lists all")
-    if leaks:
+        for line in word_report(report, _SHOWN):
+            print_line(line)
+    if report.leaks or not (report.is_complete or allow_uncompared):
         raise typer.Exit(1)
 
 
@@ -201,17 +214,23 @@ def build(
     kind: Annotated[BuiltKind, typer.Option(help="True views of all cameras, or views synthesized from the front.")],
     out: Annotated[Path, typer.Option(help="Folder of the clip store; it is made if it is missing.")],
     building: BuildingOptions,
+    labels: Annotated[
+        MotionLabels, typer.Option(help="Measured motion as it is, or as a car that does not slip would drive it.")
+    ] = MotionLabels.AS_MEASURED,
     source: SourceOption = None,
     cache: CacheOption = DEFAULT_CACHE,
     seed: Annotated[int, typer.Option(help="Goes into the clips' ids; nothing is drawn by chance.")] = 0,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a window that fails.")] = False,
+    no_verify: NoVerifyOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Build the clips of an indexed table and add them to a store, with split, category and origin of their rows.
 
-    Motion that the data set measured is taken as it is, else --poses recovers it. Given again, an interrupted build
+    Motion that the data set measured is taken, as it is or with --labels smoothed, else --poses recovers it, which is
+    smoothed in any case. Each sample's action error is measured: how far its future is from what the policy's actions
+    can express. Given again, an interrupted build
     goes on. Exit status 1 if windows failed with --keep-going.
     """
     from olt_datasets.tables.building import build_row, find_buildable
@@ -229,10 +248,16 @@ def build(
         store=out,
         opening=building.opening(),
         options=BuildOptions(
-            width=building.width, height=building.height, cameras=building.cameras, front=building.front, seed=seed
+            width=building.width,
+            height=building.height,
+            cameras=building.cameras,
+            front=building.front,
+            labels=labels,
+            seed=seed,
         ),
         estimators=building.estimators(),
         keep_going=keep_going,
+        verify=not no_verify,
     )
     rows = find_buildable(read_clip_table(table), kind)
     make_folder(out)
@@ -240,6 +265,7 @@ def build(
 
 
 app.command()(export)
+app.command()(verify)
 
 
 @app.command()

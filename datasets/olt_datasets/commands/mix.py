@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from olt_datasets.commands.comparing import AllowUncomparedOption
 from olt_datasets.mixtures.training_arithmetic import PAPER_STAGES, parse_stage, training_arithmetic
 from olt_toolkit.commands.clip_options import JsonOption
 
@@ -93,22 +94,33 @@ def compose(
     seed: SeedOption = 0,
     out: Annotated[Path | None, typer.Option(help="Where to write the mixture (.json or .parquet).")] = None,
     picture: Annotated[Path | None, typer.Option(help="Where to draw its shares (.png).")] = None,
+    allow_uncompared: AllowUncomparedOption = False,
     stage: StageOption = BOTH_STAGES,
     as_json: JsonOption = False,
 ) -> None:
-    """Choose the samples of a mixture; show what was asked for and what was got, and the steps of training on it."""
-    from olt_datasets import compose_mixture, find_recipe, scan_clip_tables, write_mixture
+    """Choose the samples of a mixture; show what was asked for and what was got, and the steps of training on it.
+
+    Refused if it leaks, or if clips that must not leak could not be compared with it.
+    """
+    from olt_datasets import find_recipe, scan_clip_tables, write_mixture
+    from olt_datasets.mixtures.mixture import compose_and_check
     from olt_datasets.mixtures.picture import draw_mixture
+    from olt_datasets.tables.leak_report import word_report
+    from olt_toolkit.runtime.console import print_line
 
     chosen = find_recipe(recipe)
     training = _training(stage)
-    mixture = compose_mixture(chosen, scan_clip_tables(stores), seed)
+    mixture, leaks = compose_and_check(chosen, scan_clip_tables(stores), seed, allow_uncompared=allow_uncompared)
     if out is not None:
         write_mixture(mixture, out)
     if picture is not None:
         draw_mixture(mixture, picture)
     files = {"file": None if out is None else str(out), "picture": None if picture is None else str(picture)}
-    _show_mixture(mixture.describe() | {"training": training(len(mixture))} | files, as_json)
+    summary = mixture.describe() | {"training": training(len(mixture))} | files
+    _show_mixture(summary | ({"leak_check": leaks.to_dict()} if as_json else {}), as_json)
+    if not as_json:
+        for line in word_report(leaks, 0):
+            print_line(line)
 
 
 @app.command()
@@ -138,18 +150,30 @@ def show(
 
 
 @app.command()
-def check(recipe: RecipeArgument, stores: StoresOption, as_json: JsonOption = False) -> None:
-    """List everything that keeps a recipe from being composed: shortages and leaks. Exit status 1 if there is any."""
+def check(
+    recipe: RecipeArgument,
+    stores: StoresOption,
+    allow_uncompared: AllowUncomparedOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """List everything that keeps a recipe from being composed, and what was compared to find leaks.
+
+    Shortages, leaks, and clips that could not be compared. Exit status 1 if there is any.
+    """
     from olt_datasets import check_recipe, find_recipe, scan_clip_tables
     from olt_datasets.mixtures.selection import word_shortage
+    from olt_datasets.tables.leak_report import word_report
     from olt_toolkit.runtime.console import print_json, print_line
 
     findings = check_recipe(find_recipe(recipe), scan_clip_tables(stores))
-    refused = bool(findings["shortages"] or findings["leaks"])
+    leaks = findings["leaks"]
+    uncompared = bool(leaks.not_compared) and not allow_uncompared
+    refused = bool(findings["shortages"] or leaks.leaks or uncompared)
     if as_json:
         records = {
             "shortages": [asdict(shortage) for shortage in findings["shortages"]],
-            "leaks": [asdict(leak) for leak in findings["leaks"]],
+            "leaks": leaks.to_dict()["leaks"],
+            "leak_check": leaks.to_dict(),
             "absent": [value._asdict() for value in findings["absent"]],
         }
         print_json({"recipe": recipe, "accepted": not refused, **records})
@@ -157,8 +181,8 @@ def check(recipe: RecipeArgument, stores: StoresOption, as_json: JsonOption = Fa
         print_line(f"{recipe}: {'refused' if refused else 'accepted'}")
         for shortage in findings["shortages"]:
             print_line(f"  shortages: {word_shortage(shortage)}")
-        for leak in findings["leaks"]:
-            print_line(f"  leaks: {leak}")
+        for line in word_report(leaks, len(leaks.leaks)):
+            print_line(f"  {line}")
         for component, field, value in findings["absent"]:
             print_line(f"  absent: component {component!r}: where.{field}: no clip has {value!r}")
     if refused:
@@ -196,6 +220,12 @@ def diff(
     rows = [(name, *(numbers[column] for column in columns)) for name, numbers in samples.items()]
     print_table("Distinct samples", ("component", "in both", "first only", "second only"), rows)
     rows = [
+        (name, *("not measured" if mean is None else f"{mean:.4g}" for mean in means))
+        for name, means in summary["quality"].items()
+        if means[0] != means[1]
+    ]
+    print_table("Means over items that differ", ("of", "first", "second"), rows)
+    rows = [
         (group, value, f"{before:.2%}", f"{after:.2%}", f"{after - before:+.2%}")
         for group in GROUPS
         for value, (before, after) in summary[f"by_{group}"].items()
@@ -231,10 +261,26 @@ def _show_mixture(summary: dict[str, Any], as_json: bool) -> None:
         for value, numbers in summary[f"by_{group}"].items()
     ]
     print_table("What is in it", ("by", "value", "got", "share", "distinct"), rows)
+    _show_quality(summary)
     columns = ("global_batch", "samples_per_epoch", "padded_samples", "steps_per_epoch", "total_steps")
     rows = [(stage, *(numbers[column] for column in columns)) for stage, numbers in summary["training"].items()]
     heads = ("devices x batch x accumulation x epochs", *(column.replace("_", " ") for column in columns))
     print_table("Steps of training", heads, rows)
+
+
+def _show_quality(summary: dict[str, Any]) -> None:
+    """Means over items of what was measured of their pixels and labels, and of how many items each is not known."""
+    from olt_datasets.mixtures.quality import word_not_measured, word_quality
+    from olt_toolkit.runtime.console import print_line, print_table
+
+    parts = {part["name"]: part["quality"] for part in summary["components"]} | {"all": summary["quality"]}
+    rows = [(name, *map(word_quality, quality, quality.values())) for name, quality in parts.items()]
+    print_table("Pixels and labels of its items", ("component", *summary["quality"]), rows)
+    for part in summary["components"]:
+        if part["weights"] is not None:
+            print_line(f"{part['name']}: weights chose {part['weights']}")
+        if part["not_measured"]:
+            print_line(f"{part['name']}: {word_not_measured(part['not_measured'], part['where'])}")
 
 
 def _cell(value: object) -> object:

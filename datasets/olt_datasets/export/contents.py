@@ -13,7 +13,7 @@ from pathlib import Path
 
 from olt_datasets.mixtures.mixture import Mixture
 from olt_generator.errors import InputError
-from olt_generator.omissions import Omission
+from olt_generator.omissions import Omission, word_omission
 from olt_toolkit.clips.clip import Split, make_clip_id
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.policy.sample import KEYFRAME_US
@@ -134,20 +134,21 @@ def contents_of_stores(stores: Sequence[Path], split: Split, contract: CameraCon
                 items.append(ExportItem(store, info.clip_id, info.clip_id, tuple(times)))
             groups.append(ExportGroup(store.name, kind, source, tuple(items)))
     omissions = [Omission(what, why, count, total) for (what, why), count in left_out.items()]
-    return Contents(_check(groups), split, contract, tuple(omissions))
+    return Contents(_check(groups, omissions), split, contract, tuple(omissions))
 
 
 def _notes(mixture: Mixture) -> Iterator[str]:
-    distinct = sum(len(part.samples) for part in mixture.components)
-    for part, items in zip(mixture.components, mixture.counts(epoch=0), strict=True):
+    distinct, recipe = sum(len(part.samples) for part in mixture.components), mixture.recipe
+    counts = mixture.counts(epoch=0)
+    shares = recipe.shares(0) if recipe.named_epochs else [items / len(mixture) for items in counts]
+    for part, items, share in zip(mixture.components, counts, shares, strict=True):
         name, samples = part.component.name, len(part.samples)
         if part.component.share_by_epoch is not None:
             yield f"{name}: its share changes from epoch to epoch; train each stretch with its own ranges of chunks"
         if items != samples:
             yield (
                 f"{name}: {items} items of {samples} samples per epoch; the public readers take each once, so its "
-                f"share is {samples / distinct:.4g} and not {items / len(mixture):.4g}; `MixtureDataset` keeps the "
-                "share"
+                f"share is {samples / distinct:.4g} and not {float(share):.4g}; `MixtureDataset` keeps the share"
             )
 
 
@@ -164,9 +165,12 @@ def _check_cameras(groups: Sequence[ExportGroup], contract: CameraContract) -> N
                 )
 
 
-def _check(groups: Sequence[ExportGroup]) -> tuple[ExportGroup, ...]:
+def _check(groups: Sequence[ExportGroup], left_out: Sequence[Omission] = ()) -> tuple[ExportGroup, ...]:
     if not groups:
-        raise InputError("no clip is left to export; choose another split, or build clips that give policy samples")
+        why = "".join(f"; {word_omission(omission)}" for omission in left_out)
+        raise InputError(
+            f"no clip is left to export{why}; choose another split or --rig, or build clips that give its samples"
+        )
     ids = Counter(item.listed_as for group in groups for item in group.items)
     clip_id, uses = ids.most_common(1)[0]
     if uses > 1:

@@ -6,6 +6,9 @@ takes images of earlier frames, so three frames stand before each sample time, w
 enough to give their state. An episode is a stretch of one clip on the grid. Its task is the category of the clip: no
 instruction is invented.
 
+Images keep the size of the clips, which must be the same in all of them camera by camera, unless another is asked for;
+then summary and metadata tell the sizes that they had.
+
 The masks of videos that were not seen whole lie beside them in `masks/`, by the same names and frame by frame
 (`olt_toolkit.clips.origin_files`); readers of the format do not look there.
 """
@@ -26,8 +29,13 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from olt_datasets.export.contents import Contents, ExportItem
-from olt_datasets.export.writing import finished_part, naming, note_finished, write_export, write_file
+from olt_datasets.export.image_sizes import Sizes, only_sizes, read_image_sizes, tell_resized, word_size
+from olt_datasets.export.look import halves, look_at_export
+from olt_datasets.export.writing import finished_part, note_finished, write_export
+from olt_datasets.verification.file_list import write_file_list
+from olt_datasets.verification.lerobot import verify_lerobot
 from olt_generator import InputError, write_video
+from olt_generator.files import write_whole
 from olt_generator.poses import Array, invert, yaw_of
 from olt_generator.progress import Progress, silent
 from olt_toolkit import ClipInfo, ClipStore, EgoMotion
@@ -39,7 +47,6 @@ from olt_toolkit.rigs.contracts import CameraContract
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
 VERSION = "v3.0"
-POLICY_IMAGE_SIZE = (320, 576)
 CLIPS_PER_TABLE = 1000
 QUANTILES = {f"q{percent:02d}": percent / 100 for percent in (1, 10, 50, 90, 99)}
 FRAME_RATE = 10
@@ -93,7 +100,7 @@ def numbered_file(folder: Path, number: int, suffix: str) -> Path:
 
 def write_clip(
     root: Path,
-    image_size: tuple[int, int],
+    sizes: Sizes,
     keep_going: bool,
     contract: CameraContract,
     job: tuple[int, ExportItem],
@@ -116,7 +123,7 @@ def write_clip(
             is_sample=np.isin(times_us, item.t0s_us),
             state=_pose_fields(motion, times_us, HISTORY_OFFSETS_US),
             action=_pose_fields(motion, times_us, FUTURE_OFFSETS_US),
-            levels=_write_videos(root, videos, store, item.clip_id, number, times_us, image_size),
+            levels=_write_videos(root, videos, store, item.clip_id, number, times_us, sizes),
         )
     except InputError as error:
         for video in videos.values():
@@ -158,7 +165,7 @@ def _write_videos(
     clip_id: str,
     number: int,
     times_us: NDArray[np.int64],
-    size: tuple[int, int],
+    sizes: Sizes,
 ) -> dict[str, Levels]:
     name = f"clip_{number:06d}"
     finished = finished_part(root, name)
@@ -167,13 +174,13 @@ def _write_videos(
     order = np.argsort(times_us)
     levels = {}
     for camera, path in videos.items():
+        height, width = sizes[camera]
         frames, _ = store.read_frames(clip_id, camera, times_us[order])
-        frames = resize_images(frames, size[1], size[0])[np.argsort(order)]
-        with naming(path):
-            write_video(path, frames, FRAME_RATE)
+        frames = resize_images(frames, width, height)[np.argsort(order)]
+        write_video(path, frames, FRAME_RATE)
         if not store.info(clip_id).views[camera].is_seen_whole:
-            masks = resize_masks(store.read_origin(clip_id, camera, times_us[order]), size[1], size[0])
-            with write_file(_mask_file(root, camera, number)) as temporary:
+            masks = resize_masks(store.read_origin(clip_id, camera, times_us[order]), width, height)
+            with write_whole(_mask_file(root, camera, number)) as temporary:
                 temporary.write_bytes(encode_origin(times_us, masks[np.argsort(order)]))
         levels[camera] = np.stack([np.bincount(frames[..., colour].ravel(), minlength=256) for colour in range(3)])
     note_finished(root, name, {camera: counts.tolist() for camera, counts in levels.items()})
@@ -206,19 +213,27 @@ def export_lerobot(
     workers: int = 1,
     engine: Engine = Engine.LOCAL,
     on_progress: Progress = silent,
-    image_size: tuple[int, int] = POLICY_IMAGE_SIZE,
+    image_size: tuple[int, int] | None = None,
+    verify: bool = True,
 ) -> dict[str, Any]:
-    """Write the clips to `out`, with images of a height and width, and else as `export_pai` does.
+    """Write the clips to `out`, as `export_pai` does but for the layout.
+
+    Images have the height and width `image_size`, or without it their own.
 
     Raises:
-        InputError: `out` holds something else, a clip is damaged and `keep_going` is off, no clip is left, or a file
-            cannot be written; names the file.
+        InputError: images of one camera differ in size and none is asked for; `out` holds something else, a clip is
+            damaged and `keep_going` is off, no clip is left, a file cannot be written, or a check
+            fails; names the file.
     """
+    on_written, on_verified = halves(on_progress, verify)
     contents = contents.with_one_item_per_clip()
+    true_sizes = read_image_sizes(contents)
+    sizes = dict.fromkeys(contents.contract.cameras, image_size) if image_size else only_sizes(true_sizes)
+    resized = tell_resized(true_sizes, sizes)
 
     def write(root: Path) -> dict[str, Any]:
-        write_one = partial(write_clip, root, image_size, keep_going, contents.contract)
-        clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_progress, engine)
+        write_one = partial(write_clip, root, sizes, keep_going, contents.contract)
+        clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_written, engine)
         components = [group.component for group in contents.groups for _ in group.items]
         stores = {item.store: ClipStore(item.store) for item in contents.items}
         done = [clip for clip in clips if isinstance(clip, ClipFrames)]
@@ -231,12 +246,16 @@ def export_lerobot(
         ]
         tasks = sorted({episode.info.category for episode in episodes})
         columns = _write_data(root, episodes, tasks)
-        _write_meta(root, contents, episodes, tasks, columns, image_size)
+        _write_meta(root, contents, episodes, tasks, columns, _features(sizes, resized))
         pairs = zip(contents.items, clips, strict=True)
         failures = {item.clip_id: reason for item, reason in pairs if isinstance(reason, str)}
-        return _summarize(contents, done, episodes) | {"failures": failures}
+        told = {"image_sizes": {camera: word_size(size) for camera, size in sizes.items()}, "resized_from": resized}
+        write_file_list(root)
+        verified = look_at_export(verify_lerobot, root, out, workers, on_verified, engine) if verify else None
+        told |= {"failures": failures, "verification": verified}
+        return _summarize(contents, done, episodes) | told
 
-    return write_export("lerobot", contents, list(image_size), out, write)
+    return write_export("lerobot", contents, [sizes, verify], out, write)
 
 
 def _write_data(root: Path, episodes: Sequence[_Episode], tasks: Sequence[str]) -> Columns:
@@ -263,7 +282,7 @@ def _write_data(root: Path, episodes: Sequence[_Episode], tasks: Sequence[str]) 
     )
     place = np.repeat([episode.table for episode in episodes], lengths)
     for number in np.unique(place).tolist():
-        with write_file(numbered_file(root / "data", number, "parquet")) as temporary:
+        with write_whole(numbered_file(root / "data", number, "parquet")) as temporary:
             pq.write_table(table.filter(pa.array(place == number)), temporary)
     return columns
 
@@ -274,12 +293,12 @@ def _write_meta(
     episodes: Sequence[_Episode],
     tasks: Sequence[str],
     columns: Columns,
-    image_size: tuple[int, int],
+    features: dict[str, dict[str, Any]],
 ) -> None:
     meta = root / "meta"
-    with write_file(meta / "tasks.parquet") as temporary:
+    with write_whole(meta / "tasks.parquet") as temporary:
         pd.DataFrame({"task_index": range(len(tasks))}, index=pd.Index(tasks)).to_parquet(temporary)
-    with write_file(numbered_file(meta / "episodes", 0, "parquet")) as temporary:
+    with write_whole(numbered_file(meta / "episodes", 0, "parquet")) as temporary:
         pq.write_table(pa.Table.from_pylist(_episode_rows(episodes, contents.contract)), temporary)
     info = {
         "codebase_version": VERSION,
@@ -294,7 +313,7 @@ def _write_meta(
         "splits": {contents.split: f"0:{len(episodes)}"},
         "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
         "video_path": "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4",
-        "features": _features(image_size, contents.contract),
+        "features": features,
     }
     stats = {}
     for name, values in columns.items():
@@ -305,13 +324,24 @@ def _write_meta(
             stats[name] |= {"count": [len(rows)]} | dict(zip(QUANTILES, quantiles, strict=True))
     stats |= {video_key(camera): _image_stats(episodes, camera) for camera in contents.contract.cameras}
     for name, content in {"info": info, "stats": stats}.items():
-        with write_file(meta / f"{name}.json") as temporary:
+        with write_whole(meta / f"{name}.json") as temporary:
             temporary.write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
 
 
-def _features(image_size: tuple[int, int], contract: CameraContract) -> dict[str, dict[str, Any]]:
-    height, width = image_size
-    video = {
+def _features(sizes: Sizes, resized: dict[str, dict[str, int]]) -> dict[str, dict[str, Any]]:
+    scalars = dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
+    scalars |= {"timestamp": "float32", "is_sample": "bool"}
+    return {
+        **{video_key(camera): _video_feature(size, resized.get(camera)) for camera, size in sizes.items()},
+        "observation.state": _pose_feature(HISTORY_OFFSETS_US),
+        "action": _pose_feature(FUTURE_OFFSETS_US),
+        **{name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()},
+    }
+
+
+def _video_feature(size: tuple[int, int], resized_from: dict[str, int] | None) -> dict[str, Any]:
+    height, width = size
+    return {
         "dtype": "video",
         "shape": [height, width, 3],
         "names": ["height", "width", "channels"],
@@ -324,15 +354,8 @@ def _features(image_size: tuple[int, int], contract: CameraContract) -> dict[str
             "video.fps": FRAME_RATE,
             "video.channels": 3,
             "has_audio": False,
+            **({"video.resized_from": resized_from} if resized_from else {}),
         },
-    }
-    scalars = dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
-    scalars |= {"timestamp": "float32", "is_sample": "bool"}
-    return {
-        **{video_key(camera): video for camera in contract.cameras},
-        "observation.state": _pose_feature(HISTORY_OFFSETS_US),
-        "action": _pose_feature(FUTURE_OFFSETS_US),
-        **{name: {"dtype": dtype, "shape": [1], "names": None} for name, dtype in scalars.items()},
     }
 
 

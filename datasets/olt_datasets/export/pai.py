@@ -17,14 +17,18 @@ import pandas as pd
 
 from olt_datasets.export.chunks import ExportChunk, divide_into_chunks, write_chunk
 from olt_datasets.export.contents import Contents, ExportItem
-from olt_datasets.export.writing import naming, write_export, write_file
+from olt_datasets.export.look import halves, look_at_export
+from olt_datasets.export.writing import write_export
 from olt_generator.errors import InputError
+from olt_generator.files import write_whole
 from olt_generator.progress import Progress, silent
 from olt_toolkit import ClipInfo, ClipStore
+from olt_toolkit.clips.action_errors import summarize_action_errors
 from olt_toolkit.clips.files import write_metadata
 from olt_toolkit.clips.pai_layout import CLIP_INDEX
 from olt_toolkit.clips.pai_tables import read_indexed, to_bytes
 from olt_toolkit.clips.table import CLIP_TABLE, write_clip_table
+from olt_toolkit.clips.verification.verify import verify_store
 from olt_toolkit.policy.sample import KEYFRAME_US
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
@@ -39,6 +43,7 @@ def export_pai(
     workers: int = 1,
     engine: Engine = Engine.LOCAL,
     on_progress: Progress = silent,
+    verify: bool = True,
 ) -> dict[str, Any]:
     """Write the clips to `out`, which appears when it is complete; an interrupted export goes on when it is repeated.
 
@@ -46,42 +51,44 @@ def export_pai(
         keep_going: leave out damaged clips and list them, instead of stopping at the first.
         workers, engine: number of processes and where they run.
         on_progress: told the finished part, 0 to 1.
+        verify: look at every clip of the export before it appears.
 
     Returns:
         The summary that is also written to `out/export.json`.
 
     Raises:
-        InputError: `out` holds something else, a clip is damaged and `keep_going` is off, no clip is left, or a file
-            cannot be written; names the file.
+        InputError: `out` holds something else, a clip is damaged and `keep_going` is off, no clip is left, a file
+            cannot be written, or a check fails; names the file.
     """
+    on_written, on_verified = halves(on_progress, verify)
 
     def write(root: Path) -> dict[str, Any]:
         chunks = divide_into_chunks(contents.groups)
         write_one = partial(write_chunk, root, keep_going=keep_going)
-        results = map_parallel(write_one, chunks, workers, on_progress, engine)
+        results = map_parallel(write_one, chunks, workers, on_written, engine)
         failures = {clip: reason for result in results for clip, reason in result["failures"].items()}
         rows = [(chunk, item) for chunk in chunks for item in chunk.items if item.listed_as not in failures]
         if not rows:
             raise InputError(f"{out}: no clip could be exported: {next(iter(failures.values()))}")
         infos = _write_tables(root, rows)
-        return _summarize(contents, chunks, results, rows, infos) | {"failures": failures}
+        verified = look_at_export(verify_store, root, out, workers, on_verified, engine) if verify else None
+        return _summarize(contents, chunks, results, rows, infos) | {"failures": failures, "verification": verified}
 
-    return write_export("pai", contents, None, out, write)
+    return write_export("pai", contents, {"verify": verify}, out, write)
 
 
 def _write_tables(root: Path, rows: Rows) -> list[ClipInfo]:
     stores = {store: ClipStore(store) for store in {item.store for _, item in rows}}
     infos = [
-        replace(stores[item.store].info(item.clip_id), clip_id=item.listed_as, sample_t0_us=tuple(sorted(item.t0s_us)))
+        replace(stores[item.store].info(item.clip_id).with_samples(item.t0s_us), clip_id=item.listed_as)
         for _, item in rows
     ]
+    write_metadata(root, infos, [chunk.number for chunk, _ in rows])
+    write_clip_table(root / CLIP_TABLE, infos)
     path = root / CLIP_INDEX
-    with naming(path):
-        write_metadata(root, infos, [chunk.number for chunk, _ in rows])
-        write_clip_table(root / CLIP_TABLE, infos)
     index = read_indexed(path, ["chunk"], ["clip_id"])
     index["event_t0s"] = pd.Series([list(item.t0s_us) for _, item in rows], index.index)
-    with write_file(path) as temporary:
+    with write_whole(path) as temporary:
         temporary.write_bytes(to_bytes(index))
     return infos
 
@@ -125,6 +132,8 @@ def _summarize(
             }
             for how in ("linked", "copied", "packed")
         },
+        "action_errors": summarize_action_errors([error for info in infos for error in info.action_errors or ()]),
+        "samples_without_action_error": sum(len(info.sample_t0_us) for info in infos if info.action_errors is None),
         "licences": dict(Counter(info.origin.licence or "not told" for info in infos)),
         "notes": list(contents.notes),
     }

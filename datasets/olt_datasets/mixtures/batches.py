@@ -19,7 +19,6 @@ There is no state from batch to batch: any batch can be computed alone, in integ
 
 import math
 from collections.abc import Sequence
-from fractions import Fraction
 from itertools import accumulate
 
 import numpy as np
@@ -28,19 +27,6 @@ from numpy.typing import NDArray
 GOLDEN_SECTION = (math.sqrt(5.0) - 1.0) / 2.0
 
 Counts = NDArray[np.int64]
-
-
-def epoch_counts(shares: Sequence[Fraction], samples: int) -> list[int]:
-    """Items of each component in an epoch of `samples` items, by the method of largest remainders.
-
-    Each is its exact share rounded down or up, and they sum to `samples`, as the shares sum to 1.
-    """
-    exact = [samples * share for share in shares]
-    counts = [math.floor(items) for items in exact]
-    by_remainder = sorted(range(len(shares)), key=lambda index: counts[index] - exact[index])
-    for index in by_remainder[: samples - sum(counts)]:
-        counts[index] += 1
-    return counts
 
 
 def batch_counts(counts: Sequence[int], batch_size: int) -> Counts:

@@ -16,7 +16,7 @@ def compare_mixtures(first: Mixture, second: Mixture) -> dict[str, Any]:
     """What differs between two mixtures, as a JSON-able object of the pairs (first, second).
 
     `recipe` lists the keys whose values differ, `samples` and `components` count the distinct samples of both, of the
-    first only and of the second only, and the shares are those of the items of epoch 0.
+    first only and of the second only, and the shares and means of `quality` are those of the items of epoch 0.
     """
     described = [(mixture.describe(), len(mixture)) for mixture in (first, second)]
     shares = {
@@ -32,6 +32,9 @@ def compare_mixtures(first: Mixture, second: Mixture) -> dict[str, Any]:
         "recipe": {key: values for key, values in asked.items() if values[0] != values[1]},
         "samples": _count_samples(first.samples, second.samples),
         "components": {name: _count_samples(*samples) for name, samples in _pair(parts, first.samples.clear()).items()},
+        "quality": {
+            name: [summary["quality"][name]["mean"] for summary, _ in described] for name in described[0][0]["quality"]
+        },
         **{name: dict(sorted(_pair(both, 0.0).items())) for name, both in shares.items()},
     }
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import torch
 from torch.utils.data import Dataset, Sampler
 
@@ -19,10 +20,12 @@ from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
 
 
 class MixtureDataset(Dataset[dict[str, Any]]):
-    """The samples of a mixture by key; each clip store is opened once, when its first sample is asked for.
+    """The samples of a mixture by row of `Mixture.samples`; each clip store is opened once, at its first sample.
 
     As a torch data set it gives the fields of a sample by name: arrays as tensors that share their memory, `t0_us` and
-    `clip_id` as they are (shapes: `PolicySample`). `MixtureBatchSampler` gives the keys.
+    `clip_id` as they are (shapes: `PolicySample`). `MixtureBatchSampler` gives the rows.
+
+    It keeps a table of the keys, 60 bytes a sample. Workers that are forked share it, to others it is sent.
 
     Args:
         image_size: height and width of the images that the policy takes; None for those of the clips.
@@ -41,19 +44,25 @@ class MixtureDataset(Dataset[dict[str, Any]]):
     ) -> None:
         self.image_size = image_size
         self._contract, self._with_origin = contract, with_origin
-        self._items = len(mixture)
+        # Arrow, not polars, whose threads do not live in forked workers; and no objects, whose counts would unshare it.
+        samples = mixture.samples
+        self._store_names = samples["store"].unique().sort().to_list()
+        stores = samples["store"].cast(pl.Enum(self._store_names)).to_physical()
+        self._columns = stores.to_numpy(), samples["clip_id"].to_arrow(), samples["t0_us"].to_numpy()
         self._open_store = open_store
         self._stores: dict[str, ClipStore] = {}
 
     def __len__(self) -> int:
-        """Items per epoch."""
-        return self._items
+        """Distinct samples. An epoch may use one more than once, and some not at all."""
+        return len(self._columns[0])
 
-    def __getitem__(self, key: SampleKey) -> dict[str, Any]:
-        return self.__getitems__([key])[0]
+    def __getitem__(self, row: int) -> dict[str, Any]:
+        return self.__getitems__([row])[0]
 
-    def __getitems__(self, keys: Sequence[SampleKey]) -> list[dict[str, Any]]:
+    def __getitems__(self, rows: Sequence[int]) -> list[dict[str, Any]]:
         """A whole batch, as a DataLoader asks for it: every clip is decoded once."""
+        stores, clip_ids, times = self._columns
+        keys = [SampleKey(self._store_names[stores[row]], clip_ids[int(row)].as_py(), int(times[row])) for row in rows]
         return [
             {
                 name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
@@ -75,8 +84,8 @@ class MixtureDataset(Dataset[dict[str, Any]]):
         return [loaded[key] for key in keys]
 
 
-class MixtureBatchSampler(Sampler[list[SampleKey]]):
-    """The keys of one rank's batches, epoch by epoch.
+class MixtureBatchSampler(Sampler[list[int]]):
+    """The rows of one rank's batches (rows of `Mixture.samples`, as `MixtureDataset` takes them), epoch by epoch.
 
     The global batches of an epoch are the same at every world size and accumulation: training may go on with other
     numbers of ranks between epochs, and within one from any global batch on.
@@ -108,18 +117,25 @@ class MixtureBatchSampler(Sampler[list[SampleKey]]):
         self.set_epoch(0)
 
     def set_epoch(self, epoch: int, start_batch: int = 0) -> None:
-        """Choose the epoch, and the global batch to start from when training resumes."""
-        batches = self._mixture.epoch(epoch, self._batch_size, self._rank, self._world_size)
-        last_batch = len(self._mixture) - (len(batches) - 1) * self._batch_size
-        if len(batches[-1]) * self._world_size < last_batch:
-            batches[-1].append(batches[0][0])
-        size = self._part_size
-        self._batches = [
-            batch[start : start + size] for batch in batches[start_batch:] for start in range(0, len(batch), size)
-        ]
+        """Choose the epoch, and the global batch to start from when training resumes; what is before is not built."""
+        self._epoch = self._mixture.epoch(epoch, self._batch_size, self._rank, self._world_size, start_batch)
+        full, rest = divmod(len(self._mixture), self._batch_size)
+        self._last = -(-rest // self._world_size)
+        passes = self._batch_size // (self._world_size * self._part_size)
+        passes_of_last = -(-self._last // self._part_size) if start_batch <= full else 0
+        self._length = max(0, full - start_batch) * passes + passes_of_last
 
     def __len__(self) -> int:
-        return len(self._batches)
+        return self._length
 
-    def __iter__(self) -> Iterator[list[SampleKey]]:
-        return iter(self._batches)
+    def __iter__(self) -> Iterator[list[int]]:
+        for batches in self._epoch.rows():
+            if batches.shape[1] * self._world_size == self._batch_size:
+                yield from batches.reshape(-1, self._part_size).tolist()
+            else:
+                yield from self._divide_last(batches[0].tolist())
+
+    def _divide_last(self, rows: list[int]) -> Iterator[list[int]]:
+        if len(rows) < self._last:
+            rows.append(int(self._epoch.rows_of(0)[0]))
+        yield from (rows[start : start + self._part_size] for start in range(0, len(rows), self._part_size))

@@ -5,6 +5,8 @@ and by what the draw is for. Nothing else has a part in it:
 
 - GT and Syn clips of one window have the same priorities, so that recipes which differ in the kind alone draw the same
   moments. (Where a component uses both kinds side by side, the kind is part of the hash.)
+- Where a component weighs its samples, the priority is divided by the weight: then twins are drawn alike where their
+  weights are the same, and more often than not where they are not.
 - A larger draw keeps the samples of a smaller one, and clips that are added to a table move no other clip.
 - Neither the order of rows nor their division into tables matters, and a pool of any size is drawn from in one pass.
 
@@ -17,6 +19,7 @@ import math
 import numpy as np
 import polars as pl
 
+from olt_datasets.mixtures.quality import ERRORS, TIMES, halvings, usable_places
 from olt_datasets.mixtures.recipe import Component
 from olt_generator.seeds import make_generator
 from olt_toolkit.policy.sample import KEYFRAME_US
@@ -24,28 +27,43 @@ from olt_toolkit.policy.sample import KEYFRAME_US
 # The last 48 bytes of a scene's id count; those that end alike have ties, which is harmless.
 SCENE_WORDS = 6
 WORD_BYTES = 8
-TIMES = pl.col("sample_t0_us")
 PRIORITY = "priority"
 TWO_TO_64 = 2**64
+# Steps of weighted priorities, which are logarithms, by which a draw finds its bound.
+_BINS_A_UNIT = 16.0
 
 
 def sample_count(component: Component) -> pl.Expr:
     """Number of samples that a clip gives to a component."""
     limit = 1 if component.t0 == "keyframe" else component.samples_per_clip
-    count = TIMES.list.len().cast(pl.Int64)
+    count = usable_places(component.where).list.len().cast(pl.Int64)
     return count if limit is None else count.clip(upper_bound=limit)
 
 
-def sample_times(component: Component) -> pl.Expr:
-    """The sample times (list) that a clip gives to a component; it has at least one."""
+def sample_lists(component: Component) -> tuple[pl.Expr, pl.Expr]:
+    """Of the samples that a clip gives to a component: times (list), and action errors (list, NaN: not measured).
+
+    The clip gives at least one sample.
+    """
+    errors = ERRORS.fill_null(TIMES.list.eval(pl.element().cast(pl.Float64) * math.nan))
+    if component.t0 == "every" and component.samples_per_clip is None and component.where.action_error_max is None:
+        return TIMES, errors
+    places = _sample_places(component)
+    return TIMES.list.gather(places), errors.list.gather(places)
+
+
+def _sample_places(component: Component) -> pl.Expr:
+    """Places (list) in its sample times of those that a clip gives to a component."""
+    usable = usable_places(component.where)
     if component.t0 == "keyframe":
-        distances = TIMES.list.eval((pl.element() - KEYFRAME_US).abs())
-        return pl.concat_list(TIMES.list.get(distances.list.arg_min()))
-    limit, count = component.samples_per_clip, TIMES.list.len().cast(pl.Int64)
+        distances = TIMES.list.gather(usable).list.eval((pl.element() - KEYFRAME_US).abs())
+        return pl.concat_list(usable.list.get(distances.list.arg_min()))
+    limit, count = component.samples_per_clip, usable.list.len().cast(pl.Int64)
     if limit is None:
-        return TIMES
-    middles = pl.concat_list([(2 * part + 1) * count // (2 * limit) for part in range(limit)])
-    return pl.when(count > limit).then(TIMES.list.gather(middles)).otherwise(TIMES)
+        return usable
+    parts = pl.int_ranges(pl.when(count > limit).then(limit).otherwise(0))
+    middles = (2 * parts + 1) * count // (2 * limit)
+    return pl.when(count > limit).then(usable.list.gather(middles)).otherwise(usable)
 
 
 def draw_samples(
@@ -56,18 +74,22 @@ def draw_samples(
     The component tells which sample times to take, and its name keys the draw; its caps are not looked at.
 
     Returns:
-        The columns, `clip_id` among them, `t0_us` (int64) and `PRIORITY` (uint64), in order of priority.
+        The columns, `clip_id` among them, `t0_us` (int64), `action_error` (float64, metres; null: not measured) and
+        `PRIORITY` (uint64, float64 where the component weighs its samples), in order of priority.
     """
+    times, errors = sample_lists(component)
     word = pl.col(PRIORITY) + pl.col("t0_us").cast(pl.UInt64)
     for shift, factor in ((30, 0xBF58476D1CE4E5B9), (27, 0x94D049BB133111EB)):
         word = (word ^ (word // pl.lit(1 << shift, pl.UInt64))) * pl.lit(factor, pl.UInt64)
     word = word ^ (word // pl.lit(1 << 31, pl.UInt64))
     samples = (
-        clips.filter(TIMES.list.len() > 0)
-        .select(*columns, _key(component, seed).alias(PRIORITY), t0_us=sample_times(component))
-        .explode("t0_us")
-        .with_columns(word.alias(PRIORITY))
+        clips.filter(times.list.len() > 0)
+        .select(*columns, _key(component, seed).alias(PRIORITY), t0_us=times, action_error=errors)
+        .explode("t0_us", "action_error")
+        .with_columns(word.alias(PRIORITY), pl.col("action_error").fill_nan(None))
     )
+    if component.weight_by:
+        return _draw_weighted(samples.with_columns(_weigh(component).alias(PRIORITY)), count)
     # Priorities are uniform, so that a bound which hardly exceeds the share that is asked for leaves few to sort.
     share = (count + 6.0 * math.sqrt(count) + 16.0) / max(available, 1)
     while True:
@@ -77,6 +99,28 @@ def draw_samples(
         if len(drawn) >= count or not bounded:
             return drawn.sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
         share *= 2.0
+
+
+def _weigh(component: Component) -> pl.Expr:
+    """Priorities (float64) by which samples are drawn in proportion to their weights, as long as there are any.
+
+    The priority p of a sample is one number u = p / 2^64, evenly spread between 0 and 1, and so -ln(1 - u) / w is
+    exponential with rate w: the least come first as if each were drawn in proportion to the weights of those that are
+    left (Efraimidis and Spirakis 2006). Taken here is its logarithm, which no weight is too small for.
+    """
+    # 52 bits and a half are below 1 in float64 too.
+    u = ((pl.col(PRIORITY) // pl.lit(1 << 12, pl.UInt64)).cast(pl.Float64) + 0.5) / 2.0**52
+    return (-(-u).log1p()).log() + math.log(2.0) * halvings(component)
+
+
+def _draw_weighted(samples: pl.LazyFrame, count: int) -> pl.DataFrame:
+    """The `count` samples of least priority (float64), with those alone in memory that may be among them."""
+    place = (pl.col(PRIORITY) * _BINS_A_UNIT).floor()
+    bins = samples.group_by(place.alias("bin")).agg(pl.len()).sort("bin").collect(engine="streaming")
+    reached = bins.filter(pl.col("len").cum_sum() >= count)["bin"]
+    least = place <= reached[0] if len(reached) else pl.lit(True)
+    drawn = samples.filter(least).collect(engine="streaming")
+    return drawn.sort(PRIORITY, "clip_id", "t0_us", maintain_order=True).head(count)
 
 
 def _key(component: Component, seed: int) -> pl.Expr:

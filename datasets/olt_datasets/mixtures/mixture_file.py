@@ -13,13 +13,17 @@ import polars as pl
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from olt_datasets.mixtures.mixture import SAMPLE_SCHEMA, Mixture, MixtureComponent
+from olt_datasets.mixtures.quality import SAMPLE_QUALITIES
 from olt_datasets.mixtures.recipe import Recipe
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_toolkit import __version__
+from olt_toolkit.runtime.json_files import parse_json, read_json
 
 MIXTURE_SUFFIXES = (".json", ".parquet")
 METADATA_KEY = "openlongtail mixture"
+# Of the columns of samples those in which every cell is filled.
+_NEEDED = [name for name in SAMPLE_SCHEMA if name not in ("country", *SAMPLE_QUALITIES)]
 
 
 class _Header(BaseModel):
@@ -28,19 +32,20 @@ class _Header(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     format: Literal["openlongtail mixture"] = "openlongtail mixture"
-    version: Literal[2] = 2
+    version: Literal[3] = 3
     created_with: str = __version__
     recipe: Recipe
     seed: int
     checksum: str
     items: int
     available: list[int]
+    not_measured: list[int]
     distinct: list[int]
     summary: dict[str, Any]
 
     @model_validator(mode="after")
     def _check(self) -> "_Header":
-        if not len(self.available) == len(self.distinct) == len(self.recipe.components):
+        if not len(self.available) == len(self.not_measured) == len(self.distinct) == len(self.recipe.components):
             raise ValueError("the recipe and the mixture differ in their number of components")
         return self
 
@@ -61,6 +66,7 @@ def write_mixture(mixture: Mixture, path: Path) -> None:
         checksum=mixture.checksum,
         items=mixture.items,
         available=[part.available for part in mixture.components],
+        not_measured=[part.not_measured for part in mixture.components],
         distinct=[len(part.samples) for part in mixture.components],
         summary=mixture.describe(),
     ).model_dump_json()
@@ -85,19 +91,28 @@ def read_mixture(path: Path) -> Mixture:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         field = ".".join(map(str, first["loc"])) or "file"
+        if field == "version":
+            raise InputError(
+                f"{path}: version is {first['input']!r}, this release reads 3; compose it again"
+            ) from error
         raise InputError(f"{path}: {field}: {first['msg']}; compose the mixture again") from error
-    except (ValueError, TypeError, pl.exceptions.PolarsError) as error:
+    except (InputError, ValueError, TypeError, OverflowError, pl.exceptions.PolarsError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(f"{path}: not a mixture ({reason}); compose it again") from error
-    if len(samples) != sum(header.distinct) or any(samples[name].has_nulls() for name in SAMPLE_SCHEMA.names()[:-1]):
+    if len(samples) != sum(header.distinct) or any(samples[name].has_nulls() for name in _NEEDED):
         raise InputError(f"{path}: samples: some are missing; compose the mixture again")
     ends = accumulate(header.distinct)
     parts = [samples.slice(end - count, count) for end, count in zip(ends, header.distinct, strict=True)]
-    components = map(MixtureComponent, header.recipe.components, header.available, parts)
+    components = map(MixtureComponent, header.recipe.components, header.available, header.not_measured, parts)
     mixture = Mixture(header.recipe, header.seed, header.items, tuple(components))
     if mixture.checksum != header.checksum:
         raise InputError(f"{path}: samples: not those that were composed; compose the mixture again")
     return mixture
+
+
+def _parse_header(content: object) -> _Header:
+    # JSON knows no tuples and no numbers as keys; pydantic allows for that in JSON text alone.
+    return _Header.model_validate_json(json.dumps(content))
 
 
 def _read_parts(path: Path) -> tuple[_Header, pl.DataFrame]:
@@ -105,11 +120,9 @@ def _read_parts(path: Path) -> tuple[_Header, pl.DataFrame]:
         header = pl.read_parquet_metadata(path).get(METADATA_KEY)
         if header is None:
             raise ValueError("it was not written by `olt mix compose`")
-        return _Header.model_validate_json(header), pl.read_parquet(path).match_to_schema(SAMPLE_SCHEMA)
-    content = json.loads(path.read_bytes())
+        return _parse_header(parse_json(header, str(path))), pl.read_parquet(path).match_to_schema(SAMPLE_SCHEMA)
+    content = read_json(path, "mixture")
     if not isinstance(content, dict):
         raise ValueError("it is not a JSON object")
     samples = content.pop("samples", None)
-    # JSON knows no tuples and no numbers as keys; pydantic allows for that in JSON text alone.
-    header = _Header.model_validate_json(json.dumps(content))
-    return header, pl.DataFrame(samples, schema=SAMPLE_SCHEMA, strict=True)
+    return _parse_header(content), pl.DataFrame(samples, schema=SAMPLE_SCHEMA, strict=True)

@@ -6,6 +6,7 @@ from typing import Any
 
 from olt_datasets.mixtures.mixture import GROUPS, Mixture
 from olt_generator.files import write_whole
+from olt_toolkit.policy.action_space import ROUND_TRIP_TOLERANCE
 
 MOST_BARS = 12
 """Values shown in one panel; the rarer ones are counted together."""
@@ -14,7 +15,8 @@ MOST_BARS = 12
 def draw_mixture(mixture: Mixture, path: Path) -> None:
     """Draw what each component was asked for and gave, and the shares by each group, as PNG.
 
-    A curriculum adds the shares of the components over the epochs.
+    Beside them where the pixels of each component come from, and how far the futures of samples are from the action
+    space. A curriculum adds the shares of the components over the epochs.
     """
     import matplotlib
 
@@ -23,7 +25,7 @@ def draw_mixture(mixture: Mixture, path: Path) -> None:
 
     summary = mixture.describe()
     items = max(len(mixture), 1)
-    figure, panels = pyplot.subplots(2, 3, figsize=(13, 7), layout="constrained")
+    figure, panels = pyplot.subplots(2, 4, figsize=(17, 7), layout="constrained")
     parts = summary["components"]
     if len(mixture.recipe.named_epochs) > 1:
         _draw_curriculum(panels[0, 0], mixture)
@@ -33,7 +35,9 @@ def draw_mixture(mixture: Mixture, path: Path) -> None:
         asked = [part["asked"] / items for part in parts]
         panels[0, 0].plot(asked, range(len(parts)), "k|", ms=22, mew=2)
         panels[0, 0].set_title("components: got (bars) and asked (marks)")
-    for axes, group in zip(panels.flat[1:], GROUPS, strict=True):
+    _draw_pixels(panels.flat[-2], parts)
+    _draw_action_errors(panels.flat[-1], mixture)
+    for axes, group in zip(panels.flat[1:-2], GROUPS, strict=True):
         by_size = sorted(summary[f"by_{group}"].items(), key=lambda entry: (-entry[1]["got"], entry[0]))
         shares = {value: numbers["got"] / items for value, numbers in by_size[:MOST_BARS]}
         rest = by_size[MOST_BARS:]
@@ -54,6 +58,35 @@ def _draw_curriculum(axes: Any, mixture: Mixture) -> None:
     axes.stackplot(epochs, list(zip(*shares, strict=True)), labels=names, step="post", alpha=0.8)
     axes.set(title="components over epochs", xlabel="epoch", ylabel="share of items", ylim=(0, 1), xlim=(0, epochs[-1]))
     axes.legend(fontsize=8, loc="lower left")
+
+
+def _draw_pixels(axes: Any, parts: Sequence[Mapping[str, Any]]) -> None:
+    left = [0.0] * len(parts)
+    for name, colour in (("observed", "tab:blue"), ("invented", "tab:orange"), ("unseen", "black")):
+        means = [part["quality"][f"{name}_share"]["mean"] or 0.0 for part in parts]
+        axes.barh(range(len(parts)), means, left=left, color=colour, label=name)
+        left = [start + mean for start, mean in zip(left, means, strict=True)]
+    for place, part in enumerate(parts):
+        missing = part["quality"]["observed_share"]["not_measured"]
+        if missing:
+            axes.text(left[place], place, f" {missing} not measured", va="center", fontsize=8)
+    axes.set_yticks(range(len(parts)), [part["name"] for part in parts])
+    axes.invert_yaxis()
+    axes.set(title="pixels of all views", xlabel="share of pixels", xlim=(0, 1.18))
+    axes.legend(fontsize=8, loc="lower right")
+    axes.tick_params(labelsize=8)
+
+
+def _draw_action_errors(axes: Any, mixture: Mixture) -> None:
+    errors = mixture.samples["action_error"]
+    known = errors.drop_nulls().sort()
+    axes.set(title="action errors", ylabel="share of measured samples", ylim=(0, 1))
+    axes.set_xlabel(f"metres; {errors.null_count()} of {len(errors)} samples not measured")
+    axes.axvline(ROUND_TRIP_TOLERANCE, color="tab:red", lw=1, label=f"{ROUND_TRIP_TOLERANCE:g} m")
+    if len(known):
+        axes.ecdf(known.to_numpy())
+    axes.legend(fontsize=8, loc="lower right")
+    axes.grid(True, alpha=0.3)
 
 
 def _draw_bars(axes: Any, shares: Mapping[str, float], notes: Sequence[str]) -> None:

@@ -6,13 +6,14 @@ Tables are scanned, never held: what is kept of ten million rows are counts.
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any, NamedTuple
 
 import polars as pl
 
-from olt_datasets.mixtures.batches import epoch_counts
 from olt_datasets.mixtures.draws import PRIORITY, draw_samples, sample_count
-from olt_datasets.mixtures.recipe import Component, Filter, Recipe
+from olt_datasets.mixtures.quality import is_weighable, lacks_number, within_limits
+from olt_datasets.mixtures.recipe import MOST_ITEMS, Component, Filter, Recipe
 from olt_datasets.tables.scenes import refuse_unknown_scenes
 from olt_generator.errors import InputError
 
@@ -28,7 +29,8 @@ _IN_DOUBT = pl.col("doubts").list.len().fill_null(0) > 0
 class Selection:
     """The clips that one component may use, not yet read, and their number.
 
-    They give so many samples in each capped category, before the cap, and so many in all others.
+    They give so many samples in each capped category, before the cap, and so many in all others. `not_measured` counts
+    clips that lack a number by which the component limits or weighs, and which its filter leaves out or takes for that.
     """
 
     component: Component
@@ -36,6 +38,7 @@ class Selection:
     clip_count: int
     capped_samples: dict[str, int]
     other_samples: int
+    not_measured: int
 
     @property
     def available(self) -> int:
@@ -73,9 +76,11 @@ class Shortage:
 
     Attributes:
         samples_per_epoch: items of all components together.
-        asked: the most items that an epoch asks of this one; 0 with clips available is a share too small for one.
+        asked: the most items that an epoch may ask of this one; 0 with clips available is a share that is always less
+            than half an item.
         split_holds: number of clips of each kind, category and source in the split.
         doubtful: clips that its filter would match if it took those in doubt.
+        not_measured: clips that it would match, but of which a number that it asks for was not measured.
     """
 
     recipe: str
@@ -89,6 +94,7 @@ class Shortage:
     split: str
     split_holds: list[dict[str, Any]]
     doubtful: int
+    not_measured: int
 
 
 class AbsentValue(NamedTuple):
@@ -133,37 +139,51 @@ def select_clips(recipe: Recipe, table: ClipTable) -> list[Selection]:
             clip_count=clip_count,
             capped_samples=dict(zip(component.caps, capped, strict=True)),
             other_samples=other_samples,
+            not_measured=not_measured,
         )
-        for component, name, (clip_count, other_samples, *capped) in zip(recipe.components, used, counted, strict=True)
+        for component, name, (clip_count, other_samples, not_measured, *capped) in zip(
+            recipe.components, used, counted, strict=True
+        )
     ]
 
 
 def samples_per_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
-    """Items of an epoch: as the recipe says, else the most for which no component is too small in any epoch."""
+    """Items of an epoch: as the recipe says, else the most for which no component is too small in any epoch.
+
+    InputError where they are more than `MOST_ITEMS`.
+    """
     if not recipe.named_epochs:
-        return sum(component.count or 0 for component in recipe.components)
-    if recipe.samples is not None:
-        return recipe.samples
-    return min(
-        math.floor(selection.capacity / share)
-        for epoch in recipe.named_epochs
-        for selection, share in zip(selections, recipe.shares(epoch), strict=True)
-        if share
-    )
+        items = sum(component.count or 0 for component in recipe.components)
+    elif recipe.samples is not None:
+        items = recipe.samples
+    else:
+        items = _most_in_every_epoch(recipe, selections)
+    if items > MOST_ITEMS:
+        raise InputError(
+            f"recipe {recipe.name}: an epoch would have {items} samples, more than {MOST_ITEMS}; give 'samples', or "
+            "smaller counts or repeats"
+        )
+    return items
 
 
-def count_items(recipe: Recipe, samples: int, epoch: int) -> list[int]:
-    """Items that each component gives to one epoch of so many samples."""
-    if not recipe.named_epochs:
-        return [component.count or 0 for component in recipe.components]
-    return epoch_counts(recipe.shares(epoch), samples)
+def _most_in_every_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
+    peaks = [(selection.capacity, share) for selection, share in zip(selections, _peak_shares(recipe), strict=True)]
+    most = min(math.floor(capacity / share) for capacity, share in peaks)
+    if all(asked <= capacity for asked, (capacity, _) in zip(most_items(recipe, most), peaks, strict=True)):
+        return most
+    # Room for what a component is owed from other epochs.
+    return max(0, min(math.floor((capacity - 1) / share) for capacity, share in peaks))
 
 
 def most_items(recipe: Recipe, samples: int) -> list[int]:
-    """The most items that each component gives to any epoch."""
-    last = max(recipe.named_epochs, default=0)
-    by_epoch = [count_items(recipe, samples, epoch) for epoch in range(last + 1)]
-    return [max(counts) for counts in zip(*by_epoch, strict=True)]
+    """A bound of the items that each component gives to any epoch (see `EpochPlan`)."""
+    if not recipe.named_epochs:
+        return [component.count or 0 for component in recipe.components]
+    # Between two named epochs shares only grow or only shrink.
+    epochs = recipe.named_epochs if recipe.between_epochs == "steps" else range(recipe.named_epochs[-1] + 1)
+    owes_fractions = any(samples * share % 1 for epoch in epochs for share in recipe.shares(epoch))
+    carried = int(owes_fractions and len(recipe.components) > 2)
+    return [math.ceil(samples * share) + carried for share in _peak_shares(recipe)]
 
 
 def find_shortages(recipe: Recipe, table: ClipTable, selections: Sequence[Selection]) -> list[Shortage]:
@@ -171,7 +191,7 @@ def find_shortages(recipe: Recipe, table: ClipTable, selections: Sequence[Select
     samples = samples_per_epoch(recipe, selections)
     short = [
         (selection, count)
-        for selection, count in zip(selections, most_items(recipe, samples), strict=True)
+        for selection, count in zip(selections, _asked_items(recipe, samples), strict=True)
         if count > selection.capacity
         or not selection.available
         or (count == 0 and all(other.available for other in selections))
@@ -194,6 +214,7 @@ def find_shortages(recipe: Recipe, table: ClipTable, selections: Sequence[Select
             split=recipe.split,
             split_holds=groups,
             doubtful=_count_doubtful(clips, selection.component.where),
+            not_measured=selection.not_measured if selection.component.where.not_measured == "leave_out" else 0,
         )
         for selection, count in short
     ]
@@ -205,7 +226,7 @@ def word_shortage(shortage: Shortage) -> str:
     if shortage.available and not shortage.asked:
         return (
             f"{start}the share of component {shortage.component!r} of {shortage.samples_per_epoch} samples per epoch "
-            "gives it none; ask for more samples or a larger share"
+            "gives it none in most epochs; ask for more samples or a larger share"
         )
     asked = f"{shortage.asked} samples" if shortage.asked else "samples"
     groups = [
@@ -213,6 +234,11 @@ def word_shortage(shortage: Shortage) -> str:
     ]
     left_out = f"; {shortage.doubtful} more match and are in doubt, `doubts: any` takes them"
     doubtful = left_out if shortage.doubtful else ""
+    if shortage.not_measured:
+        doubtful += (
+            f"; of {shortage.not_measured} more a number that it asks for was not measured, `not_measured: take` takes "
+            "them"
+        )
     return (
         f"{start}component {shortage.component!r} {shortage.where} asks for {asked} per epoch, but matches "
         f"{shortage.clips} clips with {shortage.available} samples (repeats {shortage.repeats}); split "
@@ -230,7 +256,8 @@ def find_absent_values(recipe: Recipe, table: ClipTable) -> list[AbsentValue]:
     return [
         AbsentValue(component.name, field, value)
         for component in recipe.components
-        for field, named in component.where.model_dump(exclude={"kind", "doubts"}).items()
+        for field, named in component.where.model_dump().items()
+        if isinstance(named, tuple)
         for value in named
         if value not in present[field.partition("_")[0]]
     ]
@@ -247,6 +274,7 @@ def matches(where: Filter) -> pl.Expr:
         conditions.append(~pl.col("category").is_in(where.category_not))
     if where.doubts == "none":
         conditions.append(~_IN_DOUBT)
+    conditions.append(within_limits(where))
     has_factor = pl.col("factors").list.contains
     if where.factors_any:
         conditions.append(pl.any_horizontal(map(has_factor, where.factors_any)))
@@ -255,9 +283,23 @@ def matches(where: Filter) -> pl.Expr:
     )
 
 
+def _peak_shares(recipe: Recipe) -> list[Fraction]:
+    """The largest share that each component has in any epoch."""
+    return [max(shares) for shares in zip(*map(recipe.shares, recipe.named_epochs), strict=True)]
+
+
+def _asked_items(recipe: Recipe, samples: int) -> list[int]:
+    """The most items that each component is asked for, 0 where its share is always less than half an item."""
+    asked = most_items(recipe, samples)
+    if not recipe.named_epochs:
+        return asked
+    peaks = (samples * share for share in _peak_shares(recipe))
+    return [count if 2 * peak >= 1 else 0 for count, peak in zip(asked, peaks, strict=True)]
+
+
 def _mark(clips: pl.LazyFrame, component: Component) -> pl.LazyFrame:
     """Add a column that tells whether the component may use a clip."""
-    matching, name = matches(component.where), _used_by(component)
+    matching, name = matches(component.where) & is_weighable(component), _used_by(component)
     if component.prefer is None:
         return clips.with_columns(matching.alias(name))
     preferred = pl.col("kind") == component.prefer
@@ -278,8 +320,10 @@ def _used_by(component: Component) -> str:
 
 
 def _counts(component: Component) -> list[pl.Expr]:
-    """Number of its clips, of their samples in categories without a cap, and of samples in each capped category."""
+    """Number of its clips, of their samples in categories without a cap, of clips that lack a number, and of samples in
+    each capped category."""
     samples, category, used = sample_count(component), pl.col("category"), pl.col(_used_by(component))
     uncapped = ~category.is_in(list(component.caps))
     capped = [samples.filter(used & (category == name)).sum() for name in component.caps]
-    return [used.sum(), samples.filter(used & uncapped).sum(), *capped]
+    lacking = (matches(component.where.without_limits()) & lacks_number(component)).sum()
+    return [used.sum(), samples.filter(used & uncapped).sum(), lacking, *capped]

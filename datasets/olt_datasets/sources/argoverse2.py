@@ -8,6 +8,7 @@ priors and statistics of actions, and cannot be opened as recordings.
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.sources.argoverse2 import read_motion_ego, read_scenario_id, read_sensor_ego
 from olt_datasets.sources.content import hash_content, read_content
@@ -74,9 +75,18 @@ class Argoverse2:
             raise InputError(f"{self._root}: there is no Argoverse 2 drive {key!r}")
         return (read_motion_ego if self._files[key] == _SCENARIO else read_sensor_ego)(self._root / key)
 
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`; always refused."""
+        raise self._no_images(key)
+
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; always refused."""
-        raise InputError(
+        raise self._no_images(key)
+
+    def _no_images(self, key: str) -> InputError:
+        return InputError(
             f"Argoverse 2 drive {key}: has no images to open; take its trajectory with `ego_motion`, or drive it in "
             "the closed loop as a scene"
         )

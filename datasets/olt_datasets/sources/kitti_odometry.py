@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.sources.content import hash_content, read_content
-from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images
+from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, read_text
 from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.motion.mounting import align_mounting
 from olt_generator.poses import Array, camera_pose_in_rig, invert, make_pose
@@ -48,18 +48,18 @@ class KittiOdometrySequence:
     def __init__(self, path: Path) -> None:
         """Read all but the images; InputError where files are missing, damaged or too many for times or poses."""
         self._name = path.name
-        self._images = list_images(path / "image_0")
-        if not self._images:
+        self.images = list_images(path / "image_0")
+        if not self.images:
             raise InputError(f"{path / 'image_0'}: holds no images; copy the sequence again")
-        self.image_us, assumed = _read_times(path, len(self._images))
+        self.image_us, assumed = _read_times(path, len(self.images))
         self._projection = _read_rows(path / "calib.txt", 12)[0].reshape(3, 4)
         apart = path.parent.parent / "poses" / f"{path.name}.txt"
         poses = apart if apart.is_file() else path / "poses.txt"
         self._T_start_camera = None
         if poses.is_file():
             rows = _read_rows(poses, 12).reshape(-1, 3, 4)
-            if len(rows) != len(self._images):
-                raise InputError(f"{poses}: {len(rows)} poses for {len(self._images)} images; copy the sequence again")
+            if len(rows) != len(self.images):
+                raise InputError(f"{poses}: {len(rows)} poses for {len(self.images)} images; copy the sequence again")
             self._T_start_camera = make_pose(rows[..., :3], rows[..., 3])
         self.has_motion = self._T_start_camera is not None
         level = camera_pose_in_rig(CAMERA_POSITION, 0.0, 0.0, 0.0)
@@ -84,13 +84,13 @@ class KittiOdometrySequence:
 
         Times and poses do not enter it, because copies of a sequence come with and without them.
         """
-        count = len(self._images)
-        images = (read_content(self._images[index]) for index in (0, count // 2, count - 1))
+        count = len(self.images)
+        images = (read_content(self.images[index]) for index in (0, count // 2, count - 1))
         return hash_content(str(count).encode(), *images)
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """See `KittiDrive.record`."""
-        frames, size = read_images([self._images[index] for index in indices], width)
+        frames, size = read_images([self.images[index] for index in indices], width)
         (fx, _, cx, _), (_, fy, cy, _) = self._projection[0], self._projection[1]
         camera = PinholeCamera(size[0], size[1], fx, fy, cx, cy).resized(frames.shape[2], frames.shape[1])
         T_rig_camera, reference = self._T_rig_camera, None
@@ -124,7 +124,7 @@ def _read_times(path: Path, count: int) -> tuple[NDArray[np.int64], tuple[str, .
 def _read_rows(path: Path, count: int) -> Array:
     """Rows (n, count) of a text file; a name with a colon at the start of a line is left out."""
     rows = []
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         words = [word for word in line.split() if not word.endswith(":")]
         try:
             values = [float(word) for word in words]

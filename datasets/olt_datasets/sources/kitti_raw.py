@@ -18,11 +18,11 @@ from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
 from olt_datasets.sources.content import hash_content, read_content
-from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images
+from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, read_text
 from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.motion.mounting import align_mounting
 from olt_generator.poses import Array, invert, make_pose
-from olt_toolkit.recordings.recording import Recording
+from olt_toolkit.recordings.recording import Recording, StatedAccuracy
 
 IMU_HEIGHT = 0.93
 EARTH_RADIUS = 6378137.0
@@ -66,24 +66,24 @@ class KittiRawDrive:
         self._calibration = _read_calibration(calibration / CAMERA_FILE, fields)
         self._T_imu_camera = _imu_to_camera(calibration, self._calibration)
         self._oxts = sorted(oxts.glob("*.txt"))
-        self._images = list_images(images)
+        self.images = list_images(images)
         for folder, what, files, times in (
             (oxts, "GPS/IMU files", self._oxts, oxts_ns),
-            (images, "images", self._images, image_ns),
+            (images, "images", self.images, image_ns),
         ):
             if len(files) != len(times):
                 raise InputError(f"{folder}: {len(files)} {what} for {len(times)} timestamps; copy the drive again")
 
     def identify(self) -> str:
         """See `KittiDrive.identify`: a hash of the times of all images and of the first one's file."""
-        return hash_content(self._image_ns, read_content(self._images[0]))
+        return hash_content(self._image_ns, read_content(self.images[0]))
 
     def record(self, indices: NDArray[np.intp], width: int) -> Recording:
         """See `KittiDrive.record`."""
-        T_world_imu, with_velocities = _read_oxts(self._oxts, self._oxts_us)
+        T_world_imu, accuracy = _read_oxts(self._oxts, self._oxts_us)
         T_rig_imu, moves = _align_rig(T_world_imu)
         measured = _extended(Trajectory(self._oxts_us, T_world_imu @ invert(T_rig_imu)))
-        files = [self._images[index] for index in indices]
+        files = [self.images[index] for index in indices]
         frames, stored = read_images(files, width)
         width_02, height_02 = self._calibration["S_rect_02"].astype(int).tolist()
         if stored != (width_02, height_02):
@@ -104,9 +104,10 @@ class KittiRawDrive:
             assumptions=(
                 *ASSUMPTIONS,
                 *(() if moves else (_STANDS,)),
-                *(() if with_velocities else (_POSITIONS_ALONE,)),
+                *(() if accuracy else (_POSITIONS_ALONE,)),
             ),
             reference=Trajectory(self.image_us, measured.interpolate(self.image_us)),
+            accuracy=accuracy,
         )
 
 
@@ -126,7 +127,7 @@ def _read_calibration(path: Path, fields: dict[str, int]) -> dict[str, Array]:
     """The named fields of a `key: numbers` file; each must have the given count of finite numbers."""
     if not path.is_file():
         raise InputError(f"{path}: calibration file is missing; copy it from the KITTI download of the same date")
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = read_text(path).splitlines()
     texts = dict(line.split(":", 1) for line in lines if ":" in line)
     values = {}
     for field, count in fields.items():
@@ -151,7 +152,7 @@ def _read_times(path: Path) -> NDArray[np.int64]:
     if not path.is_file():
         raise InputError(f"{path}: timestamps are missing; copy them from the KITTI download")
     times = []
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").split("\n"), start=1):
+    for number, line in enumerate(read_text(path).split("\n"), start=1):
         text = line.strip()
         if not text:
             continue
@@ -159,8 +160,8 @@ def _read_times(path: Path) -> NDArray[np.int64]:
         try:
             since_epoch = datetime.fromisoformat(seconds) - datetime(1970, 1, 1)
             whole = since_epoch.days * 86400 + since_epoch.seconds
-            times.append(whole * 1_000_000_000 + int(fraction[:9].ljust(9, "0")))
-        except ValueError as error:
+            times.append(np.int64(whole * 1_000_000_000 + int(fraction[:9].ljust(9, "0"))))
+        except (OverflowError, TypeError, ValueError) as error:  # TypeError: a time with its zone
             raise InputError(
                 f"{path}: line {number}: {text!r} is no time of the form 2011-09-26 13:10:51.168593664"
             ) from error
@@ -169,13 +170,14 @@ def _read_times(path: Path) -> NDArray[np.int64]:
     return check_increasing(np.array(times, dtype=np.int64), path)
 
 
-def _read_oxts(files: list[Path], times_us: NDArray[np.int64]) -> tuple[Array, bool]:
+def _read_oxts(files: list[Path], times_us: NDArray[np.int64]) -> tuple[Array, StatedAccuracy | None]:
     """IMU poses (n, 4, 4) in a local east-north-up frame, by Mercator projection at the first latitude.
 
     The velocities that were measured are believed beside the positions, where the files tell how accurate both are, as
-    the second value says: positions wander by decimetres, and jitter that looks like acceleration.
+    the second value says: positions wander by decimetres, and jitter that looks like acceleration. How the errors of
+    velocities go on from one to the next they do not tell, so nothing follows for accelerations.
     """
-    rows = np.stack([_read_numbers(file.read_text(errors="replace"), OXTS_FIELDS, str(file)) for file in files])
+    rows = np.stack([_read_numbers(read_text(file), OXTS_FIELDS, str(file)) for file in files])
     latitude, longitude, altitude, roll, pitch, yaw = rows[:, :6].T
     scale = EARTH_RADIUS * np.cos(np.radians(latitude[0]))
     east = scale * np.radians(longitude)
@@ -189,7 +191,13 @@ def _read_oxts(files: list[Path], times_us: NDArray[np.int64]) -> tuple[Array, b
         seconds = np.diff(times_us) * 1e-6
         positions = _fuse(positions, rows[:, [7, 6, 10]], position_sigma, velocity_sigma, seconds)
     rotations = Rotation.from_euler("ZYX", np.stack([yaw, pitch, roll], axis=-1)).as_matrix()
-    return make_pose(rotations, positions), told
+    if not told:
+        return make_pose(rotations, positions), None
+    medians = np.median(position_sigma), np.median(velocity_sigma)
+    accuracy = StatedAccuracy(
+        f"GPS/IMU: positions to {medians[0]:.3g} m and velocities to {medians[1]:.3g} m/s (medians of its own figures)"
+    )
+    return make_pose(rotations, positions), accuracy
 
 
 def _fuse(positions: Array, velocities: Array, position_sigma: Array, velocity_sigma: Array, seconds: Array) -> Array:

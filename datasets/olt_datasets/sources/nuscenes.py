@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from olt_datasets.sources.nuscenes_tables import LENS, MOUNTING, POSITION, TABLES, camera_images
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
@@ -78,6 +79,12 @@ class Nuscenes:
             notes.append("The tables do not tell which scenes nuScenes keeps for validation.")
         country = _COUNTRIES.get(location.split("-")[0])
         return drive.describe(country=country, split=_SPLITS.get(release), notes=tuple(notes))
+
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`."""
+        return self._read(key, self._rows(key)).peek(times_us, width)
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""

@@ -30,7 +30,7 @@ from olt_toolkit.clips.pai_layout import (
 )
 from olt_toolkit.clips.pai_tables import read_egomotion, read_mounted_camera, read_timestamps, read_vehicle
 from olt_toolkit.clips.table import CLIP_TABLE
-from olt_toolkit.clips.video import decode_frames
+from olt_toolkit.clips.video import decode_frames, find_key_frames
 from olt_toolkit.policy.window import Span
 from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, MountedCamera, short_name
 
@@ -107,6 +107,23 @@ class Pav:
             event_t0s_us=tuple(time - start_us for time in event_times if start_us <= time <= end_us),
             notes=tuple(notes),
         )
+
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`; key frames are decoded without others."""
+        clip_us = self._timestamps(key, FRONT_WIDE)
+        front_us = clip_us - clip_us[0]
+        path, name = self._chunk_file(key, FRONT_WIDE), FEATURES[FRONT_WIDE].member(VIDEO, key)
+        video = self._archive(path).locate(name) or self._archive(path).read(name)
+        numbers = nearest_images(front_us, times_us)
+        keys = find_key_frames(video, len(front_us))
+        if len(keys):
+            near = keys[nearest_images(front_us[keys], times_us)]
+            numbers = np.where(np.abs(front_us[near] - times_us) <= reach_us, near, numbers)
+        distinct, places = np.unique(numbers, return_inverse=True)
+        images = decode_frames(video, distinct, f"{path}: {name}")
+        return np.stack([shrink(image, width) for image in images])[places], front_us[numbers]
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""

@@ -34,6 +34,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions, Light
@@ -44,6 +46,7 @@ from olt_closed_loop.sensors.imager import Imager
 from olt_closed_loop.sensors.recorder import frame_times, record_drive
 from olt_closed_loop.sensors.shutter import Shutter
 from olt_closed_loop.sensors.windscreen import Windscreen
+from olt_datasets.sources.times import nearest_images
 from olt_generator import InputError, Trajectory
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
@@ -65,7 +68,7 @@ _generate_scene = lru_cache(maxsize=8)(generate_scene)
 class _Conditions(BaseModel):
     """Light and weather."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     light: Light = "day"
     rain: Share = 0.0
@@ -85,7 +88,7 @@ class _Conditions(BaseModel):
 class _Camera(BaseModel):
     """Effects of the cameras."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     exposure_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
     readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
@@ -113,7 +116,7 @@ class _Camera(BaseModel):
 class _Specification(BaseModel):
     """The content of `synthetic.yaml`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     categories: Annotated[tuple[str, ...], Field(min_length=1)]
     seed: Annotated[int, Field(ge=0)]
@@ -182,6 +185,28 @@ class Synthetic:
             ),
             take=self._asked.take(),
         )
+
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`; renders just these images, without the loss of an encoder."""
+        scene = self._scene(key)
+        front_us = frame_times(scene, self._asked.frame_rate)
+        numbers = nearest_images(front_us, times_us)
+        distinct, places = np.unique(numbers, return_inverse=True)
+        effects = {
+            name: replace(each, kilobits_per_second=None)
+            for name, each in self._asked.camera.build((FRONT_WIDE,)).items()
+        }
+        recording = record_drive(
+            scene,
+            *(width, round(width * _ASPECT)),
+            self._asked.frame_rate,
+            images_us=front_us[distinct],
+            conditions=self._asked.conditions.build(),
+            effects=effects,
+        )
+        return recording.frames[places], front_us[numbers]
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; lens and mounting are those of the nominal rig."""

@@ -13,6 +13,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_datasets.sources.video_files import (
     find_video_files,
@@ -45,6 +46,7 @@ from olt_generator.video import (
     read_frame_times,
     read_frame_times_and_digest,
     read_video,
+    read_video_images,
     read_video_window,
 )
 from olt_toolkit import OpenOptions, Recording, load_rig
@@ -109,6 +111,14 @@ class Videos:
             true_views=(FRONT_WIDE,),
             notes=UNKNOWN_CAMERA,
         )
+
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`; key frames are decoded without others."""
+        video = self._video(key)
+        _check_front(video, self._videos.values())
+        return read_video_images(video, times_us, reach_us, width)
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`."""

@@ -19,19 +19,23 @@ SAMPLE_TIMES_US = (1_700_000, 5_100_000, 8_500_000, 11_900_000)
 
 
 def write_fake_table(path: Path, clips: int) -> None:
-    """A table of indexed clips in order of their ids: two kinds, four long-tail categories, four times t0 a clip."""
+    """A table of indexed clips in order of their ids: two kinds, four long-tail categories, four times t0 a clip.
+
+    Fingerprints are drawn by chance, so that no clip looks like another.
+    """
     check_table_name(path)
     with write_whole(path) as temporary, pq.ParquetWriter(temporary, SCHEMA) as writer:
         for start in range(0, clips, ROWS_AT_ONCE):
             writer.write_table(_rows(start, min(ROWS_AT_ONCE, clips - start)))
 
 
-def _draw_fingerprints(random: np.random.Generator, count: int) -> list[bytes]:
+def _draw_fingerprints(random: np.random.Generator, count: int) -> pa.Array:
     """Fingerprints of images by chance, each like no other."""
     images = np.zeros((count, IMAGES), RECORD)
-    images["time_ms"] = 1250 * np.arange(IMAGES)
+    images["time_ms"] = 20_000 // IMAGES * np.arange(IMAGES)
     images["signs"] = random.integers(256, size=images["signs"].shape, dtype=np.uint8)
-    return [each.tobytes() for each in images]
+    width, buffer = IMAGES * RECORD.itemsize, pa.py_buffer(images.tobytes())
+    return pa.FixedSizeBinaryArray.from_buffers(pa.binary(width), count, [None, buffer])
 
 
 def _rows(start: int, count: int) -> pa.Table:
@@ -65,9 +69,12 @@ def _rows(start: int, count: int) -> pa.Table:
         sample_t0_us=pl.lit(list(SAMPLE_TIMES_US)),
         created_with=pl.lit("made up"),
         checksum=digits(18) + digits(14),
-        fingerprint=pl.Series(_draw_fingerprints(random, count), dtype=pl.Binary),
     )
     columns = {name: frame[name].to_arrow() for name in frame.columns}
+    columns["fingerprint"] = _draw_fingerprints(random, count)
+    columns["views"] = pa.ListArray.from_arrays(
+        np.zeros(count + 1, np.int32), pa.array([], SCHEMA.field("views").type.value_type)
+    )
     arrays = [
         columns[field.name].cast(field.type) if field.name in columns else pa.nulls(count, field.type)
         for field in SCHEMA

@@ -1,18 +1,27 @@
 """Rules that put the clips of a table into training, validation and test, as the paper does (its split protocol).
 
-- seen: every scene gives to all splits, its earliest windows to training and its latest to test, and windows of
-  different splits never show the same moment. Measures generalization in time.
+- seen: every scene gives its earliest windows to training and its latest to test, and windows of different splits never
+  show the same moment. Shares are of the windows that give samples; those between them go with the next. A scene that
+  is too short for its share of a split gives it a window as often as the share asks, by a hash of its id. Measures
+  generalization in time.
 - unseen: a scene is in one split as a whole. Which one is a hash of its id and the seed, so that further scenes move
-  none that are there. Measures generalization to new places.
+  none that are there. Where so few scenes would leave a split empty, it gets the one whose hash is nearest to its
+  share. Measures generalization to new places.
 - external: a source is never trained on; all of it is test.
 - own: the split that the data set itself gave, which is what an index begins with; rows without one are refused.
 """
 
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from olt_datasets.tables.choices import SplitRule
 from olt_datasets.tables.clip_frame import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
@@ -21,9 +30,13 @@ from olt_generator.seeds import derive_seed
 
 _SEED_RANGE = 2.0**63
 _SPLIT = pl.Enum(["train", "val", "test"])
-_WORDS = ("scene_id", "source")
-_NO_SPLIT = -1
+_NUMBERS = {"train": 0, "val": 1, "test": 2, None: 3}
+_NO_SPLIT = _NUMBERS[None]
 _NEVER = np.iinfo(np.int64).max
+_ROWS_AT_ONCE = 500_000
+_ROWS_READ = 50_000
+
+Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -56,14 +69,21 @@ class Splitting:
             raise InputError("rule external: name the sources that are never trained on")
 
 
-def split_table(table: Path, splitting: Splitting, out: Path) -> dict[str, int]:
+@dataclass(frozen=True)
+class SplitSummary:
+    """Number of clips, of their scenes and of their samples in each split, and under "none" of those in no split."""
+
+    clips: dict[str, int]
+    scenes: dict[str, int]
+    samples: dict[str, int]
+
+
+def split_table(table: Path, splitting: Splitting, out: Path) -> SplitSummary:
     """Write a table of indexed clips again with the splits of a rule; it appears whole and may replace the old one.
 
-    Returns:
-        The number of clips in each split, and under "none" of those in no split.
-
     Raises:
-        InputError: the table cannot be read, has no clip of a named source, or the rule cannot be applied to it.
+        InputError: the table cannot be read, has no clip of a named source, or the rule cannot be applied to it, also
+            because a split that was asked for would have no clip, or no sample while others have some.
     """
     for path in (table, out):
         if path.suffix != TABLE_SUFFIX:
@@ -71,75 +91,255 @@ def split_table(table: Path, splitting: Splitting, out: Path) -> dict[str, int]:
                 f"{path}: splits are given in a {TABLE_SUFFIX} table of indexed clips; built clips keep theirs"
             )
     scan_clip_tables([table])
-    # In the order of the file, not that of the clips: splits are written back row by row.
-    columns = pl.scan_parquet(table).select(pl.col(_WORDS).cast(pl.Categorical), "start_us", "end_us", "split")
-    splits = assign_splits(columns.collect(engine="streaming"), splitting)
-    words = splits.cast(pl.String)
-    rewrite_rows(table, out, lambda rows, start: replace_column(rows, "split", words.slice(start, len(rows))))
-    return {name or "none": count for name, count in splits.value_counts(sort=True).rows()}
+    with pq.ParquetFile(table, pre_buffer=False) as file:
+        clips = _gather(partial(_read, file), file.metadata.num_rows, splitting)
+    codes = _assign(clips, splitting)
+    _check_filled(_count(clips, codes, _from_sources(clips, splitting)), splitting, table)
+
+    def change(rows: pa.Table, start: int) -> pa.Table:
+        return replace_column(rows, "split", _name(codes[start : start + len(rows)]).cast(pl.String))
+
+    rewrite_rows(table, out, change)
+    return _count(clips, codes, np.ones(len(codes), bool))
+
+
+def _read(file: pq.ParquetFile, columns: Sequence[str]) -> Iterator[pl.DataFrame]:
+    """Some columns in the order of the file, and `samples` for the sample times."""
+    for rows in file.iter_batches(_ROWS_READ, columns=list(columns), use_threads=False):
+        few = pl.DataFrame(pa.Table.from_batches([rows]))
+        if "sample_t0_us" in columns:
+            few = few.with_columns(samples=pl.col("sample_t0_us").list.len())
+        yield few
+
+
+@dataclass(frozen=True)
+class _Clips:
+    """What rules look at, in the order of the rows; 30 bytes a clip.
+
+    Attributes:
+        scene: (n,) numbers of the scenes, each of which has a clip.
+        source: (n,) numbers of `sources`.
+        start_us, end_us, samples: (n,) as in the table, and how many samples each gives.
+        split: (n,) numbers of the splits that they have, `_NO_SPLIT` where none.
+        place: (scenes,) a place in [0, 1) for each scene, by its id and the seed alone.
+    """
+
+    scene: NDArray[np.uint32]
+    source: NDArray[np.uint16]
+    start_us: Counts
+    end_us: Counts
+    samples: NDArray[np.int32]
+    split: NDArray[np.uint8]
+    sources: list[str]
+    place: NDArray[np.float64]
+
+    def __getitem__(self, rows: Counts) -> "_Clips":
+        present, scene = np.unique(self.scene[rows], return_inverse=True)
+        columns = [getattr(self, name)[rows] for name in ("source", "start_us", "end_us", "samples", "split")]
+        return _Clips(scene.astype(np.uint32), *columns, self.sources, self.place[present])
+
+
+def _gather(read: Callable[[Sequence[str]], Iterable[pl.DataFrame]], count: int, splitting: Splitting) -> _Clips:
+    """Read the columns of so many clips twice, a part at a time: the ids of all scenes are never held together."""
+    # Scenes are told by a hash of 64 bits. That two of millions have the same is less likely than a broken disk.
+    known = np.concatenate(
+        [np.empty(0, np.uint64), *(rows["scene_id"].hash().to_numpy() for rows in read(["scene_id"]))]
+    )
+    known = np.unique(known)
+    numbers = [np.empty(count, dtype) for dtype in (np.uint32, np.uint16, np.int64, np.int64, np.int32, np.uint8)]
+    place, sources, start = np.full(len(known), np.nan), {}, 0
+    seed = splitting.seed if splitting.rule is SplitRule.UNSEEN else 0
+    for rows in read(["scene_id", "source", "start_us", "end_us", "sample_t0_us", "split"]):
+        scene = np.searchsorted(known, rows["scene_id"].hash().to_numpy())
+        new, first = np.unique(scene, return_index=True)
+        unseen = np.isnan(place[new])
+        for number, name in zip(new[unseen], rows["scene_id"].gather(first[unseen]), strict=True):
+            place[number] = derive_seed("split", seed, name) / _SEED_RANGE
+        for name in rows["source"].unique().sort():
+            sources.setdefault(name, len(sources))
+        found = rows["source"].replace_strict(sources, return_dtype=pl.UInt16)
+        split = rows["split"].replace_strict(_NUMBERS, return_dtype=pl.UInt8)
+        these = slice(start, start := start + len(rows))
+        for column, cells in zip(
+            numbers, (scene, found, rows["start_us"], rows["end_us"], rows["samples"], split), strict=True
+        ):
+            column[these] = cells
+    return _Clips(*numbers, list(sources), place)
+
+
+def _count(clips: _Clips, codes: NDArray[np.uint8], chosen: NDArray[np.bool_]) -> SplitSummary:
+    counted = {}
+    for name, number in _NUMBERS.items():
+        inside = (codes == number) & chosen
+        if inside.any():
+            scenes = np.count_nonzero(np.bincount(clips.scene[inside]))
+            counted[name or "none"] = inside.sum(), scenes, clips.samples[inside].sum()
+    return SplitSummary(*({name: int(row[place]) for name, row in counted.items()} for place in range(3)))
+
+
+def _from_sources(clips: _Clips, splitting: Splitting) -> NDArray[np.bool_]:
+    """Which clips (n,) the rule is for; InputError where a source has none."""
+    absent = sorted(set(splitting.sources) - set(clips.sources))
+    if absent:
+        raise InputError(f"the table has no clip of source {absent[0]!r}; change the sources that the rule is for")
+    named = [clips.sources.index(name) for name in splitting.sources or clips.sources]
+    return np.isin(clips.source, named)
+
+
+def _check_filled(counts: SplitSummary, splitting: Splitting, table: Path) -> None:
+    """Refuse splits by shares of which one that was asked for holds nothing."""
+    if splitting.rule not in (SplitRule.SEEN, SplitRule.UNSEEN):
+        return
+    asked = {"train": 1.0 - splitting.val - splitting.test, "val": splitting.val, "test": splitting.test}
+    for name in (name for name, share in asked.items() if share > 0.0):
+        lacks = "sample" if counts.clips.get(name) else "clip"
+        if counts.samples.get(name) or (lacks == "sample" and not sum(counts.samples.values())):
+            continue
+        if splitting.rule is SplitRule.UNSEEN:
+            advice = "index more drives, give that split no share, or split by rule seen"
+        else:
+            advice = "cut shorter windows, ask for a larger share or a smaller gap, or split by rule unseen"
+        raise InputError(
+            f"{table}: rule {splitting.rule} would leave split {name} without a {lacks}: it would give {counts.clips} "
+            f"clips, of {counts.scenes} scenes, with {counts.samples} samples; {advice}"
+        )
 
 
 def assign_splits(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
     """The split (n,) of each clip, None for clips that are in none.
 
-    Clips have the columns scene_id, source, start_us, end_us and split of the clip table; InputError as `split_table`.
+    Clips have the columns scene_id, source, start_us, end_us and split of the clip table, and `samples`, how many each
+    gives, unless all give some. No split is refused for being empty; otherwise InputError as `split_table`.
     """
-    clips = clips.with_columns(pl.col(_WORDS).cast(pl.Categorical))
-    absent = sorted(set(splitting.sources) - set(clips["source"].unique().cast(pl.String)))
-    if absent:
-        raise InputError(f"the table has no clip of source {absent[0]!r}; change the sources that the rule is for")
-    named = pl.Series(splitting.sources, dtype=pl.Categorical)
-    chosen = pl.col("source").is_in(named.implode()) if splitting.sources else pl.lit(True)
+    if "samples" not in clips.columns:
+        clips = clips.with_columns(samples=pl.lit(1))
+    return _name(_assign(_gather(lambda _: [clips], len(clips), splitting), splitting)).alias("split")
+
+
+def _assign(clips: _Clips, splitting: Splitting) -> NDArray[np.uint8]:
     by_rule = {
         SplitRule.SEEN: _by_time,
         SplitRule.UNSEEN: _by_scene,
-        SplitRule.EXTERNAL: lambda rows, _: pl.repeat("test", len(rows), dtype=_SPLIT, eager=True),
+        SplitRule.EXTERNAL: lambda rows, _: np.full(len(rows.scene), _NUMBERS["test"], np.uint8),
         SplitRule.OWN: _by_own,
     }[splitting.rule]
-    places = clips.with_row_index("row").filter(chosen)["row"]
-    splits = clips["split"].cast(_SPLIT)
-    return splits.scatter(places, by_rule(clips[places], splitting)).alias("split")
+    chosen = _from_sources(clips, splitting)
+    if chosen.all():
+        return by_rule(clips, splitting)
+    codes = clips.split.copy()
+    codes[chosen] = by_rule(clips[np.flatnonzero(chosen)], splitting)
+    return codes
 
 
-def _by_time(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
-    """Windows of a scene in the order of their times; those too close to a later split are in none."""
-    scenes = clips["scene_id"].to_physical().to_numpy()
-    order = np.lexsort((clips["start_us"].to_numpy(), scenes))
-    start, end = (clips[name].to_numpy()[order] for name in ("start_us", "end_us"))
-    is_first = np.diff(scenes[order], prepend=-1) != 0
+def _name(codes: NDArray[np.uint8]) -> pl.Series:
+    return pl.Series(list(_NUMBERS), dtype=_SPLIT).gather(codes)
+
+
+@dataclass(frozen=True)
+class _Windows:
+    """The clips of some whole scenes in the order of their scenes and times.
+
+    Attributes:
+        rows: (n,) their rows; scene: (n,) the number of each one's scene among these; firsts: the first clip of each.
+        start: (n,) where each starts, in microseconds.
+        place: (n,) how many windows of its scene that give samples are before each. Clips of one start (GT and Syn of
+            one window) have one place.
+        count: (scenes,) windows of each scene that give samples; all of them where none does.
+    """
+
+    rows: Counts
+    scene: Counts
+    firsts: Counts
+    start: Counts
+    place: Counts
+    count: Counts
+
+
+def _list_windows(clips: _Clips) -> Iterator[_Windows]:
+    """All clips, some whole scenes at a time, in the order of the scenes."""
+    stretches = np.cumsum(np.bincount(clips.scene)) // _ROWS_AT_ONCE
+    edges = np.searchsorted(stretches, np.arange(stretches[-1] + 2))
+    for low, high in pairwise(edges.tolist()):
+        rows = np.flatnonzero((clips.scene >= low) & (clips.scene < high))
+        if len(rows):
+            rows = rows[np.lexsort((clips.start_us[rows], clips.scene[rows]))]
+            yield _order_windows(rows, clips.scene[rows], clips.start_us[rows], clips.samples[rows] > 0)
+
+
+def _order_windows(rows: Counts, scenes: Counts, start: Counts, gives: NDArray[np.bool_]) -> _Windows:
+    is_first = np.diff(scenes.astype(np.int64), prepend=-1) != 0
     firsts, scene = np.flatnonzero(is_first), np.cumsum(is_first) - 1
-
-    # Clips of the same start (GT and Syn of one window) have the same place in their scene.
-    window = np.cumsum(is_first | (np.diff(start, prepend=start[:1]) != 0))
-    place = window - window[firsts][scene]
-    count = np.maximum.reduceat(place, firsts) + 1
-    test_from = count - np.rint(splitting.test * count)
-    val_from = test_from - np.rint(splitting.val * count)
-    rank = (place >= val_from[scene]).astype(np.int8) + (place >= test_from[scene])
-
-    # When a later split of the scene starts: each window must end before that.
-    val_start, test_start = (np.minimum.reduceat(np.where(rank > each, start, _NEVER), firsts) for each in (0, 1))
-    next_start = np.select([rank == 0, rank == 1], [val_start[scene], test_start[scene]], _NEVER)
-    codes = np.where(end + round(1e6 * splitting.gap) >= next_start, _NO_SPLIT, rank)
-    given = np.empty(len(codes), np.int8)
-    given[order] = codes
-    names = dict(enumerate(_SPLIT.categories))
-    return pl.Series(given).replace_strict(names, default=None, return_dtype=_SPLIT)
+    starts_window = is_first | (np.diff(start, prepend=start[:1]) != 0)
+    window, first_of_window = np.cumsum(starts_window) - 1, np.flatnonzero(starts_window)
+    scene_of_window = scene[first_of_window]
+    gives = np.maximum.reduceat(gives, first_of_window)
+    counts = gives | (np.bincount(scene_of_window, gives) == 0)[scene_of_window]
+    count = np.bincount(scene_of_window, counts).astype(np.int64)
+    before = np.cumsum(counts) - counts
+    place = before - before[window[firsts]][scene_of_window]
+    place = np.minimum(place, count[scene_of_window] - 1)[window]
+    return _Windows(rows, scene, firsts, start, place, count)
 
 
-def _by_scene(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
-    scenes = clips.select(pl.col("scene_id").unique())
-    ids = scenes["scene_id"].cast(pl.String)
-    places = np.array([derive_seed("split", splitting.seed, scene) for scene in ids]) / _SEED_RANGE
-    names = np.select([places < splitting.test, places < splitting.test + splitting.val], ["test", "val"], "train")
-    by_scene = scenes.with_columns(split=pl.Series(names, dtype=_SPLIT))
-    return clips.select("scene_id").join(by_scene, on="scene_id", how="left", maintain_order="left")["split"]
+def _by_time(clips: _Clips, splitting: Splitting) -> NDArray[np.uint8]:
+    """Windows of a scene in the order of their times; those too close to a later split are in none."""
+    count = np.concatenate([part.count for part in _list_windows(clips)])
+    held, test = _share_windows(count, clips.place, splitting)
+    codes, scenes = np.empty(len(clips.scene), np.uint8), 0
+    for part in _list_windows(clips):
+        these = slice(scenes, scenes := scenes + len(part.count))
+        val_from, test_from = (part.count - later[these] for later in (held, test))
+        rank = (part.place >= val_from[part.scene]).astype(np.uint8) + (part.place >= test_from[part.scene])
+        # When a later split of the scene starts: each window must end before that.
+        val_start, test_start = (
+            np.minimum.reduceat(np.where(rank > each, part.start, _NEVER), part.firsts)[part.scene] for each in (0, 1)
+        )
+        next_start = np.select([rank == 0, rank == 1], [val_start, test_start], _NEVER)
+        too_close = clips.end_us[part.rows] + round(1e6 * splitting.gap) >= next_start
+        codes[part.rows] = np.where(too_close, _NO_SPLIT, rank)
+    return codes
 
 
-def _by_own(clips: pl.DataFrame, _: Splitting) -> pl.Series:
-    without = sorted(clips.filter(pl.col("split").is_null())["source"].unique().cast(pl.String))
-    if len(without):
+def _share_windows(count: Counts, chance: NDArray[np.float64], splitting: Splitting) -> tuple[Counts, Counts]:
+    """How many of the windows (n,) of each scene are in validation and test, and in test; the first is in training."""
+    shares = splitting.val + splitting.test, splitting.test
+    held, test = (np.floor(share * count) + (chance < share * count % 1.0) for share in shares)
+    held = np.minimum(held, count - 1).astype(np.int64)
+    test = np.minimum(test, held).astype(np.int64)
+    # Of few scenes none may give to a split: then the longest does, if it can.
+    longest = int(np.lexsort((chance, -count))[0])
+    if splitting.test > 0.0 and not test.any():
+        test[longest] = min(1, count[longest] - 1)
+    if splitting.val > 0.0 and not (held > test).any():
+        held[longest] = test[longest] + 1
+    held[longest] = np.clip(held[longest], test[longest], count[longest] - 1)
+    return held, test
+
+
+def _by_scene(clips: _Clips, splitting: Splitting) -> NDArray[np.uint8]:
+    ranks = np.select([clips.place < splitting.test, clips.place < splitting.test + splitting.val], [2, 1], 0)
+    # Scenes that give samples fill all splits, even where they are few.
+    gives = np.bincount(clips.scene[clips.samples > 0], minlength=len(ranks)) > 0
+    among = np.flatnonzero(gives | ~gives.any())
+    ranks[among] = _fill_splits(clips.place[among], splitting)
+    return ranks.astype(np.uint8)[clips.scene]
+
+
+def _fill_splits(places: NDArray[np.float64], splitting: Splitting) -> Counts:
+    """Numbers (n,) of the splits of scenes at places (n,) in [0, 1): by shares, each filled if scenes are enough."""
+    least_test, least_val = int(splitting.test > 0.0), int(splitting.val > 0.0)
+    test, held = (int((places < share).sum()) for share in (splitting.test, splitting.test + splitting.val))
+    if len(places) > least_test + least_val:
+        test = int(np.clip(test, least_test, len(places) - 1 - least_val))
+        held = int(np.clip(held, test + least_val, len(places) - 1))
+    rank = np.argsort(np.argsort(places))
+    return np.select([rank < test, rank < held], [2, 1], 0)
+
+
+def _by_own(clips: _Clips, _: Splitting) -> NDArray[np.uint8]:
+    without = sorted(clips.sources[number] for number in np.unique(clips.source[clips.split == _NO_SPLIT]))
+    if without:
         raise InputError(
             f"rule own: clips of {', '.join(without)} have no split of their own; split them by another rule"
         )
-    return clips["split"].cast(_SPLIT)
+    return clips.split

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from olt_datasets.commands.comparing import AllowUncomparedOption
 from olt_toolkit.rigs.names import ContractName
 
 if TYPE_CHECKING:
@@ -26,6 +27,7 @@ def train(
     stage2: Annotated[Path | None, typer.Option(help="YAML of Stage 2; that of the toy by default.")] = None,
     rig: Annotated[ContractName, typer.Option(help="Whose cameras the policy takes.")] = ContractName.ALPAMAYO_R1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the mixture and of both stages.")] = 0,
+    allow_uncompared: AllowUncomparedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Train, and print the losses."""
@@ -36,7 +38,7 @@ def train(
     from olt_toolkit.runtime.threads import use_one_thread
 
     use_one_thread()
-    chosen = _choose_mixture(mixture, recipe, stores, seed)
+    chosen = _choose_mixture(mixture, recipe, stores, seed, allow_uncompared)
     stages = (
         read_stage_config(stage1) if stage1 else builtin_stage_config(1),
         read_stage_config(stage2) if stage2 else builtin_stage_config(2),
@@ -93,12 +95,16 @@ def evaluate(
         print_table(f"{policy}: {len(loaded)} samples of split {split}", ("error", "m"), list(errors.items()))
 
 
-def _choose_mixture(mixture: Path | None, recipe: str | None, stores: list[Path], seed: int) -> "Mixture":
+def _choose_mixture(
+    mixture: Path | None, recipe: str | None, stores: list[Path], seed: int, allow_uncompared: bool
+) -> "Mixture":
     from olt_datasets import compose_mixture, find_recipe, read_clip_tables, read_mixture
     from olt_generator.errors import InputError
+    from olt_toolkit.recordings.recording import refuse_unused
 
     if mixture is not None and recipe is None:
+        refuse_unused({"--allow-uncompared": allow_uncompared}, "a mixture was compared when it was composed")
         return read_mixture(mixture)
     if recipe is not None and mixture is None and stores:
-        return compose_mixture(find_recipe(recipe), read_clip_tables(stores), seed)
+        return compose_mixture(find_recipe(recipe), read_clip_tables(stores), seed, allow_uncompared=allow_uncompared)
     raise InputError("olt sft train: give either --mixture FILE, or --recipe NAME with --stores DIR")

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.poses import Array
+from olt_toolkit.policy.action_space import ACTION_LIMIT
 from olt_toolkit.policy.contract import FUTURE_STEPS, HISTORY_STEPS
 
 Tokens = NDArray[np.int64]
@@ -18,8 +19,6 @@ VOCABULARY_SIZE = FUTURE_BINS + HISTORY_BINS
 FUTURE_TOKENS = 2 * FUTURE_STEPS
 HISTORY_TOKENS = 3 * HISTORY_STEPS
 
-# Normalised units, the same for acceleration and curvature.
-ACTION_LIMIT = 10.0
 # Metres in x, y and z; the range is symmetric.
 STEP_LIMITS = np.array([4.0, 4.0, 10.0])
 

@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from olt_datasets.commands.data import app
 from olt_datasets.commands.mix import app as mix
-from olt_datasets.tables.clip_frame import read_clip_tables
+from olt_datasets.tables.clip_frame import SHARES, read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
@@ -21,8 +21,8 @@ def run(*arguments):
 
 @pytest.fixture
 def toy(open_toy):
-    """Two drives of ten seconds with true views, and the options that open them."""
-    drives = {key: make_drive(key, 100, true_views=POLICY_CAMERAS) for key in ("a", "b")}
+    """Two drives of fifteen seconds with true views, and the options that open them."""
+    drives = {key: make_drive(key, 150, true_views=POLICY_CAMERAS) for key in ("a", "b")}
     place, dataset = open_toy(ToyDataset(drives))
     return dataset, place.path, ("--cache", place.cache, "--workers", 1)
 
@@ -40,26 +40,34 @@ def test_from_a_data_set_to_built_clips(toy, tmp_path):
     result = run("index", root, "--out", table, "--frames", 30, "--t0", "keyframe", "--json", *options)
     assert result.exit_code == 0, result.output
     summary = json.loads(result.stdout)
-    assert (summary["clips"], summary["clips_with_samples"], summary["samples"]) == (4, 2, 2)
+    assert (summary["clips"], summary["clips_with_samples"], summary["samples"]) == (6, 4, 4)
     unsplit = run("build", table, "--root", root, "--kind", "GT", "--out", store, *options)
     assert "run `olt data split` before" in str(unsplit.exception)
     unused = run("build", table, "--root", root, "--kind", "GT", "--out", store, "--front", "as-is", *options)
     assert "--front: clips of kind GT take true views" in str(unused.exception)
 
     result = run("split", table, "--rule", "seen", "--test", 0.5, "--out", table, "--json")
-    assert json.loads(result.stdout)["clips"] == {"train": 2, "test": 2}
-    assert run("check", table).stdout == "no leaks\n"
+    assert {name: json.loads(result.stdout)[name] for name in ("clips", "scenes", "samples")} == {
+        "clips": {"train": 2, "test": 4},
+        "scenes": {"train": 2, "test": 2},
+        "samples": {"train": 2, "test": 2},
+    }
+    result = run("check", table)
+    assert result.exit_code == 0
+    assert result.stdout.startswith("no leaks in what was compared\nclips by split: 2 train, 4 test\n")
+    assert "near-duplicate: 8 pairs of clips" in result.stdout
     result = run(
         *("build", table, "--root", root, "--kind", "GT", "--out", store),
         *("--width", 64, "--height", 36, "--json", *options),
     )
     assert result.exit_code == 0, result.output
-    assert [clip["state"] for clip in json.loads(result.stdout)["clips"]] == ["built"] * 4
+    assert [clip["state"] for clip in json.loads(result.stdout)["clips"]] == ["built"] * 6
     of_the_files = ("store", "checksum", "fingerprint", "doubts", "build_options")
+    of_the_files += ("acceleration_noise", "acceleration_noise_basis", "action_errors", *SHARES)
     built, indexed = (read_clip_tables([path]).drop(of_the_files) for path in (store, table))
     assert_frame_equal(built, indexed)
-    assert read_clip_tables([store])["doubts"].to_list() == [[]] * 4
-    assert read_clip_tables([table])["doubts"].to_list() == [None] * 4
+    assert read_clip_tables([store])["doubts"].to_list() == [[]] * 6
+    assert read_clip_tables([table])["doubts"].to_list() == [None] * 6
 
 
 def test_damaged_drives_are_listed_at_the_end(toy, tmp_path):
@@ -69,7 +77,37 @@ def test_damaged_drives_are_listed_at_the_end(toy, tmp_path):
     assert isinstance(result.exception, InputError)
     assert "failed: bad: bad: poses are missing" in result.stdout
     assert "1 of 3 drives could not be used" in str(result.exception)
-    assert read_clip_tables([tmp_path / "clips.parquet"]).height == 4
+    assert read_clip_tables([tmp_path / "clips.parquet"]).height == 6
+
+
+def test_a_table_is_not_clean_for_want_of_something_to_compare(toy, tmp_path):
+    """No fingerprints, images of a wall, one split only: each is said, and taken as it is where that is asked for."""
+    dataset, root, options = toy
+    table = tmp_path / "clips.parquet"
+
+    def check(*more):
+        result = run("check", table, *more)
+        return result.exit_code, result.stdout
+
+    run("index", root, "--out", table, "--frames", 30, "--no-fingerprints", *options)
+    status, out = check()
+    assert (status, out.splitlines()[0]) == (1, "nothing was compared: no clip is in a split")
+    run("split", table, "--rule", "external", "--source", "toy", "--out", table)
+    status, out = check()
+    assert (status, out.splitlines()[0]) == (1, "nothing was compared: all clips are in split test")
+    assert run("check", table, "--allow-uncompared").exit_code == 0
+
+    run("split", table, "--rule", "seen", "--test", 0.5, "--out", table)
+    status, out = check()
+    assert status == 1 and "near-duplicate: 0 pairs" in out and "8 not compared, 6 clips with no fingerprint" in out
+    dataset.looks = {"a": None}
+    run("index", root, "--out", table, "--frames", 30, *options)
+    status, out = check()
+    assert status == 1 and "near-duplicate: 2 pairs" in out and "3 clips with images too plain to compare" in out
+    assert check("--allow-uncompared")[0] == 0
+    listed = json.loads(check("--json")[1])
+    assert (listed["clean"], listed["complete"], listed["leaks"]) == (False, False, [])
+    assert [each["compared"] for each in listed["comparisons"]] == [0, 0, 8, 2]
 
 
 def test_leaks_are_listed_with_exit_status_1(write_store, make_clip):

@@ -90,7 +90,10 @@ def masked_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
         streams = clip.streams | {CROSS_LEFT: replace(left, origin=origin)}
         provenance = clip.provenance | {CROSS_LEFT: clip.provenance[CROSS_LEFT].with_shares(origin)}
         if name == "six":
-            streams |= {REAR_LEFT: streams[CROSS_LEFT], REAR_RIGHT: streams[CROSS_RIGHT]}
+            rig = pav_rig().fitted(WIDTH, HEIGHT)
+            for rear, cross in ((REAR_LEFT, CROSS_LEFT), (REAR_RIGHT, CROSS_RIGHT)):
+                mounted = rig[rear]
+                streams[rear] = replace(streams[cross], camera=mounted.camera, T_rig_camera=mounted.T_rig_camera)
             provenance |= {REAR_LEFT: provenance[CROSS_LEFT], REAR_RIGHT: provenance[CROSS_RIGHT]}
         clips.append(replace(clip, streams=streams, provenance=provenance))
     return _write_store(tmp_path_factory.mktemp("masked") / "masked", clips)

@@ -1,4 +1,5 @@
 import json
+from collections import Counter
 
 import av
 import numpy as np
@@ -6,6 +7,7 @@ import pandas as pd
 import pytest
 
 from olt_datasets.export.contents import contents_of_stores
+from olt_datasets.export.image_sizes import parse_size
 from olt_datasets.export.lerobot import export_lerobot, frame_times
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import make_clip_id
@@ -14,6 +16,7 @@ from olt_toolkit.policy.sample import SampleKey
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
 SIZE = (36, 64)
+ONE_SIZE = "64x36"
 A, B, C, D, E = (make_clip_id(name) for name in "abcde")
 
 
@@ -48,7 +51,7 @@ class FormatReader:
 @pytest.fixture(scope="module")
 def exported(stores, tmp_path_factory):
     out = tmp_path_factory.mktemp("lerobot") / "set"
-    return export_lerobot(contents_of_stores(stores, "train"), out, image_size=SIZE), out
+    return export_lerobot(contents_of_stores(stores, "train"), out), out
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +118,42 @@ def test_statistics_are_those_of_the_data(reader):
     assert reader.stats[key]["count"] == [35]
 
 
+def test_images_keep_their_size_or_tell_it(exported, reader, stores, tmp_path):
+    summary, _ = exported
+    assert set(summary["image_sizes"].values()) == {ONE_SIZE} and summary["resized_from"] == {}
+    videos = [feature for feature in reader.info["features"].values() if feature["dtype"] == "video"]
+    assert all(video["shape"] == [*SIZE, 3] and "video.resized_from" not in video["info"] for video in videos)
+
+    out = tmp_path / "small"
+    small = export_lerobot(contents_of_stores([stores[1]], "train"), out, image_size=(18, 32))
+    assert set(small["image_sizes"].values()) == {"32x18"}
+    assert small["resized_from"] == {camera: {ONE_SIZE: 2} for camera in POLICY_CAMERAS}
+    feature = FormatReader(out).info["features"][f"observation.images.{POLICY_CAMERAS[0]}"]
+    assert feature["shape"] == [18, 32, 3] and feature["info"]["video.resized_from"] == {ONE_SIZE: 2}
+
+
+def test_sizes_that_differ_are_refused_unless_one_is_asked_for(stores, tmp_path, monkeypatch):
+    from olt_datasets.export import image_sizes, lerobot
+
+    contents = contents_of_stores([stores[0]], "train")
+    true_sizes = image_sizes.read_image_sizes(contents)
+    assert true_sizes == {camera: {SIZE: 3} for camera in POLICY_CAMERAS}
+    true_sizes[POLICY_CAMERAS[1]] += Counter({(1080, 1920): 2})
+    monkeypatch.setattr(lerobot, "read_image_sizes", lambda _: true_sizes)
+    message = f"{POLICY_CAMERAS[1]}: images of {ONE_SIZE} in 3 clips, 1920x1080 in 2 clips, .*give --image-size"
+    with pytest.raises(InputError, match=message):
+        export_lerobot(contents, tmp_path / "set")
+    assert list(tmp_path.iterdir()) == []
+    summary = export_lerobot(contents, tmp_path / "set", image_size=SIZE)
+    assert summary["resized_from"] == {POLICY_CAMERAS[1]: {"1920x1080": 2}}
+
+
+@pytest.mark.parametrize("text", ["576", "575x320", "576x", "0x0", "-2x4", "axb", "576x320x3"])
+def test_sizes_that_are_none_are_refused(text):
+    with pytest.raises(InputError, match="write WIDTHxHEIGHT in pixels"):
+        parse_size(text)
+
+
 def test_times_without_a_state_and_gaps_are_kept_apart():
     times = frame_times((3_000_000, 3_100_000, 5_000_000, 5_050_000), ego_start_us=0)
     assert times.tolist() == [
@@ -146,14 +185,9 @@ def test_an_interrupted_export_goes_on(stores, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
 
-def test_a_full_disk_names_the_file(stores, tmp_path, monkeypatch):
-    from olt_datasets.export import lerobot
-
-    def fill(path, frames, rate):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(lerobot, "write_video", fill)
-    with pytest.raises(InputError, match=r"camera_cross_left_120fov/.*\.mp4: cannot be written \(No space left"):
+def test_a_full_disk_names_the_file(stores, tmp_path, full_disk):
+    message = r"camera_cross_left_120fov/.*\.mp4: cannot be written \(File too large"
+    with pytest.raises(InputError, match=message), full_disk(1000):
         export_lerobot(contents_of_stores(stores, "train"), tmp_path / "set", image_size=SIZE)
 
 

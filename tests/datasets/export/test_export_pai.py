@@ -4,13 +4,14 @@ import shutil
 import warnings
 
 import numpy as np
+import pandas as pd
 import pytest
 from typer.testing import CliRunner
 
 from olt_datasets.commands.data import app
 from olt_datasets.export.contents import contents_of_mixture, contents_of_stores
 from olt_datasets.export.pai import export_pai
-from olt_datasets.mixtures.dataset import MixtureDataset
+from olt_datasets.mixtures.dataset import MixtureBatchSampler, MixtureDataset
 from olt_datasets.mixtures.mixture import compose_mixture
 from olt_datasets.mixtures.mixture_file import write_mixture
 from olt_datasets.mixtures.recipe import Recipe
@@ -43,7 +44,7 @@ def mixture(stores):
     recipe = Recipe.model_validate(
         {"name": "test", "description": "Test.", "version": 1, "split": "train", "components": components}
     )
-    return compose_mixture(recipe, read_clip_tables(list(stores)), seed=0)
+    return compose_mixture(recipe, read_clip_tables(list(stores)), seed=0, allow_uncompared=True)
 
 
 @pytest.fixture(scope="module")
@@ -120,8 +121,8 @@ def test_the_devkit_reads_every_clip_without_a_warning(
 
 def test_the_torch_dataset_yields_the_dict_of_the_public_loader(mixture, mixed):
     torch = pytest.importorskip("torch")
-    key = mixture.epoch(0, 4)[0][0]
-    item = MixtureDataset(mixture, IMAGE_SIZE)[key]
+    row = next(iter(MixtureBatchSampler(mixture, 4)))[0]
+    item = MixtureDataset(mixture, IMAGE_SIZE)[row]
     # docs/formats/physicalai_av.md, after the recipes' dataset has removed the first axis of the ego tensors
     expected = {
         "image_frames": ((4, 4, 3, *IMAGE_SIZE), torch.uint8),
@@ -136,8 +137,8 @@ def test_the_torch_dataset_yields_the_dict_of_the_public_loader(mixture, mixed):
     assert item.keys() == expected.keys() | {"t0_us", "clip_id"}
     assert {name: (tuple(item[name].shape), item[name].dtype) for name in expected} == expected
     assert item["camera_indices"].tolist() == [0, 1, 2, 6] and (item["t0_us"], item["clip_id"]) == (
-        key.t0_us,
-        key.clip_id,
+        int(mixture.samples["t0_us"][row]),
+        mixture.samples["clip_id"][row],
     )
 
 
@@ -175,6 +176,20 @@ def test_what_the_public_readers_cannot_do_is_said(mixed, whole):
     (note,) = mixed[0]["notes"]
     assert note.startswith("long_tail: 20 items of 10 samples per epoch") and "0.625 and not 0.7692" in note
     assert whole[0]["notes"] == [] and whole[0]["clips_with_default_keyframe"] == 0
+
+
+def test_the_devkit_takes_splits_from_their_own_file(whole, stores, open_devkit, tmp_path):
+    _, out = whole
+    devkit = open_devkit(out)
+    assert devkit.clip_index["split"].tolist() == ["train"] * 5 and devkit.split_name == "default"
+    splits = pd.read_parquet(out / "splits/default.parquet")
+    assert splits.columns.tolist() == ["split"] and splits.index.tolist() == devkit.clip_index.index.tolist()
+    # The file goes before the index, as the devkit's release 0.2.3 has it.
+    changed = tmp_path / "changed"
+    shutil.copytree(out, changed)
+    splits.assign(split="val").to_parquet(changed / "splits/default.parquet")
+    shutil.rmtree(tmp_path / "cache")
+    assert open_devkit(changed).clip_index["split"].tolist() == ["val"] * 5
 
 
 def test_country_and_licence_are_carried_along(whole, open_devkit):

@@ -7,17 +7,9 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from olt_datasets.mixtures.batches import batch_counts, epoch_counts
+from olt_datasets.mixtures.batches import batch_counts
 
 counts_of_components = st.lists(st.integers(0, 500), min_size=1, max_size=9).filter(any)
-
-
-@given(weights=st.lists(st.integers(1, 100), min_size=1, max_size=9), samples=st.integers(0, 10**7))
-def test_an_epoch_rounds_every_share_down_or_up(weights, samples):
-    shares = [Fraction(weight, sum(weights)) for weight in weights]
-    counts = epoch_counts(shares, samples)
-    assert sum(counts) == samples
-    assert all(abs(count - samples * share) < 1 for count, share in zip(counts, shares, strict=True))
 
 
 @given(counts=counts_of_components, batch_size=st.integers(1, 200))
@@ -33,14 +25,8 @@ def test_every_batch_is_within_one_item_of_every_share(counts, batch_size):
     assert np.abs(excess).max() < sum(counts) and batches.min() >= 0
 
 
-def test_the_largest_remainder_is_rounded_up():
-    assert epoch_counts([Fraction(3, 5), Fraction(2, 5)], 71) == [43, 28]
-    assert epoch_counts([Fraction(1, 3)] * 3, 11) == [4, 4, 3]
-
-
 def test_share_of_three_tenths_gives_9_or_10_of_32():
-    batches = batch_counts(epoch_counts([Fraction(7, 10), Fraction(3, 10)], 32 * 383), 32)
-    assert set(batches[:, 1].tolist()) == {9, 10}
+    assert set(batch_counts([8579, 3677], 32)[:, 1].tolist()) == {9, 10}
 
 
 @pytest.mark.parametrize("counts", [[10_000, 2_241], [1, 30_000], [3_000, 2_000, 1_000, 500, 77, 5]])

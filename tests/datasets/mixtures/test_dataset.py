@@ -42,6 +42,10 @@ class StubStore:
         )
 
 
+def keys_of(mixture, batches):
+    return [mixture.keys(rows) for rows in batches]
+
+
 @pytest.fixture(scope="module")
 def mixture(toy_table):
     return compose_mixture(find_recipe("toy_nominal_long_tail"), toy_table, seed=0)
@@ -79,16 +83,22 @@ def test_a_data_loader_asks_for_a_batch_at_once_so_that_clips_are_decoded_once(m
     assert asked == [mixture.epoch(0, 16)[0]]
 
 
+def test_rows_are_those_of_the_samples(mixture):
+    dataset, keys = MixtureDataset(mixture, IMAGE_SIZE, StubStore), mixture.keys(list(range(len(mixture.samples))))
+    assert len(dataset) == len(keys) == 60 + 16
+    assert [(item["clip_id"], item["t0_us"]) for item in dataset] == [(key.clip_id, key.t0_us) for key in keys]
+
+
 def test_missing_store_is_an_error_in_words(mixture, tmp_path):
     with pytest.raises(InputError, match="not a clip store"):
         MixtureDataset(mixture, IMAGE_SIZE).load_batch([SampleKey(str(tmp_path), "no clip", 0)])
 
 
-@pytest.mark.parametrize("workers", [0, 2])
-def test_data_loader_yields_the_alpamayo_dict(mixture, workers):
+@pytest.mark.parametrize(("workers", "start"), [(0, None), (2, "fork"), (1, "spawn")])
+def test_data_loader_yields_the_alpamayo_dict(mixture, workers, start):
     dataset = MixtureDataset(mixture, IMAGE_SIZE, StubStore)
     batches = MixtureBatchSampler(mixture, batch_size=16)
-    loaded = list(DataLoader(dataset, batch_sampler=batches, num_workers=workers))
+    loaded = list(DataLoader(dataset, batch_sampler=batches, num_workers=workers, multiprocessing_context=start))
     keys = mixture.epoch(0, 16)
     assert [batch["clip_id"] for batch in loaded] == [[key.clip_id for key in batch] for batch in keys]
     first = loaded[0]
@@ -101,9 +111,9 @@ def test_data_loader_yields_the_alpamayo_dict(mixture, workers):
 
 def test_sampler_resumes_within_any_epoch(mixture):
     batches = MixtureBatchSampler(mixture, batch_size=8)
-    assert list(batches) == mixture.epoch(0, 8)
+    assert keys_of(mixture, batches) == list(mixture.epoch(0, 8))
     batches.set_epoch(2, start_batch=5)
-    assert list(batches) == mixture.epoch(2, 8)[5:]
+    assert keys_of(mixture, batches) == mixture.epoch(2, 8)[5:]
     assert len(batches) == len(mixture.epoch(2, 8)) - 5
 
 
@@ -116,21 +126,21 @@ def test_sampler_resumes_within_any_epoch(mixture):
 def test_ranks_and_accumulation_may_change_within_an_epoch(mixture, stop, before, after):
     """512 samples in global batches of 24: every one is given once, however many ranks there are on the way."""
 
-    def keys_of(ranks, accumulation, epoch_batches):
+    def take(ranks, accumulation, epoch_batches):
         samplers = [MixtureBatchSampler(mixture, 24, rank, ranks, accumulation) for rank in range(ranks)]
         for sampler in samplers:
             sampler.set_epoch(1, epoch_batches.start)
         whole = (epoch_batches.stop - epoch_batches.start) * accumulation
-        return [key for sampler in samplers for part in list(sampler)[:whole] for key in part]
+        return [key for sampler in samplers for part in keys_of(mixture, sampler)[:whole] for key in part]
 
     last = 512 // 24  # the partial batch, in which some ranks take an item again
-    got = keys_of(*before, range(min(stop, last))) + keys_of(*after, range(min(stop, last), last))
+    got = take(*before, range(min(stop, last))) + take(*after, range(min(stop, last), last))
     expected = [key for batch in mixture.epoch(1, 24)[:last] for key in batch]
     assert Counter(got) == Counter(expected)
 
 
 def test_accumulation_divides_a_rank_s_part(mixture):
-    parts = list(MixtureBatchSampler(mixture, 32, rank=3, world_size=8, accumulation=4))
+    parts = keys_of(mixture, MixtureBatchSampler(mixture, 32, rank=3, world_size=8, accumulation=4))
     whole = mixture.epoch(0, 32, rank=3, world_size=8)
     assert {len(part) for part in parts} == {1} and len(parts) == 4 * len(whole)
     assert [key for part in parts for key in part] == [key for batch in whole for key in batch]
@@ -146,7 +156,7 @@ def test_a_recipe_without_samples_feeds_no_training(toy_table):
 def test_ranks_step_alike_in_a_partial_batch(toy_table):
     recipe = find_recipe("toy_nominal").model_copy(update={"samples": 33})
     mixture = compose_mixture(recipe, toy_table, seed=0)
-    ranks = [list(MixtureBatchSampler(mixture, 8, rank, world_size=4)) for rank in range(4)]
+    ranks = [keys_of(mixture, MixtureBatchSampler(mixture, 8, rank, world_size=4)) for rank in range(4)]
     assert [[len(batch) for batch in rank] for rank in ranks] == [[2, 2, 2, 2, 1]] * 4
     assert {key for rank in ranks for batch in rank for key in batch} == {
         key for batch in mixture.epoch(0, 8) for key in batch

@@ -15,6 +15,7 @@ SCHEMA = {
     "start_us": pl.Int64,
     "kind": pl.String,
     "sample_t0_us": pl.List(pl.Int64),
+    "action_errors": pl.List(pl.Float64),
 }
 
 
@@ -22,11 +23,11 @@ def component(**fields):
     return Component(name="all", share=1.0, **fields)
 
 
-def make_clips(times, kind="GT"):
-    """Clips with these sample times, two windows of each scene."""
+def make_clips(times, kind="GT", errors=None):
+    """Clips with these sample times and action errors, two windows of each scene."""
     rows = [
-        (make_clip_id(f"clip {number}", kind), f"a source/scene {number // 2}", 20_000_000 * (number % 2), kind, each)
-        for number, each in enumerate(times)
+        (make_clip_id(f"clip {number}", kind), f"a source/scene {number // 2}", 20_000_000 * (number % 2), kind, *each)
+        for number, each in enumerate(zip(times, errors or [None] * len(times), strict=True))
     ]
     return pl.LazyFrame(rows, SCHEMA, orient="row")
 
@@ -107,7 +108,11 @@ def test_priorities_are_what_the_equation_says():
     word = ((word ^ (word >> 30)) * 0xBF58476D1CE4E5B9) & mask
     word = ((word ^ (word >> 27)) * 0x94D049BB133111EB) & mask
     drawn = draw_samples(make_clips([[1_700_000]]), component(where=Filter(kind="GT")), 1, 1, 3, ("clip_id",))
-    assert drawn.drop("clip_id").row(0, named=True) == {PRIORITY: word ^ (word >> 31), "t0_us": 1_700_000}
+    assert drawn.drop("clip_id").row(0, named=True) == {
+        PRIORITY: word ^ (word >> 31),
+        "t0_us": 1_700_000,
+        "action_error": None,
+    }
 
 
 @pytest.mark.parametrize("same", [component(where=Filter(kind="Syn")), component(prefer="Syn")])
@@ -139,3 +144,83 @@ def test_sample_times_of_a_clip(times, fields, expected):
     clips = make_clips([times])
     assert sorted(t0_us for _, t0_us in draw(clips, 10, **fields)) == expected
     assert clips.select(sample_count(component(**fields))).collect().item() == len(expected)
+
+
+TIMES = [1_700_000, 5_000_000, 5_150_000, 9_000_000]
+
+
+@pytest.mark.parametrize(
+    ("errors", "fields", "expected"),
+    [
+        ([0.1, 0.3, 0.4, 0.2], {}, [1_700_000, 5_000_000, 9_000_000]),
+        ([0.1, 0.3, 0.4, 0.2], {"t0": "keyframe"}, [5_000_000]),
+        ([0.1, 0.4, 0.2, 0.2], {"samples_per_clip": 1}, [5_150_000]),
+        ([0.4, 0.4, 0.4, 0.4], {}, []),
+        ([0.4, 0.4, 0.4, 0.4], {"t0": "keyframe"}, []),
+        (None, {}, TIMES),
+    ],
+)
+def test_samples_whose_future_no_action_drives_are_not_drawn(errors, fields, expected):
+    clips = make_clips([TIMES], errors=[errors])
+    part = {"where": Filter(action_error_max=0.3, not_measured="take")} | fields
+    assert sorted(t0_us for _, t0_us in draw(clips, 10, **part)) == expected
+    count = 1 if fields and expected else len(expected)
+    assert clips.select(sample_count(component(**part))).collect().item() == count
+
+
+def test_drawn_samples_carry_their_own_action_error():
+    times, errors = [[*range(10)] for _ in range(30)], [[clip + time / 100 for time in range(10)] for clip in range(30)]
+    clips = make_clips(times, errors=errors)
+    for part in (component(), component(samples_per_clip=3), component(where=Filter(action_error_max=20.0))):
+        drawn = draw_samples(clips, part, 300, 60, 0, ("clip_id",))
+        known = {clip_id: number for number, clip_id in enumerate(clips.collect()["clip_id"])}
+        for clip_id, t0_us, error in drawn.select("clip_id", "t0_us", "action_error").rows():
+            assert error == errors[known[clip_id]][t0_us]
+
+
+def weighted(shares, kind="GT"):
+    """A clip of one sample for each invented share."""
+    clips = make_clips([[5_100_000]] * len(shares), kind)
+    return clips.with_columns(pl.Series("invented_share", shares, pl.Float64))
+
+
+def draw_weighted(clips, count, seed=0, halving=0.25):
+    part = component(weight_by={"invented_share": halving}, where=Filter(kind="GT"))
+    available = clips.collect().height
+    drawn = draw_samples(clips, part, available, count, seed, ("clip_id", "scene_id", "invented_share"))
+    return drawn.drop(PRIORITY)
+
+
+def test_a_weight_halves_as_often_as_the_recipe_says():
+    """First draws of many seeds, of shares whose weights are 1, 1/2, 1/4 and 1/8: within 4 standard deviations."""
+    clips, draws = weighted([0.0, 0.25, 0.5, 0.75]), 500
+    first = [draw_weighted(clips, 1, seed)["invented_share"][0] for seed in range(draws)]
+    for share, weight in zip((0.0, 0.25, 0.5, 0.75), (8 / 15, 4 / 15, 2 / 15, 1 / 15), strict=True):
+        assert abs(first.count(share) / draws - weight) < 4 * (weight * (1 - weight) / draws) ** 0.5
+
+
+@SETTINGS
+@given(
+    shares=st.lists(st.one_of(st.none(), st.floats(0.0, 1.0)), min_size=1, max_size=60),
+    halving=st.floats(1e-6, 1e3),
+    data=st.data(),
+)
+def test_weighted_draws_keep_what_plain_ones_promise(shares, halving, data):
+    clips = weighted(shares)
+    smaller, larger = sorted(data.draw(st.tuples(*[st.integers(0, len(shares))] * 2)))
+    drawn = draw_weighted(clips, larger, halving=halving)
+    assert len(drawn) == drawn.n_unique() == larger
+    assert draw_weighted(clips, smaller, halving=halving).equals(drawn[:smaller])
+    rows = clips.collect()
+    order = data.draw(st.permutations(range(len(rows))))
+    assert draw_weighted(rows[list(order)].lazy(), larger, halving=halving).equals(drawn)
+    kept = rows["clip_id"][: len(shares) // 2 + 1].to_list()
+    alone = draw_weighted(rows[: len(kept)].lazy(), len(kept), halving=halving)["clip_id"].to_list()
+    everything = draw_weighted(clips, len(shares), halving=halving)["clip_id"].to_list()
+    assert [clip_id for clip_id in everything if clip_id in kept] == alone
+
+
+def test_equal_weights_draw_what_no_weights_draw():
+    clips, columns = weighted([0.0] * 300), ("clip_id", "scene_id", "invented_share")
+    plain = draw_samples(clips, component(where=Filter(kind="GT")), 300, 40, 0, columns)
+    assert draw_weighted(clips, 40).equals(plain.drop(PRIORITY))

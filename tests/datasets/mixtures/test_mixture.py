@@ -1,5 +1,6 @@
 import re
 from collections import Counter
+from dataclasses import replace
 from itertools import chain
 
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from olt_datasets.mixtures.mixture import check_recipe, compose_mixture
 from olt_datasets.mixtures.recipe import find_recipe, parse_recipe
 from olt_generator.errors import InputError
-from olt_toolkit.clips.clip import ClipOrigin
+from olt_toolkit.clips.clip import ClipOrigin, ViewProvenance
 
 NOMINAL = {"name": "nominal", "where": {"kind": "GT", "category": ["nominal"]}}
 WORK_ZONES = {"name": "work_zones", "where": {"kind": "Syn", "category": ["work_zone"]}}
@@ -73,7 +74,7 @@ def test_a_rank_takes_every_nth_item_from_its_own_on_and_starts_again_at_any_bat
     whole = mixture.epoch(1, 12)
     assert [len(batch) for batch in whole] == [12, 12, 12, 12, 2]
     for start in range(6):
-        ranks = [mixture.epoch(1, 12, rank, 3, start_batch=start) for rank in range(3)]
+        ranks = [list(mixture.epoch(1, 12, rank, 3, start_batch=start)) for rank in range(3)]
         assert ranks == [[batch[rank::3] for batch in whole[start:]] for rank in range(3)]
 
 
@@ -85,7 +86,7 @@ def test_ranks_may_change_in_the_middle_of_an_epoch(toy_table, data, stop, befor
     """What some ranks got up to a batch, and others from there on, is the epoch once and nothing else."""
     mixture = data.draw(mixtures(toy_table))
     batches_before = [mixture.epoch(2, 12, rank, before)[:stop] for rank in range(before)]
-    batches_after = [mixture.epoch(2, 12, rank, after, start_batch=stop) for rank in range(after)]
+    batches_after = [list(mixture.epoch(2, 12, rank, after, start_batch=stop)) for rank in range(after)]
     got = chain.from_iterable(batches_before + batches_after)
     assert Counter(chain.from_iterable(got)) == Counter(items(mixture, epoch=2, batch_size=12))
 
@@ -94,7 +95,8 @@ def test_ranks_may_change_in_the_middle_of_an_epoch(toy_table, data, stop, befor
 @given(data=st.data(), batch_size=st.integers(1, 20), start=st.integers(0, 30))
 def test_resuming_gives_the_tail_of_the_epoch(toy_table, data, batch_size, start):
     mixture = data.draw(mixtures(toy_table))
-    assert mixture.epoch(1, batch_size, start_batch=start) == mixture.epoch(1, batch_size)[start:]
+    resumed, whole = mixture.epoch(1, batch_size, start_batch=start), list(mixture.epoch(1, batch_size))
+    assert list(resumed) == whole[start:] and len(resumed) == len(whole[start:])
 
 
 @SETTINGS
@@ -103,7 +105,7 @@ def test_a_pure_function_of_its_arguments(toy_table, seed, epoch):
     recipe = make_recipe({**NOMINAL, "count": 30}, {**WORK_ZONES, "count": 10})
     first, second = compose_mixture(recipe, toy_table, seed), compose_mixture(recipe, toy_table.clone(), seed)
     second.epoch(epoch + 1, 4)  # what was asked before leaves no trace
-    assert first.epoch(epoch, 8) == second.epoch(epoch, 8)
+    assert list(first.epoch(epoch, 8)) == list(second.epoch(epoch, 8))
     assert first.describe() == second.describe()
     assert items(first, epoch) != items(first, epoch + 1)
     assert items(first, epoch) != items(compose_mixture(recipe, toy_table, seed + 1), epoch)
@@ -142,7 +144,7 @@ def test_filters_choose_clips(make_clip, make_table):
 
     def chosen(**where):
         recipe = make_recipe({"name": "all", "where": where, "share": 1.0}, held_out_scenes=["kept_back"])
-        return clip_numbers(items(compose_mixture(recipe, table, 0)))
+        return clip_numbers(items(compose_mixture(recipe, table, 0, allow_uncompared=True)))
 
     assert chosen() == {1, 2, 3}
     assert chosen(kind="Syn") == {2}
@@ -320,7 +322,9 @@ def test_the_recipes_of_the_paper_ask_for_its_samples(name, samples):
 def test_a_recipe_of_nothing_is_composed_and_not_trained_on(toy_table):
     mixture = compose_mixture(find_recipe("base_r1"), toy_table, 0)
     assert len(mixture) == 0 and mixture.counts() == [] and mixture.describe()["by_source"] == {}
-    assert check_recipe(find_recipe("base_r1"), toy_table) == {"shortages": [], "leaks": [], "absent": []}
+    findings = check_recipe(find_recipe("base_r1"), toy_table)
+    assert (findings["shortages"], findings["leaks"].leaks, findings["absent"]) == ([], (), [])
+    assert findings["leaks"].empty == "the recipe takes no clip"
     with pytest.raises(InputError, match="recipe base_r1 has no samples to train on"):
         mixture.epoch(0, 8)
 
@@ -397,7 +401,7 @@ def test_check_lists_everything_at_once(toy_table):
         ("nominal", 61, 60),
         ("rare", 1, 0),
     ]
-    assert [leak.scene_id for leak in findings["leaks"]] == ["scene_7"]
+    assert [leak.scene_id for leak in findings["leaks"].leaks] == ["scene_7"]
     assert findings["absent"] == [("rare", "category", "animal"), ("rare", "factors_any", "deer")]
 
 
@@ -415,3 +419,125 @@ def test_slices_that_do_not_fit_are_refused(toy_table, arguments):
     mixture = compose_mixture(make_recipe({**NOMINAL, "share": 1.0}), toy_table, 0)
     with pytest.raises(InputError, match="must"):
         mixture.epoch(0, **arguments)
+
+
+def view(observed, invented):
+    return ViewProvenance("warped", "test", "1", 0, observed, invented)
+
+
+@pytest.fixture(scope="module")
+def measured_table(make_clip, make_table):
+    """40 clips of two samples and two views, and 10 of which nothing was measured.
+
+    Number n has n % invented, 10 % black and n / 100 m/s2 of noise; its second sample errs by n / 50 m.
+    """
+    clips = [
+        replace(
+            make_clip(number, samples=2),
+            views={"a": view(1.0 - number / 50, number / 50), "b": view(0.8, 0.0)},
+            acceleration_noise=number / 100,
+            action_errors=(0.0, number / 50),
+        )
+        for number in range(40)
+    ]
+    return make_table(*clips, *(make_clip(100 + number, samples=2) for number in range(10)))
+
+
+def compose_where(table, **fields):
+    part = {"name": "all", **fields}
+    return compose_mixture(make_recipe(part if "count" in part else part | {"share": 1.0}), table, 0)
+
+
+@pytest.mark.parametrize(
+    ("limits", "clips"),
+    [
+        ({"invented_share_max": 0.1}, 11),
+        ({"observed_share_min": 0.845}, 6),
+        ({"unseen_share_max": 0.09}, 0),
+        ({"unseen_share_max": 0.11}, 40),
+        ({"acceleration_noise_max": 0.2}, 21),
+        ({"action_error_max": 0.3}, 40),
+        ({"invented_share_max": 0.1, "acceleration_noise_max": 0.05}, 6),
+    ],
+)
+def test_limits_leave_out_clips_or_say_that_none_is_left(measured_table, limits, clips):
+    if not clips:
+        with pytest.raises(InputError, match=r"matches 0 clips with 0 samples .* of 10 more a number that it asks for"):
+            compose_where(measured_table, where=limits)
+        return
+    mixture = compose_where(measured_table, where=limits)
+    assert clip_numbers(items(mixture)) == set(range(clips))
+    assert mixture.components[0].not_measured == 10
+    taken = compose_where(measured_table, where=limits | {"not_measured": "take"})
+    assert clip_numbers(items(taken)) == {*range(clips), *range(100, 110)}
+
+
+def test_an_action_error_leaves_out_single_samples(measured_table):
+    mixture = compose_where(measured_table, where={"action_error_max": 0.3})
+    errors = mixture.samples["action_error"]
+    assert len(errors) == 40 + 16 and errors.max() == 0.3
+
+
+def test_a_mixture_tells_pixels_and_labels_of_its_items(measured_table):
+    told = compose_where(measured_table).describe()
+    assert told["quality"] == told["components"][0]["quality"]
+    assert {name: numbers["mean"] for name, numbers in told["quality"].items()} == pytest.approx(
+        {
+            "observed_share": (0.61 + 0.8) / 2,
+            "invented_share": 0.195,
+            "unseen_share": 0.1,
+            "acceleration_noise": 0.195,
+            "action_error": 0.195,
+        }
+    )
+    assert [numbers["not_measured"] for numbers in told["quality"].values()] == [20] * 5
+    assert told["quality"]["action_error"]["beyond_tolerance"] == 24
+
+
+def test_weights_shift_what_is_drawn_and_say_where_they_choose_nothing(measured_table):
+    weights = {"invented_share": 0.02}
+    plain = compose_where(measured_table, where={"invented_share_max": 1.0}, count=20)
+    weighed = compose_where(measured_table, weight_by=weights, count=20)
+    means = [mixture.describe()["quality"]["invented_share"]["mean"] for mixture in (plain, weighed)]
+    assert means[1] < 0.5 * means[0]
+    assert weighed.components[0].word_weights() == "20 of 80 samples"
+    whole = compose_where(measured_table, weight_by=weights)
+    assert whole.components[0].word_weights() == "nothing: all 80 samples are drawn; ask for fewer"
+    assert compose_where(measured_table).components[0].word_weights() is None
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        ({"where": {"invented_share_max": 1.5}}, "where.invented_share_max: input should be less than or equal to 1"),
+        ({"where": {"acceleration_noise_max": float("nan")}}, "where.acceleration_noise_max: input should be"),
+        ({"where": {"not_measured": "take"}}, "'not_measured' is for limits and 'weight_by'"),
+        ({"weight_by": {"invented_share": 0.0}}, "weight_by.invented_share: input should be greater than 0"),
+        ({"weight_by": {"beauty": 1.0}}, "weight_by.beauty"),
+    ],
+)
+def test_limits_and_weights_that_mean_nothing_are_refused(part, message):
+    with pytest.raises(InputError, match=re.escape(message)):
+        make_recipe({"name": "all", "share": 1.0, **part})
+
+
+def test_an_epoch_beyond_all_memory_is_refused(toy_table):
+    content = {"name": "a", "description": "", "version": 1, "components": [{"name": "all", "share": 1e-9}]}
+    content["components"].append({"name": "rest", "share": 1.0 - 1e-9, "where": {"kind": "Syn"}, "repeats": 10**8})
+    content["components"][0] |= {"where": {"kind": "GT"}, "repeats": 10**8}
+    with pytest.raises(
+        InputError, match=r"recipe a: an epoch would have \d+ samples, more than 100000000; give 'samples'"
+    ):
+        compose_mixture(parse_recipe(content, "given"), toy_table, 0)
+
+
+def test_steps_need_no_epoch_between_the_named(toy_table):
+    shares = {"first": {0: 0.2, 10_000: 0.7}, "second": {0: 0.8, 10_000: 0.3}}
+    components = [
+        {"name": name, "share_by_epoch": by_epoch, "where": {"kind": kind}}
+        for (name, by_epoch), kind in zip(shares.items(), ("GT", "Syn"), strict=True)
+    ]
+    content = {"name": "a", "description": "", "version": 1, "samples": 10, "components": components}
+    mixture = compose_mixture(parse_recipe(content | {"between_epochs": "steps"}, "given"), toy_table, 0)
+    assert [mixture.counts(epoch) for epoch in (0, 9_999, 10_000)] == [[2, 8], [2, 8], [7, 3]]
+    assert [len(part.samples) for part in mixture.components] == [7, 8]

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from olt_generator.cameras import pixel_rays
 from olt_generator.poses import planar_pose
+from olt_toolkit import OpenOptions
 from olt_toolkit.rigs.rig import MountedCamera
 from olt_toolkit.rigs.rig_files import load_rig
 
@@ -37,6 +38,22 @@ class World:
 @pytest.fixture(scope="session")
 def world():
     return World()
+
+
+@pytest.fixture(scope="session")
+def check_peek():
+    """Looks at a drive and compares with what opening it gives: the images nearest in time, and how far colours are."""
+
+    def check(dataset, key, width=24, tolerance=3):
+        front_us = dataset.drive(key).front_us
+        wanted = np.array([front_us[-1], front_us[1] + 1, front_us[0] - 5, front_us[1]])
+        images, times_us = dataset.peek(key, wanted, width, np.zeros(4, np.int64))
+        assert times_us.tolist() == front_us[[-1, 1, 0, 1]].tolist()
+        assert images.shape[2] == width
+        opened = dataset.open(key, (0, int(front_us[-1])), OpenOptions(width=width, views=())).frames
+        assert np.abs(images.astype(int) - opened[[-1, 1, 0, 1]]).max(axis=-1).mean() <= tolerance
+
+    return check
 
 
 def drive_pose(seconds):

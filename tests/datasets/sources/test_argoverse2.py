@@ -138,3 +138,9 @@ def test_a_damaged_log_is_refused(tmp_path, changed):
         dataset.drive(".")
     with pytest.raises(InputError, match="no Argoverse 2 drive 'x'"):
         dataset.drive("x")
+
+
+def test_there_is_nothing_to_look_at(tmp_path):
+    dataset = open_dataset(write_log(tmp_path / "log"), tmp_path / "cache")
+    with pytest.raises(InputError, match="has no images to open"):
+        dataset.peek(".", np.zeros(1, np.int64), 320, np.zeros(1, np.int64))

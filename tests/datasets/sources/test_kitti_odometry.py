@@ -176,3 +176,7 @@ def test_a_window_of_a_sequence_has_the_motion_of_all_of_it(tmp_path):
     assert reference.path_length == pytest.approx(5.0 * np.hypot(1.0, DRIFT))
     assert np.abs(reference.T_world_rig[:, :3, :3] - np.eye(3)).max() < 1e-9
     assert np.abs(reference.positions[:, 2] - reference.positions[0, 2]).max() < 1e-9
+
+
+def test_a_look_at_a_sequence(tmp_path, check_peek):
+    check_peek(open_dataset(write_sequence(tmp_path / "06"), tmp_path / "cache"), ".")

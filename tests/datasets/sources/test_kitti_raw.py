@@ -237,3 +237,11 @@ def test_velocities_take_the_wander_out_of_positions(tmp_path):
 def test_positions_of_unknown_accuracy_are_taken_alone_and_said_to_be(tmp_path):
     recording = open_recording(write_drive(tmp_path))
     assert any("positions alone are the reference" in assumption for assumption in recording.assumptions)
+
+
+def test_a_look_at_a_kitti_drive(tmp_path, check_peek):
+    dataset = open_dataset(write_drive(tmp_path), tmp_path / "cache")
+    check_peek(dataset, ".")
+    (tmp_path / "drive" / "image_02" / "0000000001.png").write_bytes(b"no image")
+    with pytest.raises(InputError, match=r"0000000001\.png: cannot be decoded"):
+        check_peek(dataset, ".")

@@ -129,3 +129,7 @@ def test_a_listed_video_that_is_missing_or_ends_nobody_knows_when(challenge, tmp
     write(challenge / "train" / "00004.mp4")
     with pytest.raises(InputError, match="no time_of_alert or time_of_event"):
         dataset.drive("train/00004")
+
+
+def test_a_look_at_a_video(challenge, tmp_path, check_peek):
+    check_peek(open_dataset(challenge, tmp_path / "cache"), "train/01337")

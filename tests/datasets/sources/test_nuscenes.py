@@ -210,3 +210,7 @@ def test_what_is_no_list_of_rows_is_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(InputError, match=r"rows\.json"):
         list(read_rows(path, {"token": str}))
+
+
+def test_a_look_at_a_drive(write_nuscenes, tmp_path, check_peek):
+    check_peek(DATASET.open(write_nuscenes(seconds=1.0), tmp_path / "cache"), KEY, 80)

@@ -183,3 +183,9 @@ def test_the_body_turned_over_by_hand():
     for name, axis in {"front_camera": [0, -1, 0], "left_camera": [1, 0, 0]}.items():
         assert (R_lidar_rig @ rig[name].T_rig_camera[:3, 2]) @ axis > 0.99
     assert np.linalg.det(invert(rig["back_camera"].T_rig_camera)[:3, :3]) == pytest.approx(1.0)
+
+
+def test_a_look_at_a_drive(pandaset_tree, tmp_path, check_peek):
+    """At an eighth of the size, and as large as the images are."""
+    check_peek(DATASET.open(pandaset_tree, tmp_path), "001", 160)
+    check_peek(DATASET.open(pandaset_tree, tmp_path), "001", 1920)

@@ -151,3 +151,9 @@ def test_rear_views_made_by_looking_back_are_like_the_true_ones(open_world):
         assert view.observed_share == view.other_times_share > 0.1
         assert made.view_errors[rear]["psnr_observed"] > made.view_errors[rear]["psnr"] + 2.0
         assert made.view_errors[rear]["psnr_observed"] > 18.0
+
+
+def test_a_look_at_a_drive(open_world, check_peek):
+    check_peek(open_world(SPECIFICATION + "duration: 0.5\n"), "nominal_000007", width=64, tolerance=0)
+    coded = open_world(SPECIFICATION + "duration: 0.5\ncamera: {kilobits_per_second: 1000.0, noise: 4.0}\n")
+    check_peek(coded, "nominal_000007", width=320, tolerance=15)

@@ -122,3 +122,20 @@ def test_a_damaged_video_fails_alone(tmp_path):
         dataset.drive("b.mp4")
     with pytest.raises(InputError, match=r"no video 'c\.mp4'"):
         dataset.drive("c.mp4")
+
+
+def test_a_look_at_a_video(tmp_path, check_peek):
+    write(tmp_path / "drives" / "a.mp4", frames=16)
+    check_peek(open_dataset(tmp_path / "drives", tmp_path / "cache"), "a.mp4")
+
+
+def test_key_frames_that_are_near_enough_are_taken(tmp_path):
+    path = tmp_path / "long.mp4"
+    levels = 20 + np.arange(100, dtype=np.uint8)
+    write_video(path, np.tile(levels[:, None, None, None], (1, 36, 64, 3)), 10, grid=3)
+    dataset = open_dataset(path, tmp_path / "cache")
+    wanted = 100_000 * np.array([33, 33, 80, 44])
+    images, times_us = dataset.peek(".", wanted, 64, np.array([300_000, 200_000, 10_000_000, 0]))
+    # Every 30th frame is a key frame.
+    assert times_us.tolist() == [3_000_000, 3_300_000, 9_000_000, 4_400_000]
+    assert images[:, 18, 32, 0] == pytest.approx([50, 53, 110, 64], abs=1)

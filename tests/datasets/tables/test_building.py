@@ -11,6 +11,7 @@ from olt_datasets.tables.cutting import Cutting, cut_drive
 from olt_datasets.tables.indexing import index_dataset
 from olt_datasets.tables.splits import SplitRule, Splitting, split_table
 from olt_generator.errors import InputError
+from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.build_job import BuildJob, build_clips
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.table import read_clip_table
@@ -104,3 +105,33 @@ def test_a_real_drive_becomes_syn_clips(shared_real, tmp_path):
     assert {clip.origin.licence for clip in clips} == {rows[0].origin.licence}
     assert clips[0].sample_t0_us == min(rows, key=lambda row: row.origin.start_us).sample_t0_us
     assert clips[0].views[CROSS_LEFT].kind == "warped"
+
+
+class JumpingDataset(ToyDataset):
+    """Its vehicle jumps to the side by 3 m in the middle of the window."""
+
+    def open(self, key, window_us, options):
+        recording = super().open(key, window_us, options)
+        poses = recording.reference.T_world_rig.copy()
+        poses[(recording.reference.timestamps_us > 1_500_000), 1, 3] += 3.0
+        return replace(recording, reference=Trajectory(recording.reference.timestamps_us, poses))
+
+
+def test_a_clip_that_fails_a_check_is_not_kept_unless_nobody_looks(open_toy, tmp_path):
+    place, _ = open_toy(JumpingDataset({"a": SURROUND}))
+    jobs = jobs_for(rows_of(SURROUND)[:1], place, tmp_path / "clips")
+    with pytest.raises(InputError, match=r"failed .* checks: .*jerk.*egomotion.*--no-verify"):
+        build_clips(jobs, workers=1)
+    assert not ClipStore(tmp_path / "clips").is_prepared(jobs[0].clip_id)
+    (outcome,) = build_clips([replace(jobs[0], keep_going=True)], workers=1)
+    assert outcome.state == "failed" and "jerk" in outcome.message
+    (outcome,) = build_clips([replace(jobs[0], verify=False)], workers=1)
+    assert outcome.state == "built" and outcome.summary["verification"] is None
+
+
+def test_what_an_earlier_run_prepared_without_looking_is_looked_at(open_toy, tmp_path):
+    place, _ = open_toy(JumpingDataset({"a": SURROUND}))
+    (job,) = jobs_for(rows_of(SURROUND)[:1], place, tmp_path / "clips")
+    assert replace(job, verify=False).run().state == "built"
+    with pytest.raises(InputError, match="--no-verify"):
+        build_clips([job], workers=1)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import polars as pl
 import pyarrow.parquet as pq
 import pytest
@@ -9,12 +10,15 @@ import pytest
 import olt_datasets.tables.indexing as indexing
 from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_datasets.tables.cutting import Cutting
+from olt_datasets.tables.fingerprints import is_telling
 from olt_datasets.tables.indexing import index_dataset
 from olt_datasets.tables.splits import SplitRule, Splitting, split_table
+from olt_datasets.tables.window_fingerprints import choose_moments
 from olt_generator.errors import InputError
+from olt_toolkit.clips.fingerprint import fingerprint_images
 from olt_toolkit.recordings.drives import DatasetPlace
 
-from ..toy_drives import ToyDataset, make_drive
+from ..toy_drives import ToyDataset, film, make_drive
 
 
 @pytest.fixture
@@ -55,6 +59,58 @@ def test_unchanged_rows_keep_their_split_and_others_are_new(toy, tmp_path):
     assert splits.rows() == [("a", ["test"]), ("b", ["test"]), ("d", [None])]
     del dataset.drives["a"]
     assert index(place, path).clips == 3
+
+
+def test_every_window_gets_a_fingerprint_of_its_own_images(toy, tmp_path):
+    place, dataset = toy
+    dataset.looks = {"b": None}
+    summary = index(place, tmp_path / "clips.parquet")
+    assert (summary.fingerprints, summary.unreadable) == (6, {})
+    table = read_clip_tables([tmp_path / "clips.parquet"])
+    assert is_telling(table["fingerprint"]).to_list() == (table["recording"] == "a").to_list()
+    for row in table.iter_rows(named=True):
+        inside = dataset.drives[row["recording"]].front_us
+        inside = inside[(inside >= row["start_us"]) & (inside <= row["end_us"])]
+        wanted = choose_moments((row["start_us"], row["end_us"]))
+        shown = inside[np.abs(inside[:, None] - wanted).argmin(axis=0)]
+        look = dataset.looks.get(row["recording"], row["recording"])
+        assert row["fingerprint"] == fingerprint_images(film(look, shown), shown - row["start_us"])
+    # One look at each drive.
+    assert [key for key, _ in dataset.peeked] == ["a", "b"]
+
+
+def test_fingerprints_are_made_once(toy, tmp_path):
+    place, dataset = toy
+    path = tmp_path / "clips.parquet"
+    assert index(place, path, with_fingerprints=False).fingerprints == 0
+    assert dataset.peeked == []
+    without = read_clip_tables([path])
+    assert index(place, path).fingerprints == 6
+    table = read_clip_tables([path])
+    assert table.drop("fingerprint").equals(without.drop("fingerprint"))
+    dataset.peeked.clear()
+    assert index(place, path, with_fingerprints=False).fingerprints == 6
+    assert index(place, path).fingerprints == 6
+    assert dataset.peeked == []
+    assert read_clip_tables([path]).equals(table)
+    dataset.drives["b"] = replace(dataset.drives["b"], notes=("The clock was wrong.",))
+    dataset.drives["d"] = make_drive("d", 60)
+    index(place, path)
+    assert sorted(key for key, _ in dataset.peeked) == ["b", "d"]
+    index(place, tmp_path / "at_once.parquet")
+    assert read_clip_tables([path]).drop("store").equals(read_clip_tables([tmp_path / "at_once.parquet"]).drop("store"))
+
+
+def test_windows_whose_images_are_damaged_have_no_fingerprint(toy, tmp_path):
+    place, dataset = toy
+    wanted = choose_moments((4_200_000, 8_200_000))[0]
+    damaged_us = int(dataset.drives["a"].front_us[np.abs(dataset.drives["a"].front_us - wanted).argmin()])
+    dataset.damaged_us = {"a": damaged_us}
+    summary = index(place, tmp_path / "clips.parquet")
+    table = read_clip_tables([tmp_path / "clips.parquet"]).filter(recording="a").sort("start_us")
+    assert table["fingerprint"].is_null().to_list() == [False, True, False, False]
+    assert summary.unreadable == {"a": f"1 of 4 clips: a: the image at {damaged_us} us is damaged"}
+    assert summary.fingerprints == 5
 
 
 def test_ranges_and_parts_change_no_row(toy, tmp_path, monkeypatch):

@@ -4,14 +4,15 @@ import numpy as np
 import polars as pl
 import pytest
 
-from olt_datasets.tables.leaks import find_leaks, find_table_leaks, summarize_leaks
+from olt_datasets.tables.leak_report import summarize_leaks
+from olt_datasets.tables.leaks import find_leaks, find_table_leaks
 from olt_generator.seeds import make_generator
 from olt_toolkit.clips.clip import ClipOrigin
 from olt_toolkit.clips.fingerprint import RECORD
 
 
-def rules(leaks):
-    return [(leak.rule, leak.scene_id) for leak in leaks]
+def rules(report):
+    return [(leak.rule, leak.scene_id) for leak in report.leaks]
 
 
 def seconds(start, end):
@@ -46,14 +47,14 @@ def choose(table, *scenes, split="train"):
 
 
 def test_twins_in_one_split_and_windows_apart_are_no_leak(table):
-    assert find_leaks(choose(table, "a", "d"), table) == []
-    assert find_leaks(choose(table, "a", "d").lazy(), table.lazy()) == []
+    assert rules(find_leaks(choose(table, "a", "d"), table)) == []
+    assert rules(find_leaks(choose(table, "a", "d").lazy(), table.lazy())) == []
 
 
 def test_clips_of_another_split(table, make_clip, make_table):
     chosen = table.filter(pl.col("scene_id").is_in(["a", "c"]))
     assert rules(find_leaks(chosen, table)) == [("split", "c")]
-    assert find_leaks(choose(table, "c", split="test"), table, split="test") == []
+    assert rules(find_leaks(choose(table, "c", split="test"), table, split="test")) == []
     unsplit = make_table(make_clip(1, split=None))
     assert rules(find_leaks(unsplit, unsplit)) == [("split", "scene_1")]
 
@@ -108,7 +109,7 @@ def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
         make_clip(4, scene_id="scene_1", origin=seconds(21, 30), split="test"),
         make_clip(5, split=None, scene_id="scene_1"),
     ]
-    assert find_table_leaks(make_table(*clean).lazy(), {"scene_3"}, {"nexar"}) == []
+    assert rules(find_table_leaks(make_table(*clean).lazy(), {"scene_3"}, {"nexar"})) == []
     planted = {
         "overlap": make_clip(6, scene_id="scene_2", split="test"),
         "twin": make_clip(7, scene_id="scene_1", kind="Syn", split="val"),
@@ -118,10 +119,91 @@ def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
     }
     for rule, clip in planted.items():
         leaks = find_table_leaks(make_table(*clean, clip).lazy(), {"held"}, {"nexar"})
-        assert {leak.rule for leak in leaks} == {rule}
+        assert {leak.rule for leak in leaks.leaks} == {rule}
 
 
 def test_summary_counts_what_it_does_not_show(table):
     leaks = find_leaks(choose(table, "a", "b", "d", "e"), table, held_out_scenes={"a", "b", "d"})
-    assert len(leaks) == 6
-    assert summarize_leaks(leaks).endswith("; and 3 more")
+    assert len(leaks.leaks) == 6
+    assert summarize_leaks(leaks.leaks).endswith("; and 3 more")
+
+
+def comparison(report, rule):
+    return next(each for each in report.comparisons if each.rule == rule)
+
+
+def test_what_could_not_be_compared_is_counted(make_clip, make_table):
+    table = make_table(
+        make_clip(1, fingerprint=draw_look(1)),
+        make_clip(2, fingerprint=draw_look(2)),
+        make_clip(3, fingerprint=b""),
+        make_clip(4, fingerprint=None),
+        make_clip(5, fingerprint=draw_look(5), split="test"),
+        make_clip(6, fingerprint=None, split="test"),
+        make_clip(7, split=None),
+    )
+    report = find_table_leaks(table.lazy(), held_out_scenes=["scene_9"])
+    assert (report.leaks, report.is_complete, report.empty) == ((), False, None)
+    assert report.splits == {"train": 4, "test": 2, "none": 1}
+    near = comparison(report, "near-duplicate")
+    assert near.compared == 2 * 1
+    assert list(near.not_compared.values()) == [4 * 2 - 3 * 1, 3 * 1 - 2 * 1]
+    assert list(near.clips.values()) == [2, 1]
+    assert comparison(report, "twin and overlap").compared == 4 * 2
+    assert str(comparison(report, "held out")) == "held out: 4 clips with the 1 held-out scenes compared"
+    assert str(comparison(report, "external")) == "external: none was named"
+    assert report.to_dict()["clean"] is False
+    of_mixture = find_leaks(table.filter(pl.col("scene_id") == "scene_1"), table)
+    assert comparison(of_mixture, "near-duplicate").compared == 1
+    assert comparison(of_mixture, "near-duplicate").not_compared == {"no fingerprint": 1}
+
+
+@pytest.mark.parametrize(
+    ("splits", "empty"),
+    [
+        (["train", "train"], "all clips are in split train"),
+        ([None, None], "no clip is in a split"),
+        (["test", None], "all clips are in split test"),
+        (["val", "test"], None),
+    ],
+)
+def test_nothing_to_compare_is_not_clean(make_clip, make_table, splits, empty):
+    clips = [make_clip(number, split=split, fingerprint=draw_look(number)) for number, split in enumerate(splits)]
+    report = find_table_leaks(make_table(*clips).lazy())
+    assert report.empty == empty
+    assert report.is_complete is report.to_dict()["clean"] is (empty is None)
+    assert sum(each.compared for each in report.comparisons) == (0 if empty else 2)
+
+
+def test_clips_like_those_that_are_never_trained_on(make_clip, make_table):
+    """A copy of a held-out scene under another name, and of a clip from an external source, wherever these stand."""
+    table = make_table(
+        make_clip(1, fingerprint=draw_look("held")),
+        make_clip(2, fingerprint=draw_look("outside")),
+        make_clip(3, fingerprint=draw_look("held"), scene_id="held"),
+        make_clip(4, fingerprint=draw_look("outside"), source="nexar", split=None),
+        make_clip(5, fingerprint=draw_look("held"), split=None),
+    )
+    chosen = table.filter(pl.col("scene_id").is_in(["scene_1", "scene_2"]))
+    report = find_leaks(chosen, table, held_out_scenes=["held"], external_sources=["nexar"])
+    assert rules(report) == [("near-duplicate", "scene_1"), ("near-duplicate", "scene_2")]
+    assert [leak.clips[1].scene_id for leak in report.leaks] == ["held", "scene_4"]
+    assert rules(find_leaks(chosen, table)) == []
+
+
+def test_both_clips_and_their_stores_are_told(make_clip, make_table):
+    table = pl.concat(
+        [
+            make_table(make_clip(1, fingerprint=draw_look("street")), store="/gt"),
+            make_table(make_clip(2, fingerprint=draw_look("street"), split="test"), store="/syn"),
+            make_table(make_clip(3, scene_id="scene_1", split="test"), store="/later"),
+        ]
+    )
+    twin, near = find_table_leaks(table.lazy()).leaks
+    assert [(place.scene_id, place.split, place.store) for place in twin.clips] == [
+        ("scene_1", "train", "/gt"),
+        ("scene_1", "test", "/later"),
+    ]
+    assert [place.store for place in near.clips] == ["/gt", "/syn"]
+    for word in ("scene_1", "scene_2", "/gt", "/syn", "split test"):
+        assert word in str(near)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_datasets.tables.leaks import find_table_leaks
-from olt_datasets.tables.splits import SplitRule, Splitting, assign_splits, split_table
+from olt_datasets.tables.splits import SplitRule, SplitSummary, Splitting, assign_splits, split_table
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import ClipOrigin
 
@@ -104,10 +104,10 @@ def test_a_split_table_is_written_whole_and_has_no_leak(write_store, make_clip, 
     table = (write_store(*clips) / "clips.parquet").rename(tmp_path / "indexed.parquet")
     before = read_clip_tables([table])
     counts = split_table(table, Splitting(SplitRule.SEEN, test=0.4), tmp_path / "split.parquet")
-    assert counts == {"train": 12, "test": 8}
+    assert counts == SplitSummary({"train": 12, "test": 8}, {"train": 4, "test": 4}, {"train": 12, "test": 8})
     after = read_clip_tables([tmp_path / "split.parquet"])
     assert after.drop("split", "store").equals(before.drop("split", "store"))
-    assert find_table_leaks(after.lazy()) == []
+    assert find_table_leaks(after.lazy()).leaks == ()
     assert split_table(table, Splitting(SplitRule.SEEN, test=0.4), table) == counts
     assert read_clip_tables([table]).drop("store").equals(after.drop("store"))
 
@@ -116,3 +116,95 @@ def test_splits_of_built_clips_stay(write_store, make_clip, tmp_path):
     store = write_store(make_clip(1))
     with pytest.raises(InputError, match=re.escape(f"{store}: splits are given in a .parquet table")):
         split_table(store, Splitting(SplitRule.SEEN), tmp_path / "out.parquet")
+
+
+def scenes(*counts, samples=1):
+    """Windows of 4 s, so many of each scene; `samples` of every window, or by window."""
+    windows = [
+        (f"s{scene}", 4.2 * number, 4.2 * number + 4) for scene, count in enumerate(counts) for number in range(count)
+    ]
+    return rows(windows).with_columns(
+        samples=pl.Series([samples] * len(windows) if isinstance(samples, int) else samples)
+    )
+
+
+@pytest.mark.parametrize("count", range(1, 12))
+@pytest.mark.parametrize(("val", "test"), [(0.0, 0.2), (0.1, 0.2), (0.05, 0.9), (0.2, 0.0), (0.0, 0.0)])
+def test_few_scenes_fill_every_split_that_is_asked_for(count, val, test):
+    for seed in range(5):
+        found = splits(scenes(*[1] * count), "unseen", val=val, test=test, seed=seed)
+        wanted = {"train"} | ({"val"} if val else set()) | ({"test"} if test else set())
+        if count >= len(wanted):
+            assert set(found) == wanted
+
+
+def test_scenes_that_fill_a_split_are_nearest_to_its_share():
+    """A scene that the shares alone put into a split stays there, so that of many scenes none is moved."""
+    names = [f"s{number}" for number in range(200)]
+    by_shares = dict(zip(names, splits(scenes(*[1] * 200), "unseen", val=0.1, test=0.2), strict=True))
+    for start in range(0, 200, 10):
+        found = splits(rows([(name, 0, 1) for name in names[start : start + 10]]), "unseen", val=0.1, test=0.2)
+        before = [by_shares[name] for name in names[start : start + 10]]
+        if set(before) == {"train", "val", "test"}:
+            assert found == before
+        moved = [(was, now) for was, now in zip(before, found, strict=True) if was != now]
+        assert len(moved) <= 2
+
+
+def test_unseen_fills_splits_with_scenes_that_give_samples():
+    samples = [0] * 40 + [1, 1, 1]
+    found = splits(scenes(*[1] * 43, samples=samples), "unseen", val=0.1, test=0.1)
+    assert sorted(found[40:]) == ["test", "train", "val"]
+
+
+def test_seen_asks_short_scenes_as_often_as_the_share_asks():
+    found = splits(scenes(*[2] * 1000), "seen", test=0.2)
+    by_scene = list(zip(found[::2], found[1::2], strict=True))
+    assert set(by_scene) == {("train", "train"), ("train", "test")}
+    assert 340 < by_scene.count(("train", "test")) < 460  # 40 % of the scenes, 20 % of the windows
+    assert splits(scenes(3, *[2] * 999), "seen", test=0.2)[3:] == found[2:]
+
+
+def test_seen_counts_windows_that_give_samples():
+    """The last windows lack the future that a sample needs: they go where the last one is that has it."""
+    samples = [0, 1, 1, 0, 1, 1, 0, 0]
+    assert splits(scenes(8, samples=samples), "seen", test=0.25) == ["train"] * 5 + ["test"] * 3
+    by_window = splits(scenes(8, samples=samples), "seen", val=0.25, test=0.25)
+    assert by_window == ["train", "train", "train", "val", "val", "test", "test", "test"]
+
+
+@pytest.mark.parametrize(("counts", "val", "test"), [((4,), 0.1, 0.1), ((1, 5, 1), 0.05, 0.05), ((2, 2), 0.0, 0.01)])
+def test_seen_fills_every_split_if_a_scene_is_long_enough(counts, val, test):
+    wanted = {"train", "test"} | ({"val"} if val else set())
+    assert set(splits(scenes(*counts), "seen", val=val, test=test)) == wanted
+
+
+@pytest.mark.parametrize(
+    ("rule", "clips", "message"),
+    [
+        ("unseen", 2, r"would leave split val without a clip: .*index more drives"),
+        ("unseen", 1, r"would leave split (train|test) without a clip"),
+        (
+            "seen",
+            3,
+            r"split test without a clip: it would give \{'train': 3\} clips, of \{'train': 3\} scenes",
+        ),
+    ],
+)
+def test_splits_that_would_be_empty_are_refused_with_the_counts(write_store, make_clip, tmp_path, rule, clips, message):
+    store = write_store(*(make_clip(number) for number in range(clips)))
+    table = (store / "clips.parquet").rename(tmp_path / "indexed.parquet")
+    before = table.read_bytes()
+    with pytest.raises(InputError, match=message):
+        split_table(table, Splitting(SplitRule(rule), val=0.1 if clips == 2 else 0.0), table)
+    assert table.read_bytes() == before
+
+
+def test_a_split_without_a_sample_is_refused(write_store, make_clip, tmp_path):
+    windows = [ClipOrigin("d", number * MARGIN, number * MARGIN + 900_000) for number in range(3)]
+    clips = [make_clip(number, scene_id="s", origin=each, samples=number == 0) for number, each in enumerate(windows)]
+    table = (write_store(*clips) / "clips.parquet").rename(tmp_path / "indexed.parquet")
+    with pytest.raises(InputError, match=r"would leave split test without a clip: .* with {'train': 1} samples"):
+        split_table(table, Splitting(SplitRule.SEEN, test=0.4), table)
+    given = split_table(table, Splitting(SplitRule.EXTERNAL, ("world",)), table)
+    assert given == SplitSummary({"test": 3}, {"test": 1}, {"test": 1})

@@ -421,13 +421,20 @@ def test_inspect_shows_one_clip(store):
 
 def test_inspect_tells_doubts_and_uncertainty(tmp_path, make_clip):
     store = ClipStore(tmp_path / "clips")
-    known = replace(make_clip("bend"), doubts=("direction",), scale_sigma=0.051, acceleration_noise=0.31)
+    known = replace(
+        make_clip("bend"),
+        doubts=("direction",),
+        scale_sigma=0.051,
+        acceleration_noise=0.31,
+        acceleration_noise_basis="estimated",
+    )
     store.prepare(known)
     store.commit([known.clip_id])
     text = run("inspect", store.root, "bend").stdout
     assert "in doubt: direction" in text
     assert "scale, 1 sigma: 5.1 %" in text
-    assert "expected error of acceleration labels: 0.31 m/s2" in text
+    assert "noise of acceleration labels: 0.31 m/s2, estimated" in text
+    assert "action errors: median 0.034 m, worst 0.052 m; 0 of 9 samples beyond 0.3 m" in text
     assert "direction" in run("inspect", store.root).stdout
     assert json.loads(run("inspect", store.root, "--json").stdout)["clips"][0]["doubts"] == ["direction"]
 

@@ -9,6 +9,7 @@ from olt_toolkit.policy.action_space import (
     estimate_initial_speed,
     normalise_actions,
     physical_actions,
+    round_trip_errors,
     trajectory_to_actions,
 )
 
@@ -109,3 +110,29 @@ def test_a_batch_gives_what_its_members_give():
     stacked = [np.stack(arrays) for arrays in (*zip(*histories, strict=True), *zip(*futures, strict=True))]
     single = [trajectory_to_actions(*history, *future) for history, future in zip(histories, futures, strict=True)]
     np.testing.assert_allclose(trajectory_to_actions(*stacked), np.stack(single), atol=1e-12)
+
+
+# Facts sheet alpamayo_interface, section 3: mean distances after the round trip that the released code gives, metres.
+@pytest.mark.parametrize(
+    ("motion", "error"), [(motion, error) for (motion, *_), error in zip(REFERENCE, (8, 13, 15, 11, 0), strict=True)]
+)
+def test_round_trips_lose_what_the_released_code_loses(motion, error):
+    history, future = drive(*motion, HISTORY_TIMES), drive(*motion, FUTURE_TIMES)
+    assert round_trip_errors(*history, *future) == pytest.approx(1e-4 * error, abs=1e-4)
+
+
+@settings(max_examples=25, deadline=None)
+@given(speed=st.floats(1.0, 30.0), crab=st.floats(-0.02, 0.02))
+def test_motion_across_the_heading_is_what_no_action_drives(speed, crab):
+    """It drifts aside by speed * crab for 3.25 s on average, but for what slower actions make up for."""
+    history, future = drive(speed, 0.0, 0.0, HISTORY_TIMES), drive(speed, 0.0, 0.0, FUTURE_TIMES)
+    turned = planar_pose(0.0, 0.0, np.full(1, crab))[0, :3, :3]
+    errors = round_trip_errors(history[0] @ turned.T, history[1], future[0] @ turned.T, future[1])
+    assert errors == pytest.approx(3.25 * speed * abs(np.sin(crab)), rel=0.03, abs=0.02)
+
+
+def test_what_tokens_cut_off_is_lost():
+    """Braking from 60 m/s at 8 m/s2 is more than the 6.78 that tokens tell: 0.61 t^2 metres too far on average."""
+    history, future = (drive(60.0, -8.0, 0.0, times) for times in (HISTORY_TIMES, FUTURE_TIMES))
+    expected = 0.5 * (8.0 - 6.781) * np.mean(FUTURE_TIMES**2)
+    assert round_trip_errors(*history, *future) == pytest.approx(expected, rel=0.02)

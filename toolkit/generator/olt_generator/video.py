@@ -64,6 +64,7 @@ def read_video(path: Path, width: int = 832, duration: float = 20.0, turned: Ori
     """
     with open_video(path) as video:
         pictures = PictureReader(path, video.stream, width, turned)
+        video.stream.thread_type = "AUTO"
         if video.edits:
             coded = read_coded_frames(video)
             shown = _shown(coded)
@@ -127,8 +128,43 @@ def read_video_window(
         if len(inside) == 0:
             raise InputError(f"{path}: no frame is shown between {first_us} and {last_us} us; give times of the video")
         pictures = PictureReader(path, video.stream, width, turned)
+        video.stream.thread_type = "AUTO"
         frames = _decode_some(video, coded, inside.tolist(), pictures)
         return _as_video(video.stream, frames, timestamps_us[inside], pictures)
+
+
+def read_video_images(
+    path: Path, wanted_us: NDArray[np.int64], reach_us: NDArray[np.int64], width: int
+) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Decode a few frames of a video, each from the last key frame before it on.
+
+    Args:
+        path: a file that FFmpeg can decode.
+        wanted_us: (m,) times in microseconds since the first frame of the video.
+        reach_us: (m,) how far from each wanted time a key frame may be to be taken in place of the nearest frame.
+        width: see `read_video`.
+
+    Returns:
+        A frame (m, H, W, 3) for each wanted time, and the times (m,) at which these are shown.
+
+    Raises:
+        InputError: as `read_video_window`.
+    """
+    with open_video(path) as video:
+        coded = read_coded_frames(video)
+        shown = _shown(coded)
+        times_us = _microseconds([frame.time for frame in shown])
+        keys = np.flatnonzero([frame.is_key for frame in shown])
+        numbers = _nearest(times_us, wanted_us)
+        if len(keys):
+            near = keys[_nearest(times_us[keys], wanted_us)]
+            numbers = np.where(np.abs(times_us[near] - wanted_us) <= reach_us, near, numbers)
+        pictures = PictureReader(path, video.stream, width)
+        # Frames after the same key frame are decoded in one go.
+        distinct = np.unique(numbers)
+        parts = np.split(distinct, np.flatnonzero(np.diff(np.searchsorted(keys, distinct, side="right"))) + 1)
+        images = np.concatenate([_decode_some(video, coded, part.tolist(), pictures) for part in parts])
+        return images[np.searchsorted(distinct, numbers)], times_us[numbers]
 
 
 def write_video(path: Path, frames: NDArray[np.uint8], frame_rate: float | Fraction, grid: int = 1) -> None:
@@ -205,7 +241,6 @@ def _decode_some(
 ) -> NDArray[np.uint8]:
     """Decode the shown frames of these numbers; they are known by their times and not by where a seek lands."""
     path, stream, shown = video.path, video.stream, _shown(coded)
-    stream.thread_type = "AUTO"
     numbers = {shown[number].pts: number for number in inside}
     first, last = min(numbers), max(numbers)
     # Frames that are decoded after a key frame but shown before it need the key frame before that.
@@ -228,7 +263,6 @@ def _decode_some(
 
 def _decode(video: OpenVideo, pictures: PictureReader, duration: float) -> tuple[NDArray[np.uint8], list[Fraction]]:
     path, stream = video.path, video.stream
-    stream.thread_type = "AUTO"
     frames: list[NDArray[np.uint8]] = []
     times: list[Fraction] = []
     stored = hidden = 0
@@ -262,6 +296,13 @@ def _decode(video: OpenVideo, pictures: PictureReader, duration: float) -> tuple
     if stream.frames and len(frames) + hidden < stored - MISSING_FRAMES_ALLOWED:
         raise InputError(f"{path}: only {len(frames)} of {stored - hidden} frames can be decoded; copy the video again")
     return np.stack(frames), times
+
+
+def _nearest(times_us: NDArray[np.int64], wanted_us: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number (m,) of the time of increasing ones (n,) nearest to each wanted one; of two as near, the earlier."""
+    after = np.minimum(np.searchsorted(times_us, wanted_us), len(times_us) - 1)
+    before = np.maximum(after - 1, 0)
+    return np.where(wanted_us - times_us[before] <= times_us[after] - wanted_us, before, after)
 
 
 def _microseconds(times: list[Fraction]) -> NDArray[np.int64]:

@@ -21,6 +21,7 @@ from olt_toolkit.clips.identity import clip_id_of
 from olt_toolkit.clips.pictures import animation_path, picture_name, write_clip_pictures
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.summary import summarize_build
+from olt_toolkit.clips.verification.verify import verify_before_commit
 from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import WHOLE, Dataset, DatasetPlace, Drive, open_start, start_window
@@ -78,6 +79,7 @@ class BuildJob:
         source: the reader that the data set must have; None for any.
         keep_going: whether input that cannot be used is a result instead of an error.
         subject: what the clip shows; None where the data set is asked each time (`identify` keeps its answer).
+        verify: whether the clip is looked at before it may be committed; one that fails is not kept.
     """
 
     place: DatasetPlace
@@ -90,6 +92,7 @@ class BuildJob:
     measured_motion: bool = False
     source: str | None = None
     keep_going: bool = False
+    verify: bool = True
     subject: Subject | None = None
 
     @property
@@ -160,9 +163,16 @@ class BuildJob:
         times_us = next(iter(built.clip.streams.values())).timestamps_us
         called = picture_name(self.name, self.clip_id)
         pictures = write_clip_pictures(self.store / PREVIEWS, called, images, origins, times_us)
-        seconds = {"prepare": prepared - start, "pictures": time.perf_counter() - prepared}
+        drawn = time.perf_counter()
+        verified = verify_before_commit(ClipStore(self.store), info.clip_id) if self.verify else None
+        seconds = {"prepare": prepared - start, "pictures": drawn - prepared, "verify": time.perf_counter() - drawn}
         sources = {"poses": str(self.estimators.poses), "depth": str(self.estimators.depth)}
-        return summarize_build(built, info) | {"sources": sources, "pictures": pictures, "store_seconds": seconds}
+        return summarize_build(built, info) | {
+            "sources": sources,
+            "pictures": pictures,
+            "verification": verified,
+            "store_seconds": seconds,
+        }
 
     def run(self) -> BuildResult:
         """Build and prepare the clip on one thread, unless an earlier run did; an error unless the job keeps going."""
@@ -171,6 +181,8 @@ class BuildJob:
         try:
             found = self._find(store)
             if found is not None:
+                if self.verify and found.clip_id not in store:
+                    verify_before_commit(store, found.clip_id)
                 return BuildResult(self.path, "found", self.clip_id)
             return BuildResult(self.path, "built", self.clip_id, self.prepare(self.open()))
         except InputError as error:

@@ -20,8 +20,9 @@ from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
 from olt_generator.views.moving_objects import check_distances
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_generator.views.view_plan import ViewPlan, plan_views
-from olt_toolkit.clips.clip import CameraStream, Clip, ClipKind, ClipOrigin, EgoMotion
+from olt_toolkit.clips.clip import CameraStream, Clip, ClipKind, ClipOrigin
 from olt_toolkit.clips.feasibility import check_feasible
+from olt_toolkit.clips.given_motion import GivenMotion
 from olt_toolkit.clips.identity import clip_id_of
 from olt_toolkit.clips.images import fit_images
 from olt_toolkit.clips.recovered_motion import RecoveredMotion
@@ -46,6 +47,7 @@ class BuiltClip:
     Attributes:
         plan, left_out: which views were made, and how; what was not, and why.
         motion: as it was measured and smoothed, with its errors; None where the reference was taken.
+        given: the reference where it was taken.
         doubts: why the clip may not be what it seems.
         distance_error: median relative error of the distances.
         view_errors: PSNR in dB of synthesized views against the true ones, mean over frames, by camera: "psnr" over all
@@ -58,6 +60,7 @@ class BuiltClip:
     plan: ViewPlan
     left_out: tuple[Omission, ...]
     motion: RecoveredMotion | None
+    given: GivenMotion | None
     doubts: tuple[Doubt, ...]
     distance_error: float | None
     view_errors: dict[str, dict[str, float]]
@@ -82,7 +85,7 @@ def build_clip(
     plan = plan_views(options.cameras)
     check_feasible(recording, options, plan)
     steps = Steps(_SHARES, on_progress, on_step)
-    motion, ego_motion, at_frames, T_rig_camera = _measure_motion(recording, options, steps)
+    motion, at_frames, T_rig_camera = _measure_motion(recording, options, steps)
     made, drawn_on, with_distance = _choose_frames(recording, options, plan)
 
     front, distance_error = None, None
@@ -119,12 +122,13 @@ def build_clip(
         for done, name in enumerate(plan.methods):
             views[name] = maker.make(name, lambda part, done=done: on_part((done + part) / len(plan.methods)))
 
-    doubts = recording.doubts if motion is None else motion.doubts
+    doubts = motion.doubts if isinstance(motion, RecoveredMotion) else recording.doubts
     return BuiltClip(
-        clip=_assemble(shown, options, views, ego_motion, doubts, motion),
+        clip=_assemble(shown, options, views, doubts, motion),
         plan=plan,
         left_out=(*plan.left_out, *_omissions(len(recording.frames), len(made), len(with_distance), views)),
-        motion=motion,
+        motion=motion if isinstance(motion, RecoveredMotion) else None,
+        given=motion if isinstance(motion, GivenMotion) else None,
         doubts=doubts,
         distance_error=distance_error,
         view_errors=_view_errors(views, shown),
@@ -148,21 +152,22 @@ def clip_kind(options: BuildOptions) -> ClipKind:
 
 def _measure_motion(
     recording: Recording, options: BuildOptions, steps: Steps
-) -> tuple[RecoveredMotion | None, EgoMotion, Trajectory, Array]:
-    """What was recovered, the clip's motion, the poses at the frames, and the mounting of the front camera."""
+) -> tuple[RecoveredMotion | GivenMotion, Trajectory, Array]:
+    """The clip's motion, the poses of the front images, and the mounting of the front camera."""
     times_us, reference = recording.timestamps_us, recording.reference
     if options.use_reference_views or options.use_reference_motion:
         if reference is None:
             raise InputError(f"{recording.name}: its true trajectory is not known; let it be estimated")
         at_frames = Trajectory(times_us, reference.interpolate(times_us))
-        return None, EgoMotion.from_trajectory(reference), at_frames, recording.T_rig_camera
+        shown_us = int(times_us[0]), int(times_us[-1])
+        given = GivenMotion.take(reference, shown_us, recording.accuracy, options.labels)
+        return given, at_frames, recording.T_rig_camera
     with steps.step("odometry") as on_part:
         measured = options.poses(recording.frames, times_us, recording.camera, recording.T_rig_camera, on_part)
     with steps.step("smoothing"):
         smoothed = smooth_trajectory(measured.trajectory, measured.noise)
     recovered = RecoveredMotion(measured, smoothed, recording.spread, reference, recording.doubts)
-    ego_motion = EgoMotion.anchored(smoothed.trajectory, smoothed.velocity, smoothed.acceleration, smoothed.curvature)
-    return recovered, ego_motion, smoothed.trajectory, measured.T_rig_camera
+    return recovered, smoothed.trajectory, measured.T_rig_camera
 
 
 def _choose_frames(recording: Recording, options: BuildOptions, plan: ViewPlan) -> tuple[Indices, Indices, Indices]:
@@ -187,11 +192,9 @@ def _assemble(
     recording: Recording,
     options: BuildOptions,
     views: dict[str, View],
-    ego_motion: EgoMotion,
     doubts: tuple[Doubt, ...],
-    motion: RecoveredMotion | None,
+    motion: RecoveredMotion | GivenMotion,
 ) -> Clip:
-    noise = None if motion is None else motion.label_noise
     times_us, name, kind = recording.timestamps_us, options.name or recording.name, clip_kind(options)
     # Video files need one constant rate, and readers take times from the timestamp tables: it only has to be close.
     rate = float(max(1, round(1e6 / float(np.median(np.diff(times_us))))))
@@ -210,13 +213,14 @@ def _assemble(
         factors=options.factors,
         split=options.split,
         doubts=tuple(dict.fromkeys(doubt.what for doubt in doubts)),
-        scale_sigma=None if motion is None else motion.scale.total,
-        acceleration_noise=None if noise is None else noise.expected.acceleration,
+        scale_sigma=motion.scale.total if isinstance(motion, RecoveredMotion) else None,
+        acceleration_noise=motion.acceleration_noise,
+        acceleration_noise_basis=motion.noise_basis,
         streams={
             camera: CameraStream(view.images, times_us, rate, view.camera, view.T_rig_camera, view.origin)
             for camera, view in wanted.items()
         },
-        ego_motion=ego_motion,
+        ego_motion=motion.ego_motion,
         vehicle=recording.vehicle,
         provenance={camera: view.provenance for camera, view in wanted.items()},
         sample_t0_us=options.sample_t0_us,

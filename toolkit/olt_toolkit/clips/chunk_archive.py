@@ -41,6 +41,11 @@ class ChunkArchive:
         with _readable(path), zipfile.ZipFile(path) as archive:
             self._members = {info.filename: info for info in archive.infolist()}
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all members."""
+        return tuple(self._members)
+
     def __contains__(self, name: str) -> bool:
         return name in self._members
 
@@ -96,8 +101,10 @@ class ChunkArchive:
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
     try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: not a regular file; build the clips again")
         yield
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file; the clip store is incomplete") from error
-    except (zipfile.BadZipFile, OSError) as error:
+    except (zipfile.BadZipFile, NotImplementedError, OSError, ValueError) as error:  # names that are no text, too
         raise InputError(f"{path}: damaged zip file ({error}); build its clips again") from error

@@ -6,6 +6,7 @@ roll and pitch taken out: origin there, yaw 0 there, z up. It is the frame of Ph
 """
 
 import uuid
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -29,6 +30,9 @@ ClipKind = Literal["GT", "Syn", "front_only"]
 
 ViewKind = Literal["observed", "cropped", "mosaic", "rendered", "warped"]
 """How the images of a view came to be; a mosaic is put together from several cameras, and black where none saw."""
+
+NoiseBasis = Literal["stated", "estimated"]
+"""Where the noise of labels is from: the source of the motion states it, or it was estimated from the motion."""
 
 # Below this speed (m/s) a curvature is a ratio of two noises; a standing vehicle is given curvature 0.
 STANDSTILL_SPEED = 0.3
@@ -214,8 +218,9 @@ class ClipDescription:
             looked.
         scale_sigma: relative standard deviation of the metric scale of a recovered motion; None where the motion was
             given, or its scale is not known.
-        acceleration_noise: m/s2 by which the acceleration labels are expected to err, root mean square; None where the
-            motion was given, or is too short for a label.
+        acceleration_noise: m/s2 by which the acceleration labels are expected to err, root mean square; None where it
+            was not measured, as in motion that is too short for a label.
+        acceleration_noise_basis: where that number is from; None where there is none.
     """
 
     clip_id: str
@@ -230,6 +235,7 @@ class ClipDescription:
     doubts: tuple[str, ...] | None = None
     scale_sigma: float | None = None
     acceleration_noise: float | None = None
+    acceleration_noise_basis: NoiseBasis | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -267,13 +273,14 @@ class ClipInfo(ClipDescription):
         sample_t0_us: times t0, on a grid of 0.1 s, at which the clip gives a policy sample.
         no_sample_reason: why there is no such time; None where there is one.
         created_with: the code that wrote the clip (`runtime.version.code_version`).
-        checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of its files where it is stored, of
-            the description and the window of its drive where it is only indexed.
+        checksum: BLAKE2b (16 bytes, hexadecimal) of what the clip is made from: of `file_checksums` where it is stored,
+            of the description and the window of its drive where it is only indexed.
         fingerprint: what the front images look like (`clips.fingerprint`); None where none was decoded.
         action_errors: for each of `sample_t0_us`, the mean distance (m) of its future from what the policy's action
             space can express; None where the motion is not known yet.
         build_options: how the clip was built, as JSON (`clips.build_options`); None where it is only indexed, or where
             whoever built it did not tell.
+        file_checksums: those of its files by name (`clips.checksums`); None where it is only indexed.
     """
 
     duration_us: int
@@ -285,6 +292,13 @@ class ClipInfo(ClipDescription):
     views: dict[str, ViewProvenance]
     action_errors: tuple[float, ...] | None = None
     build_options: str | None = None
+    file_checksums: dict[str, str] | None = None
+
+    def with_samples(self, t0s_us: Sequence[int]) -> "ClipInfo":
+        """The same with some of its sample times alone, in their order."""
+        kept = [place for place, time in enumerate(self.sample_t0_us) if time in t0s_us]
+        errors = None if self.action_errors is None else tuple(self.action_errors[place] for place in kept)
+        return replace(self, sample_t0_us=tuple(self.sample_t0_us[place] for place in kept), action_errors=errors)
 
 
 def make_clip_id(*keys: int | str) -> str:

@@ -1,6 +1,5 @@
 """How one clip's files are written to a folder, and how such folders become chunks of the PhysicalAI-AV tree."""
 
-import hashlib
 import zipfile
 from collections.abc import Sequence
 from dataclasses import fields
@@ -15,6 +14,8 @@ from olt_generator.video import write_video
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
+from olt_toolkit.clips.action_errors import measure_action_errors
+from olt_toolkit.clips.checksums import checksum_bytes, checksum_clip, checksum_rows, member_key
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipDescription, ClipInfo, ViewProvenance, check_clip_id
 from olt_toolkit.clips.fingerprint import fingerprint_images, fingerprint_times
 from olt_toolkit.clips.images import largest_rectangle
@@ -53,12 +54,13 @@ def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
         if stream.origin is not None and not clip.provenance[camera].is_seen_whole:
             masks = folder / PIXEL_ORIGINS[camera].member(PIXEL_ORIGIN, clip_id)
             masks.write_bytes(encode_origin(stream.timestamps_us, stream.origin))
-    digest = hashlib.blake2b(digest_size=16)
-    for path in sorted(folder.iterdir()):
-        data = path.read_bytes()
-        digest.update(f"{path.name}\x1f{len(data)}\x1f".encode())
-        digest.update(data)
-    info = describe_clip(clip, digest.hexdigest())
+    checksums = {name: checksum_rows(table) for name, table in calibration.items()}
+    for feature in STORED.values():
+        for alias in feature.members:
+            path = folder / feature.member(alias, clip_id)
+            if path.exists():
+                checksums[member_key(feature.name, alias)] = checksum_bytes(path.read_bytes())
+    info = describe_clip(clip, checksums)
     write_clip_table(folder / CLIP_TABLE, [info])
     return info
 
@@ -97,8 +99,8 @@ def _check_origin(stream: CameraStream, provenance: ViewProvenance, where: str) 
         raise InputError(f"{where}: the shares of its provenance are not those of its origin")
 
 
-def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
-    """The clip's row in the clip table, given the checksum of its files."""
+def describe_clip(clip: Clip, checksums: dict[str, str]) -> ClipInfo:
+    """The clip's row in the clip table, given the checksums of its files (`clips.checksums`)."""
     spans = {name: (int(s.timestamps_us[0]), int(s.timestamps_us[-1])) for name, s in clip.streams.items()}
     times, reason = sample_times(Coverage(clip.ego_motion.span_us, spans), widest_contract(clip.streams))
     if times and clip.sample_t0_us is not None:
@@ -110,9 +112,11 @@ def describe_clip(clip: Clip, checksum: str) -> ClipInfo:
         sample_t0_us=times,
         no_sample_reason=reason,
         created_with=code_version(),
-        checksum=checksum,
+        checksum=checksum_clip(checksums),
+        file_checksums=checksums,
         fingerprint=_fingerprint(clip.streams[FRONT_WIDE]) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,
+        action_errors=measure_action_errors(clip.ego_motion, times),
         build_options=clip.build_options,
     )
 
@@ -187,6 +191,8 @@ def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int])
         pd.DataFrame(layout.feature_rows()).to_csv(temporary, index=False)
     for name, table in {
         layout.CLIP_INDEX: clip_index,
+        # Where it is there, the devkit takes splits from it and not from the index.
+        layout.DEFAULT_SPLITS: clip_index[["split"]],
         layout.FEATURE_PRESENCE: presence,
         layout.DATA_COLLECTION: collection,
     }.items():

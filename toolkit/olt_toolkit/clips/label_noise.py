@@ -15,6 +15,9 @@ What is expected has three parts:
   smoothing again cannot show; the larger of the two counts.
 - that of the scale, which all poses share: accelerations err by its share, and so do curvatures.
 
+Of motion that a data set measured, and that is taken as it is, the noise is estimated by the difference that smoothing
+makes to its labels: what no car does. True jerks count too, so that motion without errors shows up to 0.13 m/s2.
+
 What is actual is the difference between the labels of two trajectories, and so holds the jitter of the reference too.
 """
 
@@ -25,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.motion.iterated_smoother import STANDSTILL_SPEED
-from olt_generator.motion.smoother import SmoothedMotion
+from olt_generator.motion.smoother import SmoothedMotion, smooth_trajectory
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import EgoMotion
@@ -108,6 +111,14 @@ def measure_label_noise(
         actual=_compare(smooth, true) if true else None,
         raw=_compare(raw, true) if true else None,
     )
+
+
+def estimate_given_noise(measured: Trajectory) -> LabelNoise | None:
+    """The noise of labels that are taken from a motion as it was measured; None where it is too short for a sample."""
+    t0_us = _sample_times([measured])
+    if len(t0_us) == 0:
+        return None
+    return _compare(_find_labels(measured, t0_us), _find_labels(smooth_trajectory(measured).trajectory, t0_us))
 
 
 def _sample_times(trajectories: list[Trajectory]) -> NDArray[np.int64]:

@@ -8,6 +8,7 @@ from olt_toolkit.rigs.rig import CAMERA_INDEX
 
 FEATURE_TABLE = "features.csv"
 CLIP_INDEX = "clip_index.parquet"
+DEFAULT_SPLITS = "splits/default.parquet"
 FEATURE_PRESENCE = "metadata/feature_presence.parquet"
 DATA_COLLECTION = "metadata/data_collection.parquet"
 

@@ -13,6 +13,7 @@ from olt_generator.motion.pose_sources import PoseEstimate
 from olt_generator.motion.smoother import SmoothedMotion, smooth_trajectories, smooth_trajectory
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
+from olt_toolkit.clips.clip import EgoMotion, NoiseBasis
 from olt_toolkit.clips.label_noise import LabelNoiseBudget, measure_label_noise
 from olt_toolkit.clips.motion_uncertainty import ScaleUncertainty, draw_estimates, total_covariance
 
@@ -103,6 +104,22 @@ class RecoveredMotion:
             self.scale.total,
             [motion.trajectory for motion in as_likely],
         )
+
+    @property
+    def ego_motion(self) -> EgoMotion:
+        """What a clip takes."""
+        found = self.smoothed
+        return EgoMotion.anchored(found.trajectory, found.velocity, found.acceleration, found.curvature)
+
+    @property
+    def acceleration_noise(self) -> float | None:
+        """Root mean square error of the acceleration labels that is expected, m/s2."""
+        return None if self.label_noise is None else self.label_noise.expected.acceleration
+
+    @property
+    def noise_basis(self) -> NoiseBasis | None:
+        """Where `acceleration_noise` is from."""
+        return None if self.label_noise is None else "estimated"
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values; keys carry the units."""

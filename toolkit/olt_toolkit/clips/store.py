@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, write_whole_folder
+from olt_generator.files import make_folder, naming, write_whole_folder
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
@@ -84,6 +84,19 @@ class ClipStore:
     def is_prepared(self, clip_id: str) -> bool:
         """Whether the clip waits to be committed; one that other code prepared does not count."""
         return self.prepared(clip_id) is not None
+
+    def copy_prepared(self, clip_id: str, root: Path) -> "ClipStore":
+        """A store at `root` that holds nothing but a copy of a prepared clip; an `InputError` where it is not there."""
+        if not self.is_prepared(clip_id):
+            raise InputError(f"{self.root}: clip {clip_id} is not prepared; prepare it with this code first")
+        clips = pack_chunk(root, 0, [self._prepared(clip_id)])
+        write_metadata(root, clips, [0])
+        write_clip_table(root / CLIP_TABLE, clips)
+        return ClipStore(root)
+
+    def discard(self, clip_id: str) -> None:
+        """Forget a prepared clip."""
+        shutil.rmtree(self._prepared(clip_id), ignore_errors=True)
 
     def commit(self, clip_ids: Iterable[str]) -> tuple[str, ...]:
         """Add prepared clips to the store; returns the ids of those that it did not hold already.
@@ -192,8 +205,8 @@ class ClipStore:
             InputError: the table is missing or damaged, or has no row for the clip.
         """
         path = self._chunk_file(clip_id, feature)
-        table = tables.read_table(path, [], str(path)).to_pandas()
-        rows = table[table.index.get_level_values(0) == clip_id]
+        table, _ = tables.to_pandas(tables.read_table(path, [], str(path)), path)
+        rows = table.loc[table.index.get_level_values(0) == clip_id]
         if rows.empty:
             raise InputError(f"{path}: no row for {clip_id}")
         return rows
@@ -231,6 +244,13 @@ class ClipStore:
         indices = self._frame_indices(clip_id, camera, timestamps_us, times_us)
         video, where = self._video(clip_id, camera)
         return decode_frames(video, indices, where), timestamps_us[indices]
+
+    def read_images(
+        self, clip_id: str, camera: str, indices: NDArray[np.int64], size: tuple[int, int] | None
+    ) -> NDArray[np.uint8]:
+        """Frames of one camera by number (m,) as policies take them; see `video.decode_images`."""
+        video, where = self._video(clip_id, camera)
+        return decode_images(video, indices, where, size)
 
     def read_origin(self, clip_id: str, camera: str, times_us: NDArray[np.int64]) -> NDArray[np.uint8]:
         """Where the pixels of the frames that `read_frames` gives come from: a `PixelOrigin` each, (m, H, W).
@@ -432,7 +452,10 @@ class ClipStore:
     def _only_writer(self) -> Iterator[None]:
         """Hold the store's lock; the system releases it however this process ends."""
         make_folder(self.root)
-        with (self.root / ".lock").open("w") as lock:
+        path = self.root / ".lock"
+        with naming(path):
+            lock = path.open("w")
+        with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:

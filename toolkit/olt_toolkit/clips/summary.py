@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from olt_toolkit.clips.action_errors import measure_action_errors, summarize_action_errors
 from olt_toolkit.clips.builder import BuiltClip
 from olt_toolkit.clips.clip import ClipInfo, EgoMotion, ViewProvenance
 from olt_toolkit.clips.store import ClipStore
@@ -28,12 +29,26 @@ def summarize_build(built: BuiltClip, info: ClipInfo) -> dict[str, Any]:
         "smoothness_of_reference": motion.get("smoothness_of_reference"),
         "smoothness_of_reference_smoothed": motion.get("smoothness_of_reference_smoothed"),
         "label_noise": motion.get("label_noise"),
+        "given_motion": None if built.given is None else built.given.to_dict(),
+        "action_errors_before_smoothing": summarize_action_errors(_errors_before_smoothing(built, info)),
+        "action_errors": summarize_action_errors(info.action_errors),
         "distance_median_relative_error": built.distance_error,
         "view_errors": built.view_errors,
         "left_out": [omission.to_dict() for omission in built.left_out],
         "assumptions": list(built.assumptions),
         "seconds": dict(built.seconds),
     }
+
+
+def _errors_before_smoothing(built: BuiltClip, info: ClipInfo) -> tuple[float, ...] | None:
+    """What the action errors of the clip were before its motion was smoothed; None where it was not."""
+    if built.motion is not None:
+        measured = built.motion.measured
+    elif built.given is not None and built.given.smoothed is not None:
+        measured = built.given.measured
+    else:
+        return None
+    return measure_action_errors(EgoMotion.from_trajectory(measured), info.sample_t0_us)
 
 
 def summarize_info(info: ClipInfo) -> dict[str, Any]:
@@ -43,6 +58,7 @@ def summarize_info(info: ClipInfo) -> dict[str, Any]:
         "factors": list(info.factors),
         "doubts": None if info.doubts is None else list(info.doubts),
         "sample_t0_us": list(info.sample_t0_us),
+        "action_errors": None if info.action_errors is None else list(info.action_errors),
         "views": {camera: summarize_view(view) for camera, view in info.views.items()},
         "contracts": [contract.name for contract in contracts_met(info.views)],
     }
@@ -83,6 +99,7 @@ def summarize_stored(store: ClipStore, clip_id: str) -> dict[str, Any]:
         "store": str(store.root),
         "clip": summarize_info(info),
         "trajectory": summarize_motion(store.read_ego_motion(clip_id)),
+        "action_errors": summarize_action_errors(info.action_errors),
         "vehicle": asdict(store.read_vehicle(clip_id)),
         "cameras": cameras,
     }

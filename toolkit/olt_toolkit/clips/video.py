@@ -66,6 +66,16 @@ def decode_images(
     return _decode(video, indices, where, to_planes)
 
 
+def find_key_frames(video: ByteRange | bytes, count: int) -> NDArray[np.int64]:
+    """Numbers (k,) of the first `count` frames that are decoded without others; none where its tables do not tell."""
+    with _open(video) as (read, length):
+        index = read_mp4_index(read, length)
+    if index is None:
+        return np.empty(0, np.int64)
+    keys = np.sort(index.shown[index.is_key])
+    return keys[keys < count]
+
+
 def check_video(video: ByteRange | bytes, count: int, where: str) -> None:
     """Check (`InputError`) that the public reader finds `count` frames; decodes only where the tables do not tell."""
     with _open(video) as (read, length):

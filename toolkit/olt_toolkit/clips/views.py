@@ -32,7 +32,7 @@ from olt_toolkit.clips.images import fit_images
 from olt_toolkit.recordings.labels import UNLABELLED, Split
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT
-from olt_toolkit.rigs.names import FrontLens
+from olt_toolkit.rigs.names import FrontLens, MotionLabels
 from olt_toolkit.rigs.rig import FRONT_TELE, FRONT_WIDE, Rig
 from olt_toolkit.rigs.rig_files import pav_rig
 from olt_toolkit.runtime.version import code_version
@@ -53,6 +53,7 @@ class BuildOptions:
         front: with which lens the front-wide view is made where it is not a true one (`clips.front`).
         use_reference_views: take the recording's true images and trajectory instead of synthesizing: kind GT.
         use_reference_motion: take the recording's true trajectory although views are synthesized.
+        labels: whether a true trajectory is taken as it is or smoothed; one that is recovered is smoothed in any case.
         poses, depth: where motion otherwise and distances come from.
         image_kind: how the recording's own images came to be, for the provenance.
         name: None for the recording's name.
@@ -72,6 +73,7 @@ class BuildOptions:
     frames: Literal["all", "grid", "sampled"] = "grid"
     use_reference_views: bool = False
     use_reference_motion: bool = False
+    labels: MotionLabels = MotionLabels.AS_MEASURED
     poses: PoseSource = estimate_odometry
     depth: DepthSource = estimate_distance
     image_kind: ViewKind = "observed"

@@ -12,6 +12,7 @@ from olt_toolkit.commands.clip_options import (
     DeviceOption,
     DurationOption,
     JsonOption,
+    NoVerifyOption,
     StoreArgument,
     unpack_options,
 )
@@ -48,6 +49,7 @@ def build(
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a recording that fails.")] = False,
+    no_verify: NoVerifyOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Recording to trajectory, distance and views; then clips in the store and pictures beside them."""
@@ -74,7 +76,7 @@ def build(
     )
     store, opening = make_folder(out), building.opening(duration)
     jobs = [
-        BuildJob(place, key, store, None, opening, options, estimators, keep_going=keep_going)
+        BuildJob(place, key, store, None, opening, options, estimators, keep_going=keep_going, verify=not no_verify)
         for place, key in find_drives(recording, cache)
     ]
     if jobs[0].place.path == recording and jobs[0].key == WHOLE:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 DurationOption = Annotated[float, typer.Option(min=0.1, help="Use at most this many seconds.")]
 AllFramesOption = Annotated[bool, typer.Option("--all-frames", help="Make frames that no sample shows too.")]
+NoVerifyOption = Annotated[bool, typer.Option("--no-verify", help="Do not look at what was made before it is kept.")]
 DeviceOption = Annotated[str, typer.Option(help="Where torch runs learned models.")]
 CacheOption = Annotated[Path | None, typer.Option(help="Folder where readers keep what takes long to find again.")]
 StoreArgument = Annotated[Path, typer.Argument(help="Folder of the clip store.")]

@@ -1,11 +1,13 @@
 """What `olt clip` prints for people."""
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from olt_generator.omissions import Omission, word_omission
 from olt_toolkit.clips.build_job import BuildResult
+from olt_toolkit.policy.action_space import ROUND_TRIP_TOLERANCE
 from olt_toolkit.runtime.console import print_line, print_table
 
 # Label, and where the number is found in the pose errors.
@@ -46,7 +48,11 @@ def print_build(summary: dict[str, Any]) -> None:
     print_table("Errors against the reference, and jerk", ["quantity", "before smoothing", "after"], rows)
     if summary["scale_sigma_parts"] is not None:
         print_line(f"scale: {word_scale(summary['scale_sigma_parts'])}")
-    _print_label_noise(summary["label_noise"])
+    if summary["given_motion"] is None:
+        _print_label_noise(summary["label_noise"])
+    else:
+        _print_given_motion(summary["given_motion"])
+    _print_action_errors(summary)
     for doubt in summary["doubts"]:
         print_line(f"in doubt: {doubt['what']}: {doubt['why']}")
     rows = []
@@ -56,8 +62,16 @@ def print_build(summary: dict[str, Any]) -> None:
     print_table("Views", ["view", "kind", *_SHARES, "PSNR dB", "PSNR dB, observed"], rows)
     print_table("Run time", ["step", "seconds"], list((summary["seconds"] | summary["store_seconds"]).items()))
     _print_notes(summary)
+    print_line(_verification_line(summary))
     print_line(_sample_line(clip))
     _print_pictures(summary)
+
+
+def _verification_line(summary: dict[str, Any]) -> str:
+    verified = summary["verification"]
+    if verified is None:
+        return "not verified (--no-verify)"
+    return f"verified: {verified['passed']} checks passed, {verified['not_compared']} not compared"
 
 
 def print_results(results: Sequence[BuildResult], store: Path) -> None:
@@ -65,14 +79,15 @@ def print_results(results: Sequence[BuildResult], store: Path) -> None:
     rows = []
     for result in results:
         summary = result.summary
-        cells: tuple[object, ...] = ("", "", "", "", "", "")
+        cells: tuple[object, ...] = ("", "", "", "", "", "", "")
         if summary is not None:
-            noise = find_number(summary, "label_noise", "expected", "acceleration")
+            noise = _word_noise(summary["clip"]["acceleration_noise"], summary["clip"]["acceleration_noise_basis"])
             seconds = sum((summary["seconds"] | summary["store_seconds"]).values())
             doubts = ", ".join(summary["clip"]["doubts"]) or "nothing"
             sigma = "given" if summary["scale_sigma_parts"] is None else _known(summary["scale_sigma"])
             samples = len(summary["clip"]["sample_t0_us"])
-            cells = summary["trajectory"]["length"], sigma, noise, doubts, seconds, samples
+            beyond = find_number(summary, "action_errors", "beyond_tolerance")
+            cells = summary["trajectory"]["length"], sigma, noise, doubts, seconds, samples, beyond
         if result.state != "failed":
             rows.append((result.path.name, result.state, result.clip_id, *cells))
     columns = [
@@ -81,12 +96,16 @@ def print_results(results: Sequence[BuildResult], store: Path) -> None:
         "clip",
         "length m",
         "scale 1 sigma",
-        "label noise m/s2",
+        "label noise",
         "in doubt",
         "seconds",
         "samples",
+        f"action error > {ROUND_TRIP_TOLERANCE:g} m",
     ]
     print_table(f"Clips in {store}", columns, rows)
+    lines = Counter(_verification_line(each.summary) for each in results if each.summary is not None)
+    for line, count in lines.items():
+        print_line(f"{count} clips: {line}")
     for result in results:
         if result.message is not None:
             print_line(f"{'failed' if result.state == 'failed' else 'left out'}: {result.path.name}: {result.message}")
@@ -122,10 +141,12 @@ def print_clip(summary: dict[str, Any]) -> None:
     clip, trajectory = summary["clip"], summary["trajectory"]
     print_line(f"clip {clip['name']} ({clip['kind']}, {clip['category']}, {clip['split']}) {clip['clip_id']}")
     print_line(f"trajectory: {trajectory['length']:.1f} m in {trajectory['duration']:.1f} s")
-    sigma, noise = clip["scale_sigma"], clip["acceleration_noise"]
+    sigma = clip["scale_sigma"]
     given = "not known, or the motion was given"
     print_line(f"scale, 1 sigma: {given if sigma is None else f'{100 * sigma:.1f} %'}")
-    print_line(f"expected error of acceleration labels: {given if noise is None else f'{noise:.2f} m/s2'}")
+    noise = _word_noise(clip["acceleration_noise"], clip["acceleration_noise_basis"])
+    print_line(f"noise of acceleration labels: {noise}")
+    print_line(f"action errors: {word_action_errors(summary['action_errors'])}")
     print_line(f"in doubt: {_word_doubts(clip)}")
     print_line(_sample_line(clip))
     print_line(f"cameras of: {', '.join(clip['contracts']) or 'no camera contract'}")
@@ -262,6 +283,40 @@ def _print_label_noise(budget: dict[str, Any] | None) -> None:
     ]
     title = f"Noise of the policy's labels, RMS over {budget['samples']} samples"
     print_table(title, ["label", *columns], rows)
+
+
+def _print_given_motion(given: dict[str, Any]) -> None:
+    print_line(f"motion: given, labels {given['labels']}; its source says: {given['source_says'] or 'nothing'}")
+    noise, basis = given["acceleration_noise_m_s2"], given["acceleration_noise_basis"]
+    print_line(f"noise of acceleration labels: {_word_noise(noise, basis)}")
+    moved = given["moved_by_smoothing"]
+    if moved is not None:
+        print_line(
+            f"smoothing moved it by {moved['rms_m']:.3f} m RMS, at most {moved['worst_m']:.3f} m, and turned it by at "
+            f"most {moved['worst_heading_deg']:.2f} degrees"
+        )
+
+
+def _print_action_errors(summary: dict[str, Any]) -> None:
+    """How far futures are from what the policy's actions can express, before smoothing where there was any."""
+    before = summary["action_errors_before_smoothing"]
+    if before is not None:
+        print_line(f"action errors before smoothing: {word_action_errors(before)}")
+    print_line(f"action errors: {word_action_errors(summary['action_errors'])}")
+
+
+def word_action_errors(errors: dict[str, Any] | None) -> str:
+    """Median, worst, and how many samples are beyond the tolerance."""
+    if errors is None:
+        return "not measured"
+    return (
+        f"median {errors['median_m']:.3f} m, worst {errors['worst_m']:.3f} m; {errors['beyond_tolerance']} of "
+        f"{errors['samples']} samples beyond {errors['tolerance_m']:g} m"
+    )
+
+
+def _word_noise(noise: float | None, basis: str | None) -> str:
+    return "not measured" if noise is None else f"{noise:.2f} m/s2, {basis}"
 
 
 def _print_notes(summary: dict[str, Any]) -> None:

@@ -19,6 +19,12 @@ from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
 ACTION_MEAN: Array = np.array([0.02902694707164455, 0.0002692167976330542])
 ACTION_STD: Array = np.array([0.6810426736454882, 0.026148280660833106])
 
+ACTION_LIMIT = 10.0
+"""Normalised actions beyond it cannot be told in tokens (docs/formats/alpamayo.md), in either direction."""
+
+ROUND_TRIP_TOLERANCE = 0.3
+"""Mean distance in metres from which on a future counts as one that the action space cannot express."""
+
 Weights = tuple[float, float]
 """Of a regularised least-squares fit: that of its difference penalty, and its ridge."""
 
@@ -71,6 +77,19 @@ def trajectory_to_actions(
     acceleration = np.diff(speed) / dt @ _smoothing_matrix(2, 0, ACCELERATION_FIT).T
     curvature = _fit_curvatures(np.diff(heading), _step_lengths(speed[..., :-1], acceleration))
     return normalise_actions(acceleration, curvature)
+
+
+def round_trip_errors(history_xyz: Array, history_rotation: Array, future_xyz: Array, future_rotation: Array) -> Array:
+    """How far a future is from the one that its own actions drive: mean distance in the plane (...) in metres.
+
+    Futures are fitted by actions, those are cut off at `ACTION_LIMIT` as tokens are, and driven from the speed that the
+    history gives. Arguments as of `trajectory_to_actions`. What is lost is what a unicycle cannot do (motion across the
+    heading), what the fit smooths away, and what tokens cut off; not their rounding, which is below 0.03 m.
+    """
+    actions = trajectory_to_actions(history_xyz, history_rotation, future_xyz, future_rotation)
+    speed = estimate_initial_speed(history_xyz, history_rotation)
+    driven, _ = actions_to_trajectory(np.clip(actions, -ACTION_LIMIT, ACTION_LIMIT), speed)
+    return np.asarray(np.linalg.norm(driven[..., :2] - future_xyz[..., :2], axis=-1).mean(axis=-1), dtype=np.float64)
 
 
 def estimate_initial_speed(history_xyz: Array, history_rotation: Array) -> Array:

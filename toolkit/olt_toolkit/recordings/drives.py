@@ -98,6 +98,20 @@ class Dataset(Protocol):
         """Describe one drive without decoding its images; an `InputError` names file and field that are damaged."""
         ...
 
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """Front images (m, H, W, 3) of a drive near drive times (m,), as cheaply as its files allow, and their times.
+
+        Each time gets the image nearest to it, or one at most its `reach_us` (m,) away that is decoded without others.
+        Which one depends on nothing but the drive, that time and its reach; two may get the same. Images are RGB, at
+        most `width` pixels wide, and need not be as fine as those of `open`.
+
+        Raises:
+            InputError: an image is missing or damaged, or the drive has none.
+        """
+        ...
+
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """Decode the part of a drive whose front images lie in [first, last].
 

@@ -17,6 +17,17 @@ from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
 
 @dataclass(frozen=True)
+class StatedAccuracy:
+    """What a source says of the errors of the motion that it measured, in a sentence.
+
+    `acceleration` is the root mean square error of its accelerations in m/s2; None where it says nothing of them.
+    """
+
+    text: str
+    acceleration: float | None = None
+
+
+@dataclass(frozen=True)
 class Recording:
     """A front-camera recording, decoded at working resolution.
 
@@ -28,6 +39,7 @@ class Recording:
         T_rig_camera: (4, 4) pose of the front camera in the rig; its height above ground fixes the metric scale.
         assumptions: one sentence for everything that was assumed instead of measured (lens, mounting, vehicle).
         reference: the measured rig trajectory over the same times or beyond them, where one is known.
+        accuracy: what its source says of the errors of the reference; None where it says nothing.
         distance: (n, H, W) float32 true distance along each pixel's ray in metres (inf: sky), where it is known.
         views: true images (n, h, w, 3) by camera name, where they are known; one of the front-wide camera is put
             together from several cameras, and goes before `frames` where true views are wanted.
@@ -47,6 +59,7 @@ class Recording:
     vehicle: VehicleDimensions
     assumptions: tuple[str, ...] = ()
     reference: Trajectory | None = None
+    accuracy: StatedAccuracy | None = None
     distance: NDArray[np.float32] | None = None
     views: dict[str, NDArray[np.uint8]] = field(default_factory=dict)
     mounted: dict[str, MountedCamera] = field(default_factory=dict)

@@ -16,3 +16,10 @@ class FrontLens(StrEnum):
 
     AS_NAMED = "as-named"
     AS_IS = "as-is"
+
+
+class MotionLabels(StrEnum):
+    """How motion that a data set measured becomes the labels of a clip (`olt_toolkit.clips.given_motion`)."""
+
+    AS_MEASURED = "as-measured"
+    SMOOTHED = "smoothed"

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_datasets.sources.waymo.frames import CAMERAS, read_images
@@ -74,6 +75,12 @@ class WaymoE2E:
         described = self._surround(key, frames).describe(country="US", split=splits.pop(), notes=notes)
         rated = frames.filter(_HAS_FRONT & pl.col("rated"))["time_us"].to_list()
         return replace(described, event_t0s_us=tuple(rated))
+
+    def peek(
+        self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
+    ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        """See `Dataset.peek`."""
+        return self._surround(key, self._frames(key)).peek(times_us, width)
 
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; the front images, which are portraits, are freed of their distortion."""

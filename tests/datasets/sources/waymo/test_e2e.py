@@ -232,3 +232,7 @@ def test_unknown_drives_windows_and_folders_are_refused(open_shards, make_record
     (tmp_path / "empty").mkdir()
     with pytest.raises(InputError, match="holds no file"):
         open_dataset(tmp_path / "empty", tmp_path / "cache", "waymo_e2e")
+
+
+def test_a_look_at_a_drive(open_shards, make_records, check_peek):
+    check_peek(open_shards(make_records("a", 4)), "a")

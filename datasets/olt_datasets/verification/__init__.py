@@ -1,0 +1,1 @@
+"""Looks at what was made: clip stores, mixtures and exports."""
