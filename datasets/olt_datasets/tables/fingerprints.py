@@ -20,7 +20,7 @@ from olt_datasets.tables.thumbnail_warps import list_crops, stack_warps
 from olt_toolkit.clips.fingerprint import COLUMNS, IMAGES, RECORD, ROWS
 
 # Keys of a block of the second list, held at once: 8 bytes each.
-_KEYS_AT_ONCE = 1 << 26
+_KEYS_AT_ONCE = 1 << 25
 _PROBES_AT_ONCE = 1 << 19
 _OF_A_KEY = 8
 """Thumbnails that are taken of those that share a key."""
@@ -28,9 +28,11 @@ _COMPARED = 8
 """Clips, the ones that share most keys, that are compared with one."""
 _MANY_KEYS = 8
 """Shared keys; a clip that shares fewer is seldom a copy."""
+_LOOKED_AT = 6
+"""Pairs of images, of those that share keys, that are correlated first."""
 _LEAST_CORRELATION = 0.4
-"""Of two images that share a key; those of one place have more."""
-_ROWS_AT_ONCE = 100_000
+"""Of the best of these pairs; those of one place have more."""
+_ROWS_AT_ONCE = 20_000
 
 Pairs = NDArray[np.int64]
 Places = NDArray[np.int64]
@@ -162,14 +164,33 @@ def _thumbnails(rows: pl.DataFrame) -> _Thumbnails:
 
 def _build_indexes(table: pl.LazyFrame, effort: Effort) -> Iterator[_Index]:
     """Indexes of a table, a block of clips at a time."""
-    for block in _read_parts(table, _KEYS_AT_ONCE // (IMAGES * effort.tables)):
-        keys = np.empty((effort.tables, len(block.records)), np.uint64)
-        for start in range(0, len(block.records), _ROWS_AT_ONCE):
-            part = slice(start, start + _ROWS_AT_ONCE)
-            keys[:, part] = make_keys(_unpack(block.records["signs"][part]), effort) << np.uint64(32)
-        keys |= np.arange(keys.shape[1], dtype=np.uint64)
-        keys.sort(axis=1)
-        yield _Index(block, block.owners(), keys, effort)
+    most = _KEYS_AT_ONCE // (IMAGES * effort.tables)
+    parts: list[_Thumbnails] = []
+    for part in _read_parts(table, most):
+        if sum(len(each.clips) for each in [*parts, part]) > most:
+            yield _index(_join(parts), effort)
+            parts = []
+        parts.append(part)
+    if parts:
+        yield _index(_join(parts), effort)
+
+
+def _join(parts: list[_Thumbnails]) -> _Thumbnails:
+    sizes = np.concatenate([np.diff(part.starts) for part in parts])
+    records, clips, scenes = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("records", "clips", "scenes")
+    )
+    return _Thumbnails(records, clips, np.concatenate([[0], np.cumsum(sizes)]), scenes)
+
+
+def _index(block: _Thumbnails, effort: Effort) -> _Index:
+    keys = np.empty((effort.tables, len(block.records)), np.uint64)
+    for start in range(0, len(block.records), _ROWS_AT_ONCE):
+        part = slice(start, start + _ROWS_AT_ONCE)
+        keys[:, part] = make_keys(_unpack(block.records["signs"][part]), effort) << np.uint64(32)
+    keys |= np.arange(keys.shape[1], dtype=np.uint64)
+    keys.sort(axis=1)
+    return _Index(block, block.owners(), keys, effort)
 
 
 def _search_part(part: _Thumbnails, index: _Index, found: dict[int, int], crowded: set[int]) -> None:
@@ -223,24 +244,30 @@ def _rank(met: NDArray[np.int64]) -> pl.DataFrame:
     keys = pl.DataFrame(met.T, ("clip", "candidate", "probe", "image", "theirs"))
     return (
         keys.group_by("clip", "candidate", (pl.col("probe") % 2 == 1).alias("mirrored"), maintain_order=True)
-        .agg(pl.len(), pl.col("probe", "image", "theirs").first())
+        .agg(pl.len(), pl.col("probe", "image", "theirs").sample(_LOOKED_AT, with_replacement=True, seed=0))
         .sort("clip", "len", "candidate", "mirrored", descending=[False, True, False, False])
     )
 
 
 def _correlate(part: _Thumbnails, index: _Index, candidates: pl.DataFrame) -> pl.Series:
-    """Correlation of one pair of images of each candidate that share a key, as the probe warps the first."""
-    correlations = np.empty(len(candidates), np.float32)
+    """Highest correlation of a few pairs of images of each candidate that share a key, as the probe warps the first."""
+    images = (
+        candidates.with_row_index("row").select("row", "probe", "image", "theirs").explode("probe", "image", "theirs")
+    )
+    probes, mine, theirs = (images[name].to_numpy() for name in ("probe", "image", "theirs"))
+    correlations = np.empty(len(images), np.float32)
     stacked, filled = stack_warps(list_crops(index.effort.scales, (0.0,)))
     for number, warp in enumerate(np.split(stacked.toarray(), len(filled))):
         for mirrored in (False, True):
-            rows = np.flatnonzero(candidates["probe"].to_numpy() == 2 * number + mirrored)
-            mine = _unpack(part.records["signs"][candidates["image"].to_numpy()[rows]]) @ warp.T
-            mine = mine.reshape(-1, ROWS, COLUMNS)[:, :, ::-1].reshape(mine.shape) if mirrored else mine
-            theirs = _unpack(index.thumbnails.records["signs"][candidates["theirs"].to_numpy()[rows]])
-            norms = np.linalg.norm(mine, axis=1) * np.sqrt(filled[number].sum())
-            correlations[rows] = np.einsum("nc,nc->n", mine, theirs) / norms
-    return pl.Series("correlation", correlations)
+            rows = np.flatnonzero(probes == 2 * number + mirrored)
+            warped = _unpack(part.records["signs"][mine[rows]]) @ warp.T
+            if mirrored:
+                warped = warped.reshape(-1, ROWS, COLUMNS)[:, :, ::-1].reshape(warped.shape)
+            signs = _unpack(index.thumbnails.records["signs"][theirs[rows]])
+            norms = np.linalg.norm(warped, axis=1) * np.sqrt(filled[number].sum())
+            correlations[rows] = np.einsum("nc,nc->n", warped, signs) / norms
+    highest = images.with_columns(correlation=correlations).group_by("row").agg(pl.col("correlation").max())
+    return highest.sort("row")["correlation"]
 
 
 def _unpack(signs: NDArray[np.uint8]) -> NDArray[np.float32]:
