@@ -1,7 +1,20 @@
+import os
+import zipfile
+
+import cv2
+import numpy as np
+import pandas as pd
+import polars as pl
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+import torch
+from PIL import Image
+from safetensors.torch import save_file
 
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, write_whole, write_whole_folder
+from olt_generator.files import make_folder, naming, read_bounded, write_whole, write_whole_folder
+from olt_generator.video import write_video
 
 
 def test_file_appears_whole(tmp_path):
@@ -49,3 +62,116 @@ def test_a_file_in_the_way_of_a_folder_is_an_input_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="choose another output folder"):
         make_folder(tmp_path / "file" / "below")
+
+
+NOISE = np.random.default_rng(0).integers(0, 256, (4, 64, 64, 3), dtype=np.uint8)
+
+
+def write_zip(path):
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("member", NOISE.tobytes())
+
+
+def write_stage(path):
+    usd = pytest.importorskip("pxr.Usd")
+    stage = usd.Stage.CreateInMemory()
+    stage.GetRootLayer().comment = NOISE.tobytes().hex()
+    stage.GetRootLayer().Export(str(path))
+
+
+WRITERS = {
+    "text.json": lambda path: path.write_text("x" * 10_000),
+    "bytes": lambda path: path.write_bytes(NOISE.tobytes()),
+    "lines.txt": lambda path: np.savetxt(path, NOISE.reshape(-1, 3)),
+    "arrow.parquet": lambda path: pq.write_table(pa.table({"noise": NOISE.ravel()}), path),
+    "pandas.parquet": lambda path: pd.DataFrame({"noise": NOISE.ravel()}).to_parquet(path),
+    "polars.parquet": lambda path: pl.DataFrame({"noise": NOISE.ravel()}).write_parquet(path),
+    "table.csv": lambda path: pd.DataFrame({"noise": NOISE.ravel()}).to_csv(path),
+    "chunk.zip": write_zip,
+    "picture.webp": lambda path: Image.fromarray(NOISE[0]).save(path, lossless=True),
+    "model.safetensors": lambda path: save_file({"noise": torch.tensor(NOISE)}, path),
+    "scene.usda": write_stage,
+}
+
+
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_full_disk_names_the_file_and_leaves_the_old_one_whatever_writes(tmp_path, full_disk, name):
+    target = tmp_path / name
+    target.write_text("old")
+    with pytest.raises(InputError, match=rf"{name}: cannot be written \(File too large\); free some space"):  # noqa: SIM117
+        with full_disk(3000), write_whole(target) as temporary:
+            WRITERS[name](temporary)
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_full_disk_names_the_video(tmp_path, full_disk):
+    with pytest.raises(InputError, match=r"film\.mp4: cannot be written"), full_disk(3000):
+        write_video(tmp_path / "film.mp4", np.tile(NOISE, (4, 1, 1, 1)), 10.0)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_full_disk_names_the_folder_and_leaves_the_old_one(tmp_path, full_disk):
+    target = tmp_path / "clip"
+    with write_whole_folder(target) as temporary:
+        (temporary / "old").touch()
+    with (
+        pytest.raises(InputError, match="clip: cannot be written"),
+        full_disk(100),
+        write_whole_folder(target) as temporary,
+    ):
+        (temporary / "new").write_bytes(NOISE.tobytes())
+    assert [path.name for path in tmp_path.rglob("*")] == ["clip", "old"]
+
+
+def test_only_a_refusal_to_write_is_named(tmp_path):
+    with pytest.raises(FileNotFoundError), write_whole(tmp_path / "out"):
+        (tmp_path / "source that is absent").read_bytes()
+    with pytest.raises(InputError, match=r"^told already$"), naming(tmp_path):
+        raise InputError("told already")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_name_that_cannot_be_is_refused(tmp_path):
+    with (
+        pytest.raises(InputError, match=r"cannot be written \(File name too long"),
+        write_whole(tmp_path / ("n" * 300)),
+    ):
+        pass
+    (tmp_path / "folder" / "full").mkdir(parents=True)
+    with (
+        pytest.raises(InputError, match=r"folder: cannot be written \(Is a directory"),
+        write_whole(tmp_path / "folder"),
+    ):
+        pass
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_files_are_read_up_to_a_size(tmp_path):
+    path = tmp_path / "file"
+    path.write_bytes(b"1234")
+    assert read_bounded(path, "list", 4) == b"1234"
+    with pytest.raises(InputError, match="file: has 4 bytes; a list has at most 3"):
+        read_bounded(path, "list", 3)
+    with pytest.raises(InputError, match="no such file"):
+        read_bounded(tmp_path / "absent", "list", 3)
+
+
+def test_what_would_never_end_is_not_read(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    (tmp_path / "zeros").symlink_to("/dev/zero")
+    for name, message in (("pipe", "not a regular"), ("zeros", "not a regular"), ("loop", "no such file")):
+        with pytest.raises(InputError, match=message):
+            read_bounded(tmp_path / name, "list", 10)
+    with pytest.raises(InputError, match="not a regular"):
+        read_bounded(tmp_path, "list", 10)
+
+
+def test_opencv_encodes_pictures_before_they_are_written(tmp_path, full_disk):
+    from olt_toolkit.clips.pictures import write_picture
+
+    with pytest.raises(InputError, match=r"sheet\.png: cannot be written"), full_disk(3000):
+        write_picture(tmp_path / "sheet.png", NOISE[0])
+    write_picture(tmp_path / "sheet.png", NOISE[0])
+    assert np.array_equal(cv2.imread(str(tmp_path / "sheet.png"))[..., ::-1], NOISE[0])

@@ -15,6 +15,7 @@ from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.omissions import Omission
 from olt_generator.poses import Array
+from olt_toolkit.runtime.json_files import read_json
 
 Traffic = Literal["recorded", "idm"]
 FILE_VERSION = 2
@@ -127,7 +128,7 @@ class Rollout:
                 ),
             }
             return cls(**values | parts)
-        except (KeyError, TypeError, ValueError) as error:
+        except (AttributeError, KeyError, OverflowError, TypeError, ValueError) as error:
             raise InputError(f"rollout: field missing or of another form ({error}); simulate it again") from error
 
 
@@ -151,9 +152,9 @@ def load_rollouts(path: Path) -> list[Rollout]:
         InputError: the file is missing, holds something else, or was written by another version.
     """
     try:
-        values = json.loads(path.read_text())
+        values = read_json(path, "file of rollouts")
         rollouts, version = values["rollouts"], values.get("version", 1)
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (InputError, KeyError, TypeError, AttributeError) as error:
         raise InputError(
             f"{path}: not a file of rollouts ({error}); give one that `olt closed-loop run` wrote"
         ) from error

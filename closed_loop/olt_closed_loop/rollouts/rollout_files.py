@@ -12,7 +12,6 @@ One object:
 - `plans` [{now_us, query_us?, timestamps_us [n], poses [n][x, y, yaw], samples? [[n][x, y, yaw]]}].
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,10 @@ from olt_closed_loop.rollouts.rollout_record import PLAN_STEP_US, EgoBox, LaneLi
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
+from olt_toolkit.runtime.json_files import read_json
 
 RESAMPLE_M = 2.0
+_MOST_POINTS = 1_000_000
 
 
 def read_rollout_file(path: Path) -> RolloutRecord:
@@ -34,8 +35,8 @@ def read_rollout_file(path: Path) -> RolloutRecord:
         InputError: the file is missing, is not JSON, or a field is missing or of another form.
     """
     try:
-        values = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+        values = read_json(path, "rollout")
+    except InputError as error:
         raise InputError(f"{path}: not a JSON file ({error}); give one rollout") from error
     try:
         return parse_rollout(values, path.stem)
@@ -43,7 +44,7 @@ def read_rollout_file(path: Path) -> RolloutRecord:
         raise InputError(f"{path}: {error}") from error
     except KeyError as error:
         raise InputError(f"{path}: field {error} is missing; add it") from error
-    except (AttributeError, OverflowError, TypeError, ValueError) as error:
+    except (AttributeError, OverflowError, RecursionError, TypeError, ValueError) as error:
         raise InputError(
             f"{path}: a field is of another form ({error}); see olt_closed_loop.rollouts.rollout_files"
         ) from error
@@ -123,7 +124,10 @@ def _line(points: list[list[float]], resample_m: float, where: str) -> Array:
     line = np.column_stack([rows, np.zeros(len(rows))]) if rows.shape[1] == 2 else rows
     if resample_m == 0.0:
         return line
-    parts = 1 + np.floor(np.linalg.norm(np.diff(line, axis=0), axis=1) / resample_m).astype(int)
+    parts = 1 + np.floor(np.linalg.norm(np.diff(line, axis=0), axis=1) / resample_m)
+    if not parts.sum() < _MOST_POINTS:
+        raise InputError(f"{where} would get {parts.sum():.3g} points; give a resample_m above {resample_m:g}")
+    parts = parts.astype(int)
     ends = np.concatenate([[0], np.cumsum(parts)])
     return np.stack([np.interp(np.arange(ends[-1] + 1), ends, column) for column in line.T], axis=-1)
 

@@ -50,7 +50,7 @@ def turn(frames: Frames, generator: Generator) -> Frames:
     height, width = frames.shape[1:3]
     degrees = generator.choice([-1.0, 1.0]) * generator.uniform(1.5, 3.0)
     matrix = cv2.getRotationMatrix2D((0.5 * width, 0.5 * height), degrees, 1.0)
-    return np.stack([cv2.warpAffine(frame, matrix, (width, height)) for frame in frames])
+    return np.stack([cv2.warpAffine(frame, matrix, (width, height)) for frame in frames]).astype(np.uint8)
 
 
 def brighten(frames: Frames, generator: Generator) -> Frames:
@@ -76,8 +76,8 @@ def code_anew(frames: Frames, generator: Generator) -> Frames:
             container.mux(stream.encode(picture))
         container.mux(stream.encode())
     buffer.seek(0)
-    with av.open(buffer) as container:
-        return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
+    with av.open(buffer, "r") as coded:
+        return np.stack([frame.to_ndarray(format="rgb24") for frame in coded.decode(video=0)]).astype(np.uint8)
 
 
 def shrink(frames: Frames, generator: Generator) -> Frames:

@@ -27,7 +27,7 @@ from olt_toolkit.runtime.command_line import run
 FRAME_RATE = 10.0
 SECONDS = 9.0
 _WIDTH, _HEIGHT = 320, 180
-_BUILT = 2
+_BUILT = 1
 # Starting another process takes longer than what it would do.
 _ONE = ("--workers", 1)
 
@@ -85,6 +85,10 @@ def _changed(change: Callable[[Frames], Frames]) -> Plant:
     return plant
 
 
+def _copy(video: Path, copy: Path) -> None:
+    shutil.copy(video, copy)
+
+
 def _link(video: Path, copy: Path) -> None:
     copy.symlink_to(video)
 
@@ -105,7 +109,7 @@ def _crop(frames: Frames) -> Frames:
 
 
 PLANTS: dict[str, Plant] = {
-    "copy": shutil.copy,
+    "copy": _copy,
     "symlink": _link,
     "renamed": _rename,
     "re-encoded": _changed(_code_again),
@@ -147,11 +151,11 @@ def _overlap(videos: Sequence[Path], others: Sequence[Path], place: Path, train:
 
 
 def _built(kind: str, videos: Sequence[Path], others: Sequence[Path], place: Path, train: Path) -> Planted:
-    """A store of synthesized views of the first drives, in training; an index of all drives under test."""
+    """A store of synthesized views of the first drive, in training; an index of all drives under test."""
     few = place / "videos"
     few.mkdir()
     chosen = [Path(shutil.copy(video, few / f"day one {video.name}")) for video in videos[:_BUILT]]
-    table = _index(few, place / "train.parquet", "unseen", "--test", "0", cut=("--frames", "85"))
+    table = _index(few, place / "train.parquet", "unseen", "--test", "0", cut=("--frames", "41", "--stride", "60"))
     store = place / "store"
     _olt("data", "build", table, "--root", few, "--kind", "Syn", "--out", store, *_ONE, "--width", 128, "--height", 72)
     test = _index(videos[0].parent, place / "test.parquet", "external", "--source", "video")

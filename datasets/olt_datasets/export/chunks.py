@@ -14,8 +14,9 @@ from typing import Any, NamedTuple
 import pandas as pd
 
 from olt_datasets.export.contents import ExportGroup, ExportItem
-from olt_datasets.export.writing import finished_part, link_or_copy, naming, note_finished, write_file
+from olt_datasets.export.writing import finished_part, link_or_copy, note_finished
 from olt_generator.errors import InputError
+from olt_generator.files import naming, write_whole
 from olt_toolkit.clips.files import add_member, has_feature
 from olt_toolkit.clips.pai_layout import CALIBRATIONS, STORED
 from olt_toolkit.clips.store import CLIPS_PER_CHUNK, ClipStore
@@ -110,7 +111,7 @@ def _pack_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> dict[str, s
             for feature, name, data in members:
                 path = STORED[feature].chunk_file(root, chunk.number)
                 if feature not in archives:
-                    temporary = stack.enter_context(write_file(path))
+                    temporary = stack.enter_context(write_whole(path))
                     archives[feature] = stack.enter_context(zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED))
                 with naming(path):
                     add_member(archives[feature], name, data)
@@ -118,7 +119,7 @@ def _pack_chunk(root: Path, chunk: ExportChunk, keep_going: bool) -> dict[str, s
                 calibrations[feature].append(table)
     for feature, tables in calibrations.items():
         if tables:
-            with write_file(STORED[feature].chunk_file(root, chunk.number)) as temporary:
+            with write_whole(STORED[feature].chunk_file(root, chunk.number)) as temporary:
                 pd.concat(tables).to_parquet(temporary)
     return failures
 

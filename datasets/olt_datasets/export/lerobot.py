@@ -31,10 +31,11 @@ from numpy.typing import NDArray
 from olt_datasets.export.contents import Contents, ExportItem
 from olt_datasets.export.image_sizes import Sizes, only_sizes, read_image_sizes, tell_resized, word_size
 from olt_datasets.export.look import halves, look_at_export
-from olt_datasets.export.writing import finished_part, naming, note_finished, write_export, write_file
+from olt_datasets.export.writing import finished_part, note_finished, write_export
 from olt_datasets.verification.file_list import write_file_list
 from olt_datasets.verification.lerobot import verify_lerobot
 from olt_generator import InputError, write_video
+from olt_generator.files import write_whole
 from olt_generator.poses import Array, invert, yaw_of
 from olt_generator.progress import Progress, silent
 from olt_toolkit import ClipInfo, ClipStore, EgoMotion
@@ -176,11 +177,10 @@ def _write_videos(
         height, width = sizes[camera]
         frames, _ = store.read_frames(clip_id, camera, times_us[order])
         frames = resize_images(frames, width, height)[np.argsort(order)]
-        with naming(path):
-            write_video(path, frames, FRAME_RATE)
+        write_video(path, frames, FRAME_RATE)
         if not store.info(clip_id).views[camera].is_seen_whole:
             masks = resize_masks(store.read_origin(clip_id, camera, times_us[order]), width, height)
-            with write_file(_mask_file(root, camera, number)) as temporary:
+            with write_whole(_mask_file(root, camera, number)) as temporary:
                 temporary.write_bytes(encode_origin(times_us, masks[np.argsort(order)]))
         levels[camera] = np.stack([np.bincount(frames[..., colour].ravel(), minlength=256) for colour in range(3)])
     note_finished(root, name, {camera: counts.tolist() for camera, counts in levels.items()})
@@ -282,7 +282,7 @@ def _write_data(root: Path, episodes: Sequence[_Episode], tasks: Sequence[str]) 
     )
     place = np.repeat([episode.table for episode in episodes], lengths)
     for number in np.unique(place).tolist():
-        with write_file(numbered_file(root / "data", number, "parquet")) as temporary:
+        with write_whole(numbered_file(root / "data", number, "parquet")) as temporary:
             pq.write_table(table.filter(pa.array(place == number)), temporary)
     return columns
 
@@ -296,9 +296,9 @@ def _write_meta(
     features: dict[str, dict[str, Any]],
 ) -> None:
     meta = root / "meta"
-    with write_file(meta / "tasks.parquet") as temporary:
+    with write_whole(meta / "tasks.parquet") as temporary:
         pd.DataFrame({"task_index": range(len(tasks))}, index=pd.Index(tasks)).to_parquet(temporary)
-    with write_file(numbered_file(meta / "episodes", 0, "parquet")) as temporary:
+    with write_whole(numbered_file(meta / "episodes", 0, "parquet")) as temporary:
         pq.write_table(pa.Table.from_pylist(_episode_rows(episodes, contents.contract)), temporary)
     info = {
         "codebase_version": VERSION,
@@ -324,7 +324,7 @@ def _write_meta(
             stats[name] |= {"count": [len(rows)]} | dict(zip(QUANTILES, quantiles, strict=True))
     stats |= {video_key(camera): _image_stats(episodes, camera) for camera in contents.contract.cameras}
     for name, content in {"info": info, "stats": stats}.items():
-        with write_file(meta / f"{name}.json") as temporary:
+        with write_whole(meta / f"{name}.json") as temporary:
             temporary.write_text(json.dumps(content, indent=4) + "\n", encoding="utf-8")
 
 

@@ -18,8 +18,9 @@ import pandas as pd
 from olt_datasets.export.chunks import ExportChunk, divide_into_chunks, write_chunk
 from olt_datasets.export.contents import Contents, ExportItem
 from olt_datasets.export.look import halves, look_at_export
-from olt_datasets.export.writing import naming, write_export, write_file
+from olt_datasets.export.writing import write_export
 from olt_generator.errors import InputError
+from olt_generator.files import write_whole
 from olt_generator.progress import Progress, silent
 from olt_toolkit import ClipInfo, ClipStore
 from olt_toolkit.clips.action_errors import summarize_action_errors
@@ -82,13 +83,12 @@ def _write_tables(root: Path, rows: Rows) -> list[ClipInfo]:
         replace(stores[item.store].info(item.clip_id).with_samples(item.t0s_us), clip_id=item.listed_as)
         for _, item in rows
     ]
+    write_metadata(root, infos, [chunk.number for chunk, _ in rows])
+    write_clip_table(root / CLIP_TABLE, infos)
     path = root / CLIP_INDEX
-    with naming(path):
-        write_metadata(root, infos, [chunk.number for chunk, _ in rows])
-        write_clip_table(root / CLIP_TABLE, infos)
     index = read_indexed(path, ["chunk"], ["clip_id"])
     index["event_t0s"] = pd.Series([list(item.t0s_us) for _, item in rows], index.index)
-    with write_file(path) as temporary:
+    with write_whole(path) as temporary:
         temporary.write_bytes(to_bytes(index))
     return infos
 

@@ -1,11 +1,10 @@
-"""Files of an export: written whole, named in errors, and in a folder that can be taken up again."""
+"""Files of an export: written whole, in a folder that can be taken up again."""
 
 import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,26 +12,10 @@ from typing import Any
 from olt_datasets.export.contents import Contents
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
+from olt_toolkit.runtime.json_files import read_json
 
 EXPORT_FILE = "export.json"
 _STATE = ".export"
-
-
-@contextmanager
-def naming(path: Path) -> Iterator[None]:
-    """Turn a failure of the file system into an `InputError` that names the file."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise InputError(f"{path}: cannot be written ({reason}); free some space or choose another folder") from error
-
-
-@contextmanager
-def write_file(path: Path) -> Iterator[Path]:
-    """`write_whole` whose failures name the file: InputError where the disk is full, say."""
-    with naming(path), write_whole(path) as temporary:
-        yield temporary
 
 
 def link_or_copy(source: Path, target: Path) -> bool:
@@ -43,7 +26,7 @@ def link_or_copy(source: Path, target: Path) -> bool:
         os.link(source, target)
         return True
     except OSError:  # another file system, or one without links
-        with write_file(target) as temporary:
+        with write_whole(target) as temporary:
             shutil.copyfile(source, temporary)
         return False
 
@@ -61,8 +44,8 @@ def write_export(
     text = json.dumps([layout, asdict(contents), settings], default=str, sort_keys=True)
     fingerprint = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
     if (out / EXPORT_FILE).exists():
-        finished = json.loads((out / EXPORT_FILE).read_text())
-        if finished.get("fingerprint") == fingerprint:
+        finished = read_json(out / EXPORT_FILE, "summary of an export")
+        if isinstance(finished, dict) and finished.get("fingerprint") == fingerprint:
             return finished
     if out.exists():
         raise InputError(f"{out}: exists already; choose another folder, or remove it first")
@@ -71,12 +54,12 @@ def write_export(
     if folder.exists() and (not marker.exists() or marker.read_text() != fingerprint):
         shutil.rmtree(folder)
     make_folder(marker.parent)
-    with write_file(marker) as temporary:
+    with write_whole(marker) as temporary:
         temporary.write_text(fingerprint)
     about = {"format": layout, "split": contents.split, "rig": contents.contract.name}
     left_out = [omission.to_dict() for omission in contents.left_out]
     summary = about | write(folder) | {"left_out": left_out, "out": str(out), "fingerprint": fingerprint}
-    with write_file(folder / EXPORT_FILE) as temporary:
+    with write_whole(folder / EXPORT_FILE) as temporary:
         temporary.write_text(json.dumps(summary, indent=2) + "\n", encoding="utf-8")
     shutil.rmtree(folder / _STATE)
     folder.rename(out)
@@ -86,10 +69,10 @@ def write_export(
 def finished_part(folder: Path, name: str) -> dict[str, Any] | None:
     """What an earlier run noted when it finished this part; None where it did not."""
     path = folder / _STATE / f"{name}.json"
-    return json.loads(path.read_text()) if path.exists() else None
+    return read_json(path, "note of a finished part") if path.exists() else None
 
 
 def note_finished(folder: Path, name: str, result: dict[str, Any]) -> None:
     """Note that a part is finished, and with what result."""
-    with write_file(folder / _STATE / f"{name}.json") as temporary:
+    with write_whole(folder / _STATE / f"{name}.json") as temporary:
         temporary.write_text(json.dumps(result))

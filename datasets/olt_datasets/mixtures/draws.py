@@ -61,7 +61,8 @@ def _sample_places(component: Component) -> pl.Expr:
     limit, count = component.samples_per_clip, usable.list.len().cast(pl.Int64)
     if limit is None:
         return usable
-    middles = pl.concat_list([(2 * part + 1) * count // (2 * limit) for part in range(limit)])
+    parts = pl.int_ranges(pl.when(count > limit).then(limit).otherwise(0))
+    middles = (2 * parts + 1) * count // (2 * limit)
     return pl.when(count > limit).then(usable.list.gather(middles)).otherwise(usable)
 
 

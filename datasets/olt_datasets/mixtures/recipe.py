@@ -28,20 +28,32 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from olt_generator.errors import InputError
 from olt_toolkit.recordings.labels import Split
-from olt_toolkit.runtime.yaml_files import read_yaml_mapping
+from olt_toolkit.runtime.yaml_files import parse_yaml, read_yaml_mapping
 
 RECIPE_VERSION = 1
 RECIPE_SUFFIXES = (".yaml", ".yml")
 
+# What is beyond these is a slip of the pen, and would take hours or all memory before it showed.
+MOST_ITEMS = 100_000_000
+MOST_EPOCHS = 10_000
+MOST_COMPONENTS = 256
+_MOST_CAPS = 1000
+_LONGEST_NAME, _LONGEST_TEXT = 200, 10_000
+# Characters of a wrong value that an error shows.
+_SHOWN = 80
+
 # Lists are read as tuples, so that a recipe cannot change after it was checked.
-Words = Annotated[tuple[str, ...], Field(strict=False)]
-EpochShares = dict[Annotated[int, Field(ge=0)], Annotated[float, Field(ge=0.0, le=1.0)]]
-Caps = dict[str, Annotated[int, Field(gt=0)]]
+Word = Annotated[str, Field(max_length=_LONGEST_TEXT)]
+Name = Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME, pattern=r"^[^\x00-\x1f\x7f]*$")]
+Words = Annotated[tuple[Word, ...], Field(strict=False)]
+FactorWords = Annotated[tuple[Word, ...], Field(strict=False, max_length=_MOST_CAPS)]
+Count = Annotated[int, Field(gt=0, le=MOST_ITEMS)]
+EpochShares = dict[Annotated[int, Field(ge=0, le=MOST_EPOCHS)], Annotated[float, Field(ge=0.0, le=1.0)]]
+Caps = Annotated[dict[str, Count], Field(max_length=_MOST_CAPS)]
 
 
 # Fields of a filter that limit what was measured of a clip or, for the last, of a sample; `quality` knows the numbers.
@@ -82,9 +94,9 @@ class Filter(BaseModel):
     country: Words = ()
     category: Words = ()
     category_not: Words = ()
-    factors_any: Words = ()
-    factors_all: Words = ()
-    factors_none: Words = ()
+    factors_any: FactorWords = ()
+    factors_all: FactorWords = ()
+    factors_none: FactorWords = ()
     doubts: Literal["none", "any"] = "none"
     observed_share_min: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
     invented_share_max: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
@@ -135,14 +147,14 @@ class Component(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
-    name: str = Field(min_length=1)
+    name: Name
     where: Filter = Filter()
     share: float | None = Field(default=None, gt=0.0, le=1.0)
     share_by_epoch: EpochShares | None = None
-    count: int | None = Field(default=None, gt=0)
-    repeats: int = Field(default=1, ge=1)
+    count: Count | None = None
+    repeats: Count = 1
     t0: Literal["every", "keyframe"] = "every"
-    samples_per_clip: int | None = Field(default=None, gt=0)
+    samples_per_clip: Count | None = None
     prefer: Literal["GT", "Syn"] | None = None
     caps: Caps = {}
     weight_by: Halvings = {}
@@ -201,12 +213,12 @@ class Recipe(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
-    name: str = Field(min_length=1)
-    description: str
+    name: Name
+    description: Annotated[str, Field(max_length=_LONGEST_TEXT)]
     version: int
     split: Split = "train"
-    samples: int | None = Field(default=None, gt=0)
-    components: Annotated[tuple[Component, ...], Field(strict=False)]
+    samples: Count | None = None
+    components: Annotated[tuple[Component, ...], Field(strict=False, max_length=MOST_COMPONENTS)]
     between_epochs: Literal["linear", "steps"] = "linear"
     held_out_scenes: Words = ()
 
@@ -260,9 +272,10 @@ def parse_recipe(content: dict[Any, Any], where: str) -> Recipe:
 def parse_filter(text: str, where: str) -> Filter:
     """A filter written as a YAML mapping, such as `{category: [cyclists]}`; InputError where a field is wrong."""
     try:
-        content = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise InputError(f"{where}: {text!r} is not YAML; write a mapping such as {{category: [cyclists]}}") from error
+        content = parse_yaml(text, where)
+    except InputError as error:
+        shown = f"{text!r:.{_SHOWN}}"
+        raise InputError(f"{error}: {shown} is not YAML; write a mapping such as {{category: [cyclists]}}") from error
     return _validate(Filter, content, where)
 
 
@@ -284,7 +297,8 @@ def find_recipe(path_or_name: str) -> Recipe:
     if name not in known:
         raise InputError(f"no built-in recipe {name!r}; there are {', '.join(known)}, or give a YAML file")
     text = (files("olt_datasets") / "recipes" / f"{name}.yaml").read_text(encoding="utf-8")
-    return parse_recipe(yaml.safe_load(text), f"built-in recipe {name}")
+    where = f"built-in recipe {name}"
+    return parse_recipe(parse_yaml(text, where), where)
 
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -303,17 +317,31 @@ def _explain(model: type[BaseModel], errors: ValidationError) -> str:
     location, value, message = error["loc"], error["input"], error["msg"]
     field = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).removeprefix(".")
     prefix = f"{field}: " if field else ""
+    shown = f"{value!r:.{_SHOWN}}"
     match error["type"]:
         case "extra_forbidden":
             parents = location[:-1]
             holder = Filter if "where" in parents else Component if "components" in parents else model
-            return f"unknown key {field!r}; known here: {', '.join(holder.model_fields)}"
+            return f"unknown key {field!r:.{_SHOWN}}; known here: {', '.join(holder.model_fields)}"
         case "missing":
             return f"key {field!r} is missing; add it"
         case "value_error":
             return prefix + message.removeprefix("Value error, ")
         case "tuple_type":
-            return f"{prefix}write a list, such as [{value}]"
+            return f"{prefix}write a list, such as [{value!s:.{_SHOWN}}]"
         case "model_type":
-            return f"{prefix}write a mapping, got {value!r}"
-    return f"{prefix}{message[0].lower()}{message[1:]}, got {value!r}"
+            return f"{prefix}write a mapping, got {shown}"
+        case "string_pattern_mismatch":
+            return f"{prefix}holds a line break or another control character, got {shown}; remove it"
+        case "string_type" if value is not None:
+            shown += "; put it in quotes if it is a word"
+        case "int_type" if isinstance(value, str) and _is_number(value):
+            shown += f"; YAML takes {value:.{_SHOWN}} for text, write the number with all its digits"
+    return f"{prefix}{message[0].lower()}{message[1:]}, got {shown}"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        return math.isfinite(float(text))
+    except ValueError:
+        return False

@@ -13,7 +13,7 @@ import polars as pl
 
 from olt_datasets.mixtures.draws import PRIORITY, draw_samples, sample_count
 from olt_datasets.mixtures.quality import is_weighable, lacks_number, within_limits
-from olt_datasets.mixtures.recipe import Component, Filter, Recipe
+from olt_datasets.mixtures.recipe import MOST_ITEMS, Component, Filter, Recipe
 from olt_datasets.tables.scenes import refuse_unknown_scenes
 from olt_generator.errors import InputError
 
@@ -148,11 +148,25 @@ def select_clips(recipe: Recipe, table: ClipTable) -> list[Selection]:
 
 
 def samples_per_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
-    """Items of an epoch: as the recipe says, else the most for which no component is too small in any epoch."""
+    """Items of an epoch: as the recipe says, else the most for which no component is too small in any epoch.
+
+    InputError where they are more than `MOST_ITEMS`.
+    """
     if not recipe.named_epochs:
-        return sum(component.count or 0 for component in recipe.components)
-    if recipe.samples is not None:
-        return recipe.samples
+        items = sum(component.count or 0 for component in recipe.components)
+    elif recipe.samples is not None:
+        items = recipe.samples
+    else:
+        items = _most_in_every_epoch(recipe, selections)
+    if items > MOST_ITEMS:
+        raise InputError(
+            f"recipe {recipe.name}: an epoch would have {items} samples, more than {MOST_ITEMS}; give 'samples', or "
+            "smaller counts or repeats"
+        )
+    return items
+
+
+def _most_in_every_epoch(recipe: Recipe, selections: Sequence[Selection]) -> int:
     peaks = [(selection.capacity, share) for selection, share in zip(selections, _peak_shares(recipe), strict=True)]
     most = min(math.floor(capacity / share) for capacity, share in peaks)
     if all(asked <= capacity for asked, (capacity, _) in zip(most_items(recipe, most), peaks, strict=True)):

@@ -8,12 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_datasets.sources.pictures import LARGEST_BYTES, decode_picture
 from olt_datasets.sources.times import images_within, nearest_images, starting_at
 from olt_generator.errors import InputError
+from olt_generator.files import read_bounded
 from olt_generator.video import shrink
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import WHOLE, DatasetReader, Drive, Licence
@@ -25,6 +26,7 @@ LICENCE = Licence(
     "Download from the KITTI page with an account.",
     "Non-commercial use only, with attribution, and derived data under the same licence.",
 )
+_LARGEST_TEXT = 64 << 20
 # VW Passat B6 estate, KITTI's car; the rear overhang places the centre of the box.
 PASSAT = VehicleDimensions(
     length=4.774, width=1.820, height=1.517, rear_axle_to_bbox_center=1.36, wheelbase=2.709, track_width=1.551
@@ -119,20 +121,24 @@ def kitti_reader(name: str, is_drive: Callable[[Path], bool], read: Callable[[Pa
 
 def list_images(folder: Path) -> list[Path]:
     """The image files of a folder in the order of their names."""
-    return sorted(file for file in folder.iterdir() if file.suffix.lower() in (".png", ".jpg", ".jpeg"))
+    pictures = (file for file in folder.iterdir() if file.suffix.lower() in (".png", ".jpg", ".jpeg"))
+    return sorted(file for file in pictures if file.is_file())
+
+
+def read_text(path: Path) -> str:
+    """A text file of a drive; what is no text in it is replaced. InputError where it cannot be read."""
+    return read_bounded(path, "text file", _LARGEST_TEXT).decode("utf-8", errors="replace")
 
 
 def read_images(files: list[Path], width: int) -> tuple[NDArray[np.uint8], tuple[int, int]]:
     """Images (n, H, W, 3) RGB, shrunk to `width`, and the width and height that all, else InputError, are stored in."""
     images, size = [], None
     for file in files:
-        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-        if image is None:
-            raise InputError(f"{file}: cannot be decoded as an image; copy it again")
+        image = decode_picture(read_bounded(file, "image", LARGEST_BYTES), str(file))
         if size not in (None, image.shape[1::-1]):
             raise InputError(f"{file}: is {image.shape[1]} x {image.shape[0]} pixels, unlike the images before it")
         size = image.shape[1], image.shape[0]
-        images.append(shrink(np.ascontiguousarray(image[..., ::-1], dtype=np.uint8), width))
+        images.append(shrink(image, width))
     assert size is not None  # a window holds at least one image
     return np.stack(images), size
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.sources.content import hash_content, read_content
-from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images
+from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, read_text
 from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.motion.mounting import align_mounting
 from olt_generator.poses import Array, camera_pose_in_rig, invert, make_pose
@@ -124,7 +124,7 @@ def _read_times(path: Path, count: int) -> tuple[NDArray[np.int64], tuple[str, .
 def _read_rows(path: Path, count: int) -> Array:
     """Rows (n, count) of a text file; a name with a colon at the start of a line is left out."""
     rows = []
-    for number, line in enumerate(path.read_text(errors="replace").splitlines(), start=1):
+    for number, line in enumerate(read_text(path).splitlines(), start=1):
         words = [word for word in line.split() if not word.endswith(":")]
         try:
             values = [float(word) for word in words]

@@ -18,7 +18,7 @@ from scipy.linalg import solveh_banded
 from scipy.spatial.transform import Rotation
 
 from olt_datasets.sources.content import hash_content, read_content
-from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images
+from olt_datasets.sources.kitti import PASSAT, check_increasing, kitti_reader, list_images, read_images, read_text
 from olt_generator import InputError, PinholeCamera, Trajectory
 from olt_generator.motion.mounting import align_mounting
 from olt_generator.poses import Array, invert, make_pose
@@ -127,7 +127,7 @@ def _read_calibration(path: Path, fields: dict[str, int]) -> dict[str, Array]:
     """The named fields of a `key: numbers` file; each must have the given count of finite numbers."""
     if not path.is_file():
         raise InputError(f"{path}: calibration file is missing; copy it from the KITTI download of the same date")
-    lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
+    lines = read_text(path).splitlines()
     texts = dict(line.split(":", 1) for line in lines if ":" in line)
     values = {}
     for field, count in fields.items():
@@ -152,7 +152,7 @@ def _read_times(path: Path) -> NDArray[np.int64]:
     if not path.is_file():
         raise InputError(f"{path}: timestamps are missing; copy them from the KITTI download")
     times = []
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").split("\n"), start=1):
+    for number, line in enumerate(read_text(path).split("\n"), start=1):
         text = line.strip()
         if not text:
             continue
@@ -160,8 +160,8 @@ def _read_times(path: Path) -> NDArray[np.int64]:
         try:
             since_epoch = datetime.fromisoformat(seconds) - datetime(1970, 1, 1)
             whole = since_epoch.days * 86400 + since_epoch.seconds
-            times.append(whole * 1_000_000_000 + int(fraction[:9].ljust(9, "0")))
-        except ValueError as error:
+            times.append(np.int64(whole * 1_000_000_000 + int(fraction[:9].ljust(9, "0"))))
+        except (OverflowError, TypeError, ValueError) as error:  # TypeError: a time with its zone
             raise InputError(
                 f"{path}: line {number}: {text!r} is no time of the form 2011-09-26 13:10:51.168593664"
             ) from error
@@ -177,7 +177,7 @@ def _read_oxts(files: list[Path], times_us: NDArray[np.int64]) -> tuple[Array, S
     the second value says: positions wander by decimetres, and jitter that looks like acceleration. How the errors of
     velocities go on from one to the next they do not tell, so nothing follows for accelerations.
     """
-    rows = np.stack([_read_numbers(file.read_text(errors="replace"), OXTS_FIELDS, str(file)) for file in files])
+    rows = np.stack([_read_numbers(read_text(file), OXTS_FIELDS, str(file)) for file in files])
     latitude, longitude, altitude, roll, pitch, yaw = rows[:, :6].T
     scale = EARTH_RADIUS * np.cos(np.radians(latitude[0]))
     east = scale * np.radians(longitude)

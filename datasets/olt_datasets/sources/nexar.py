@@ -9,6 +9,8 @@ driver would have been alerted.
 """
 
 import csv
+import io
+import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 
 from olt_datasets.sources.video import CAMERA, UNKNOWN_CAMERA, open_video_window
 from olt_generator.errors import InputError
+from olt_generator.files import read_bounded
 from olt_generator.video import read_frame_times, read_video_images
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
@@ -31,6 +34,7 @@ LICENCE = Licence(
     "The file LICENSE of the data set tells the terms, with limits on ethical grounds; read it before passing data on.",
 )
 _HUB_FOLDERS: dict[str, Split] = {"train": "train", "test-public": "test", "test-private": "test"}
+_LARGEST_TABLE = 1 << 30
 _POSITIVE, _NEGATIVE = "positive", "negative"
 # Each table, the folder from which its file names count, and its split; first those of the challenge.
 _TABLES: list[tuple[str, str, Split]] = [("train.csv", "train", "train"), ("test.csv", "test", "test")]
@@ -140,18 +144,17 @@ class Nexar:
 
 def _read_rows(table: Path) -> list[dict[str, str]]:
     try:
-        with table.open(encoding="utf-8-sig", newline="") as file:
-            return [
-                {name: (value or "").strip() for name, value in row.items() if name} for row in csv.DictReader(file)
-            ]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        text = read_bounded(table, "table of videos", _LARGEST_TABLE).decode("utf-8-sig")
+        rows = csv.DictReader(io.StringIO(text, newline=""))
+        return [{name: (value or "").strip() for name, value in row.items() if name} for row in rows]
+    except (UnicodeDecodeError, csv.Error) as error:
         raise InputError(f"{table}: cannot be read ({error}); download it again") from error
 
 
 def _read_video(row: dict[str, str], folder: Path, split: Split, where: str) -> _Video:
     name = row.get("file_name") or (f"{row['id']}.mp4" if row.get("id") else "")
     path = folder / name
-    if not name or not path.resolve().is_relative_to(folder.resolve()):
+    if not name or not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
         raise InputError(
             f"{where}: neither 'id' nor 'file_name' names a video in {folder.name}; download the table again"
         )

@@ -118,7 +118,7 @@ def _read_sample_data(release: Path, calibrations: set[str]) -> pl.DataFrame:
         if row["calibrated_sensor_token"] in calibrations
     )
     schema = {name: pl.Int64 if fields[name] is int else pl.String for name in names}
-    images = _collect(rows, schema).rename({"calibrated_sensor_token": "calibrated_sensor"})
+    images = _collect(rows, schema, path).rename({"calibrated_sensor_token": "calibrated_sensor"})
     outside = images.filter(pl.col("filename").str.contains(r"^/|(^|/)\.\.(/|$)"))["filename"]
     if len(outside):
         raise InputError(f"{path}: filename {outside[0]!r} leaves the data set")
@@ -134,13 +134,16 @@ def _read_poses(release: Path, wanted: set[str]) -> pl.DataFrame:
         if row["token"] in wanted
     )
     schema = {"ego_pose_token": pl.String} | dict.fromkeys([*POSITION, *QUATERNION], pl.Float64)
-    return _collect(rows, schema)
+    return _collect(rows, schema, path)
 
 
-def _collect(rows: Iterator[tuple[Any, ...]], schema: dict[str, Any]) -> pl.DataFrame:
+def _collect(rows: Iterator[tuple[Any, ...]], schema: dict[str, Any], path: Path) -> pl.DataFrame:
     """A table of many rows, of which few are ever Python objects."""
     batches = iter(lambda: list(islice(rows, _BATCH)), [])
-    parts = [pl.DataFrame(batch, schema, orient="row") for batch in batches]
+    try:
+        parts = [pl.DataFrame(batch, schema, orient="row") for batch in batches]
+    except (OverflowError, TypeError, pl.exceptions.PolarsError) as error:
+        raise InputError(f"{path}: holds an integer of more than 64 bits ({error}); copy it again") from error
     return pl.concat(parts) if parts else pl.DataFrame(schema=schema)
 
 

@@ -9,7 +9,6 @@ unreliable. The body frame of this data set, the LiDAR's, has x to the left and 
 distortion, which the images have; the static calibration does.
 """
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, TypeVar
@@ -25,6 +24,7 @@ from olt_generator.poses import Array, invert, pose_from_quaternion
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US, Span
 from olt_toolkit.rigs.rig_files import load_rig
+from olt_toolkit.runtime.json_files import read_json
 
 SOURCE = "pandaset"
 FRONT = "front_camera"
@@ -189,17 +189,11 @@ def _read_poses(folder: Path, count: int) -> Array:
 
 def _read_json(path: Path, content: TypeAdapter[Content]) -> Content:
     try:
-        if path.stat().st_size > _LARGEST_JSON_BYTES:
-            raise InputError(f"{path}: {path.stat().st_size} bytes are too many for this file; copy it again")
-        return content.validate_python(json.loads(path.read_text(encoding="utf-8")))
-    except FileNotFoundError as error:
-        raise InputError(f"{path}: no such file; copy the sequence again") from error
+        return content.validate_python(read_json(path, "table of a sequence", _LARGEST_JSON_BYTES))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         raise InputError(f"{path}: {place}: {first['msg']}") from error
-    except (OSError, ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not readable as JSON ({error}); copy it again") from error
 
 
 DATASET = DatasetReader(SOURCE, LICENCE, lambda path: bool(_sequences(path)), Pandaset)

@@ -10,13 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Protocol
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.sources.mosaic import Mosaic, coverage
+from olt_datasets.sources.pictures import LARGEST_BYTES, REDUCTIONS, decode_picture
 from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator import Camera, InputError, PinholeCamera, Trajectory
+from olt_generator.files import read_bounded
 from olt_generator.lenses.remap import Remapper
 from olt_generator.video import shrink
 from olt_toolkit import Drive, OpenOptions, Recording
@@ -33,14 +34,6 @@ LEAST_COVERAGE = 0.5
 _ASPECT = 9 / 16
 # Side samples of each front pixel where distortion is taken out.
 _SAMPLES = 2
-_LARGEST_IMAGE_BYTES = 64 * 2**20
-# By how much decoders can make an image smaller while they decode it.
-_REDUCTIONS = {
-    1: cv2.IMREAD_COLOR,
-    2: cv2.IMREAD_REDUCED_COLOR_2,
-    4: cv2.IMREAD_REDUCED_COLOR_4,
-    8: cv2.IMREAD_REDUCED_COLOR_8,
-}
 
 
 class StoredImage(Protocol):
@@ -127,7 +120,7 @@ class SurroundDrive:
         numbers = nearest_images(front.times_us, times_us)
         distinct, places = np.unique(numbers, return_inverse=True)
         lens = front.mounted.camera
-        reduction = max(each for each in _REDUCTIONS if lens.width >= each * width or each == 1)
+        reduction = max(each for each in REDUCTIONS if lens.width >= each * width or each == 1)
         reduced = lens.resized(-(-lens.width // reduction), -(-lens.height // reduction))
         _, straighten = straightened(reduced, width)
         images = np.stack([straighten(read_image(front.files[each], lens, reduction)) for each in distinct.tolist()])
@@ -188,21 +181,16 @@ def read_image(stored: StoredImage, camera: Camera, reduction: int = 1) -> Image
 
     Each side of the image is divided by `reduction`, 1, 2, 4 or 8, and rounded up; little else is decoded.
     """
-    if isinstance(stored, Path):
-        if not stored.is_file():
-            raise InputError(f"{stored}: no such image; copy the data set again")
-        if stored.stat().st_size > _LARGEST_IMAGE_BYTES:
-            raise InputError(f"{stored}: {stored.stat().st_size} bytes are too many for an image; copy it again")
-    content = np.frombuffer(stored.read_bytes(), np.uint8)
-    image = cv2.imdecode(content, _REDUCTIONS[reduction]) if len(content) else None
-    if image is None:
-        raise InputError(f"{stored}: cannot be decoded as an image; copy it again")
+    if isinstance(stored, Path) and not stored.is_file():
+        raise InputError(f"{stored}: no such image; copy the data set again")
+    content = read_bounded(stored, "image", LARGEST_BYTES) if isinstance(stored, Path) else stored.read_bytes()
+    image = decode_picture(content, str(stored), reduction)
     if image.shape[:2] != (-(-camera.height // reduction), -(-camera.width // reduction)):
         about = "about " if reduction > 1 else ""
         height, width = (reduction * side for side in image.shape[:2])
         has = f"{camera.width} x {camera.height}"
         raise InputError(f"{stored}: is {about}{width} x {height} pixels; its camera has {has}")
-    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+    return image
 
 
 def straightened(camera: Camera, width: int) -> tuple[Camera, Callable[[Image], Image]]:

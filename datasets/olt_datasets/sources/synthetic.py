@@ -68,7 +68,7 @@ _generate_scene = lru_cache(maxsize=8)(generate_scene)
 class _Conditions(BaseModel):
     """Light and weather."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     light: Light = "day"
     rain: Share = 0.0
@@ -88,7 +88,7 @@ class _Conditions(BaseModel):
 class _Camera(BaseModel):
     """Effects of the cameras."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     exposure_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
     readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
@@ -116,7 +116,7 @@ class _Camera(BaseModel):
 class _Specification(BaseModel):
     """The content of `synthetic.yaml`."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     categories: Annotated[tuple[str, ...], Field(min_length=1)]
     seed: Annotated[int, Field(ge=0)]

@@ -9,6 +9,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from olt_generator.files import walk_files
+
 SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm", ".ts", ".mpg", ".mpeg"})
 
 # First bytes of what lies beside videos under their names.
@@ -121,8 +123,11 @@ def why_no_video(path: Path) -> str | None:
     """What a file that is called a video is instead, plural, judged by its name and first bytes; None for a video."""
     if path.name.startswith("."):
         return "hidden files"
-    with path.open("rb") as file:
-        start = file.read(512)
+    try:
+        with path.open("rb") as file:
+            start = file.read(512)
+    except OSError:
+        return "files that may not be read"
     if not start:
         return "empty files"
     if all(byte in _TEXT for byte in start):
@@ -133,7 +138,7 @@ def why_no_video(path: Path) -> str | None:
 def find_video_files(folder: Path) -> tuple[list[Path], dict[Path, str]]:
     """The videos in a folder and below, sorted, and what else is called a video and why it is none."""
     videos, others = [], {}
-    for path in sorted(path for path in folder.rglob("*") if has_video_suffix(path)):
+    for path in filter(has_video_suffix, walk_files(folder)):
         parents = path.relative_to(folder).parts[:-1]
         if any(part.startswith(".") or part.lower() in _FOLDERS_OF_SYSTEMS for part in parents):
             others[path] = "files in folders of the system"

@@ -5,11 +5,12 @@ rows is a property of the clips: it depends neither on the order of rows in a fi
 given, so that everything drawn from a table by row number is reproducible.
 """
 
+import os
 from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import polars as pl
 import pyarrow as pa
@@ -17,9 +18,10 @@ import pyarrow.parquet as pq
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_toolkit.clips.clip import ClipKind, Split
-from olt_toolkit.clips.table import CLIP_TABLE, OPTIONAL_COLUMNS, VERSION_KEY, check_table_version
+from olt_toolkit.clips.clip import check_clip_id
+from olt_toolkit.clips.table import CLIP_TABLE, VERSION_KEY, check_table_version
 from olt_toolkit.clips.table import SCHEMA as STORED_SCHEMA
+from olt_toolkit.clips.table_values import check_file
 
 _STORED = pl.DataFrame(STORED_SCHEMA.empty_table()).schema
 # Checksums of files and the provenance of views stay in the store; of the latter here are the shares of pixels over all
@@ -30,6 +32,7 @@ SCHEMA = pl.Schema(
     | dict.fromkeys(SHARES, pl.Float64)
 )
 TABLE_SUFFIX = ".parquet"
+_UUID = "^[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}$"
 
 
 def scan_clip_tables(paths: Sequence[Path]) -> pl.LazyFrame:
@@ -41,7 +44,7 @@ def scan_clip_tables(paths: Sequence[Path]) -> pl.LazyFrame:
     Raises:
         InputError: a table is missing, damaged, of another version, or holds a column or value that is not known.
     """
-    resolved = sorted(path.resolve() for path in paths)
+    resolved = sorted(Path(os.path.realpath(path)) for path in paths)  # a link to itself is no file, and no loop
     twice = next((first for first, second in pairwise(resolved) if first == second), None)
     if twice is not None:
         raise InputError(f"{twice} was given twice; give each store and each table once")
@@ -106,55 +109,30 @@ def _scan_clip_table(path: Path) -> pl.LazyFrame:
             *(each.alias(name) for each, name in zip(shares, SHARES, strict=True))
         )
         table = table.select(SCHEMA.names())
-        is_sorted = _check_values(table, file)
-    except (pl.exceptions.PolarsError, OSError) as error:
+        check_file(file)
+        # What Arrow reads and Polars does not shows here, and not in the middle of later work.
+        pl.scan_parquet(file).select(pl.all().null_count()).collect(engine="streaming")
+        is_sorted = _check_ids(table, file)
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(f"{file}: not a readable Parquet file ({reason}); build or index the clips again") from error
     ordered = table.set_sorted("clip_id") if is_sorted else table.sort("clip_id")
     return ordered.with_columns(store=pl.lit(str(path)))
 
 
-def _check_values(table: pl.LazyFrame, file: Path) -> bool:
-    """Check every value, a few columns at a time; returns whether the rows are sorted by clip id."""
-    statistics = pq.read_metadata(file)
-    for name, dtype in SCHEMA.items():
-        if name not in SHARES and _count_empty_cells(table, name, dtype, statistics):
-            raise InputError(f"{file}: column {name} has empty cells; every clip needs a value")
-    for name, allowed in (("kind", get_args(ClipKind)), ("split", get_args(Split))):
-        unknown = _tell(table, pl.col(name).filter(~pl.col(name).is_in(allowed)).min())
-        if unknown is not None:
-            raise InputError(f"{file}: column {name} has {unknown!r}; it must be one of {', '.join(allowed)}")
-    times, errors = pl.col("sample_t0_us"), pl.col("action_errors")
-    if _tell(table, (times.list.len() != errors.list.len()).any()):
-        raise InputError(
-            f"{file}: column action_errors has not one number for each of sample_t0_us; build the clips again"
-        )
-    for name in SHARES:
-        if _tell(table, (~pl.col(name).is_between(0.0, 1.0)).any()):
-            raise InputError(f"{file}: column views has a {name} that is no share of 0 to 1; build the clips again")
-    if _tell(table, (pl.col("end_us") < pl.col("start_us")).any()):
-        raise InputError(f"{file}: column end_us is less than start_us; a clip ends after it starts")
-    if _tell(table, (pl.col("clip_id") > pl.col("clip_id").shift(1)).all()):
-        return True
-    clip_ids = table.select("clip_id").collect()["clip_id"].sort()
-    repeated = clip_ids.filter(clip_ids == clip_ids.shift(1))
-    if len(repeated):
-        raise InputError(f"{file}: column clip_id has {repeated[0]!r} more than once; each clip needs one row")
-    return False
-
-
-def _count_empty_cells(table: pl.LazyFrame, name: str, dtype: pl.DataType, statistics: pq.FileMetaData) -> int:
-    """The number of empty cells of a column, those within lists too; cells of some columns may be empty."""
-    column, may_be_empty = pl.col(name), name in OPTIONAL_COLUMNS
-    if isinstance(dtype, pl.List):
-        return _tell(table, column.explode(empty_as_null=False, keep_nulls=not may_be_empty).null_count())
-    if may_be_empty:
-        return 0
-    index = statistics.schema.names.index(name)
-    counted = [statistics.row_group(group).column(index).statistics for group in range(statistics.num_row_groups)]
-    if all(part is not None and part.has_null_count for part in counted):
-        return sum(part.null_count for part in counted)
-    return _tell(table, column.null_count())
+def _check_ids(table: pl.LazyFrame, file: Path) -> bool:
+    """Check that every id is there once and is that of a clip; returns whether the rows are sorted by them."""
+    clip_id = pl.col("clip_id")
+    is_sorted = _tell(table, (clip_id > clip_id.shift(1)).all())
+    if not is_sorted:
+        clip_ids = table.select("clip_id").collect()["clip_id"].sort()
+        repeated = clip_ids.filter(clip_ids == clip_ids.shift(1))
+        if len(repeated):
+            raise InputError(f"{file}: column clip_id has {repeated[0]!r} more than once; each clip needs one row")
+    wrong = _tell(table, clip_id.filter(~clip_id.str.contains(_UUID)).min())
+    if wrong is not None:
+        check_clip_id(wrong, f"{file}: column clip_id")
+    return is_sorted
 
 
 def _tell(table: pl.LazyFrame, question: pl.Expr) -> Any:

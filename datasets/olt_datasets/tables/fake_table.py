@@ -10,12 +10,11 @@ import pyarrow.parquet as pq
 from olt_datasets.tables.clip_frame import check_table_name
 from olt_generator.files import write_whole
 from olt_generator.seeds import make_generator
-from olt_toolkit.clips.fingerprint import RECORD
+from olt_toolkit.clips.fingerprint import IMAGES, RECORD
 from olt_toolkit.clips.table import SCHEMA
 
 ROWS_AT_ONCE = 100_000
 LONG_TAIL = ("cyclists", "work_zone", "uncommon_vehicle", "animal")
-_IMAGES = 4
 SAMPLE_TIMES_US = (1_700_000, 5_100_000, 8_500_000, 11_900_000)
 
 
@@ -28,6 +27,15 @@ def write_fake_table(path: Path, clips: int) -> None:
     with write_whole(path) as temporary, pq.ParquetWriter(temporary, SCHEMA) as writer:
         for start in range(0, clips, ROWS_AT_ONCE):
             writer.write_table(_rows(start, min(ROWS_AT_ONCE, clips - start)))
+
+
+def _draw_fingerprints(random: np.random.Generator, count: int) -> pa.Array:
+    """Fingerprints of images by chance, each like no other."""
+    images = np.zeros((count, IMAGES), RECORD)
+    images["time_ms"] = 20_000 // IMAGES * np.arange(IMAGES)
+    images["signs"] = random.integers(256, size=images["signs"].shape, dtype=np.uint8)
+    width, buffer = IMAGES * RECORD.itemsize, pa.py_buffer(images.tobytes())
+    return pa.FixedSizeBinaryArray.from_buffers(pa.binary(width), count, [None, buffer])
 
 
 def _rows(start: int, count: int) -> pa.Table:
@@ -63,11 +71,10 @@ def _rows(start: int, count: int) -> pa.Table:
         checksum=digits(18) + digits(14),
     )
     columns = {name: frame[name].to_arrow() for name in frame.columns}
-    images = np.empty((count, _IMAGES), RECORD)
-    images["time_ms"] = 20_000 // _IMAGES * np.arange(_IMAGES)
-    images["signs"] = random.integers(256, size=images["signs"].shape, dtype=np.uint8)
-    width, buffer = _IMAGES * RECORD.itemsize, pa.py_buffer(images.tobytes())
-    columns["fingerprint"] = pa.FixedSizeBinaryArray.from_buffers(pa.binary(width), count, [None, buffer])
+    columns["fingerprint"] = _draw_fingerprints(random, count)
+    columns["views"] = pa.ListArray.from_arrays(
+        np.zeros(count + 1, np.int32), pa.array([], SCHEMA.field("views").type.value_type)
+    )
     arrays = [
         columns[field.name].cast(field.type) if field.name in columns else pa.nulls(count, field.type)
         for field in SCHEMA

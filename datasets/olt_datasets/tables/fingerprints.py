@@ -16,16 +16,23 @@ from numpy.typing import NDArray
 
 from olt_datasets.tables.thumbnail_alignment import Sequence, is_alike
 from olt_datasets.tables.thumbnail_keys import Effort, choose_effort, make_keys, make_probes
-from olt_toolkit.clips.fingerprint import IMAGES, RECORD
+from olt_datasets.tables.thumbnail_warps import list_crops, stack_warps
+from olt_toolkit.clips.fingerprint import COLUMNS, IMAGES, RECORD, ROWS
 
 # Keys of a block of the second list, held at once: 8 bytes each.
-_KEYS_AT_ONCE = 1 << 26
+_KEYS_AT_ONCE = 1 << 25
 _PROBES_AT_ONCE = 1 << 19
 _OF_A_KEY = 8
 """Thumbnails that are taken of those that share a key."""
 _COMPARED = 8
 """Clips, the ones that share most keys, that are compared with one."""
-_ROWS_AT_ONCE = 100_000
+_MANY_KEYS = 8
+"""Shared keys; a clip that shares fewer is seldom a copy."""
+_LOOKED_AT = 6
+"""Pairs of images, of those that share keys, that are correlated first."""
+_LEAST_CORRELATION = 0.4
+"""Of the best of these pairs; those of one place have more."""
+_ROWS_AT_ONCE = 20_000
 
 Pairs = NDArray[np.int64]
 Places = NDArray[np.int64]
@@ -37,8 +44,8 @@ class Search:
 
     Attributes:
         pairs: places (m, 2), ascending, of clips of the first list and of a like clip of the second: one at most each.
-        crowded: places (c,) of clips of the first list that share keys with more clips than are compared, and for which
-            no like clip is among those compared: not compared in full.
+        crowded: places (c,) of clips of the first list that share many keys with more clips than are compared, and for
+            which no like clip is among those compared: not compared in full.
     """
 
     pairs: Pairs
@@ -157,14 +164,33 @@ def _thumbnails(rows: pl.DataFrame) -> _Thumbnails:
 
 def _build_indexes(table: pl.LazyFrame, effort: Effort) -> Iterator[_Index]:
     """Indexes of a table, a block of clips at a time."""
-    for block in _read_parts(table, _KEYS_AT_ONCE // (IMAGES * effort.tables)):
-        keys = np.empty((effort.tables, len(block.records)), np.uint64)
-        for start in range(0, len(block.records), _ROWS_AT_ONCE):
-            part = slice(start, start + _ROWS_AT_ONCE)
-            keys[:, part] = make_keys(_unpack(block.records["signs"][part]), effort) << np.uint64(32)
-        keys |= np.arange(keys.shape[1], dtype=np.uint64)
-        keys.sort(axis=1)
-        yield _Index(block, block.owners(), keys, effort)
+    most = _KEYS_AT_ONCE // (IMAGES * effort.tables)
+    parts: list[_Thumbnails] = []
+    for part in _read_parts(table, most):
+        if sum(len(each.clips) for each in [*parts, part]) > most:
+            yield _index(_join(parts), effort)
+            parts = []
+        parts.append(part)
+    if parts:
+        yield _index(_join(parts), effort)
+
+
+def _join(parts: list[_Thumbnails]) -> _Thumbnails:
+    sizes = np.concatenate([np.diff(part.starts) for part in parts])
+    records, clips, scenes = (
+        np.concatenate([getattr(part, name) for part in parts]) for name in ("records", "clips", "scenes")
+    )
+    return _Thumbnails(records, clips, np.concatenate([[0], np.cumsum(sizes)]), scenes)
+
+
+def _index(block: _Thumbnails, effort: Effort) -> _Index:
+    keys = np.empty((effort.tables, len(block.records)), np.uint64)
+    for start in range(0, len(block.records), _ROWS_AT_ONCE):
+        part = slice(start, start + _ROWS_AT_ONCE)
+        keys[:, part] = make_keys(_unpack(block.records["signs"][part]), effort) << np.uint64(32)
+    keys |= np.arange(keys.shape[1], dtype=np.uint64)
+    keys.sort(axis=1)
+    return _Index(block, block.owners(), keys, effort)
 
 
 def _search_part(part: _Thumbnails, index: _Index, found: dict[int, int], crowded: set[int]) -> None:
@@ -181,36 +207,67 @@ def _search_part(part: _Thumbnails, index: _Index, found: dict[int, int], crowde
 
 
 def _find_candidates(part: _Thumbnails, index: _Index) -> tuple[pl.DataFrame, Places]:
-    """Clips, candidates of the index and whether mirrored, those first that share most keys; and clips with more."""
+    """Clips, candidates of the index and whether mirrored, those first that share most keys; and clips with more.
+
+    A clip has more candidates than these where one that shares many keys is cut off, or where most of its keys are
+    shared by more thumbnails than are taken.
+    """
     probes = make_probes(part.signs(), index.effort)
     owners = part.owners()
-    hits, left_out = [], []
+    hits, full_keys, met_keys = [], np.zeros(len(part.clips), np.int64), np.zeros(len(part.clips), np.int64)
     for table, keys in zip(probes, index.keys, strict=True):
         wanted = table.ravel() << np.uint64(32)
         low = np.searchsorted(keys, wanted)
         counts = np.searchsorted(keys, wanted + np.uint64(1 << 32)) - low
         probe, image = np.divmod(np.arange(table.size), table.shape[1])
-        left_out.append(owners[image[counts > _OF_A_KEY]])
+        met_keys += np.bincount(owners[image[counts > 0]], minlength=len(met_keys))
+        full_keys += np.bincount(owners[image[counts > _OF_A_KEY]], minlength=len(full_keys))
         # Evenly over those that share the key.
         for taken in range(min(_OF_A_KEY, int(counts.max(initial=0)))):
             more = np.flatnonzero(counts > taken)
             step = low[more] + taken * counts[more] // np.minimum(counts[more], _OF_A_KEY)
-            theirs = index.owners[(keys[step] & np.uint64(0xFFFFFFFF)).astype(np.int64)]
-            hits.append(np.stack([owners[image[more]], theirs, probe[more] % 2]))
-    votes = pl.DataFrame(
-        np.concatenate([np.empty((3, 0), np.int64), *hits], axis=1).T, ("clip", "candidate", "mirrored")
-    )
-    scenes, other_scenes = part.scenes[votes["clip"]], index.thumbnails.scenes[votes["candidate"]]
-    apart = votes.filter(pl.Series((scenes != other_scenes) | (scenes == 0)))
-    ranked = (
-        apart.group_by("clip", "candidate", "mirrored")
-        .len()
+            theirs = (keys[step] & np.uint64(0xFFFFFFFF)).astype(np.int64)
+            hits.append(np.stack([owners[image[more]], index.owners[theirs], probe[more], image[more], theirs]))
+    met = np.concatenate([np.empty((5, 0), np.int64), *hits], axis=1)
+    scenes, other_scenes = part.scenes[met[0]], index.thumbnails.scenes[met[1]]
+    ranked = _rank(met[:, (scenes != other_scenes) | (scenes == 0)])
+    likely = ranked.filter(_correlate(part, index, ranked) >= _LEAST_CORRELATION)
+    ranks = pl.int_range(pl.len()).over("clip")
+    cut = likely.filter((ranks >= _COMPARED) & (pl.col("len") >= _MANY_KEYS))
+    mostly_full = np.flatnonzero(2 * full_keys > met_keys)
+    candidates = likely.filter(ranks < _COMPARED).select("clip", "candidate", "mirrored")
+    return candidates, np.union1d(mostly_full, cut["clip"].to_numpy()).astype(np.int64)
+
+
+def _rank(met: NDArray[np.int64]) -> pl.DataFrame:
+    """Candidates by the keys they share, of (clip, candidate, probe, image, their image) a key (5, n)."""
+    keys = pl.DataFrame(met.T, ("clip", "candidate", "probe", "image", "theirs"))
+    return (
+        keys.group_by("clip", "candidate", (pl.col("probe") % 2 == 1).alias("mirrored"), maintain_order=True)
+        .agg(pl.len(), pl.col("probe", "image", "theirs").sample(_LOOKED_AT, with_replacement=True, seed=0))
         .sort("clip", "len", "candidate", "mirrored", descending=[False, True, False, False])
-        .with_columns(pl.int_range(pl.len()).over("clip").alias("rank"))
     )
-    left_out.append(ranked.filter(pl.col("rank") >= _COMPARED)["clip"].to_numpy())
-    candidates = ranked.filter(pl.col("rank") < _COMPARED).select("clip", "candidate", pl.col("mirrored") == 1)
-    return candidates, np.unique(np.concatenate(left_out))
+
+
+def _correlate(part: _Thumbnails, index: _Index, candidates: pl.DataFrame) -> pl.Series:
+    """Highest correlation of a few pairs of images of each candidate that share a key, as the probe warps the first."""
+    images = (
+        candidates.with_row_index("row").select("row", "probe", "image", "theirs").explode("probe", "image", "theirs")
+    )
+    probes, mine, theirs = (images[name].to_numpy() for name in ("probe", "image", "theirs"))
+    correlations = np.empty(len(images), np.float32)
+    stacked, filled = stack_warps(list_crops(index.effort.scales, (0.0,)))
+    for number, warp in enumerate(np.split(stacked.toarray(), len(filled))):
+        for mirrored in (False, True):
+            rows = np.flatnonzero(probes == 2 * number + mirrored)
+            warped = _unpack(part.records["signs"][mine[rows]]) @ warp.T
+            if mirrored:
+                warped = warped.reshape(-1, ROWS, COLUMNS)[:, :, ::-1].reshape(warped.shape)
+            signs = _unpack(index.thumbnails.records["signs"][theirs[rows]])
+            norms = np.linalg.norm(warped, axis=1) * np.sqrt(filled[number].sum())
+            correlations[rows] = np.einsum("nc,nc->n", warped, signs) / norms
+    highest = images.with_columns(correlation=correlations).group_by("row").agg(pl.col("correlation").max())
+    return highest.sort("row")["correlation"]
 
 
 def _unpack(signs: NDArray[np.uint8]) -> NDArray[np.float32]:

@@ -12,12 +12,14 @@ import pyarrow as pa
 
 from olt_datasets.tables.clip_frame import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
 from olt_generator.errors import InputError
+from olt_generator.files import read_bounded
 
 IDS = ("scene_id", "clip_id")
 FIELDS = ("category", "factors", "country")
 _WORD = re.compile(r"[a-z0-9]+(_[a-z0-9]+)*")
 _COUNTRY = re.compile(r"[A-Z]{2}")
 _SHOWN = 3
+_MOST_BYTES = 1 << 30
 
 
 def read_labels(path: Path) -> pl.DataFrame:
@@ -29,8 +31,8 @@ def read_labels(path: Path) -> pl.DataFrame:
         InputError: the file cannot be read; names a column, row or word that is not as it should be.
     """
     try:
-        table = pl.read_csv(path, infer_schema=False)
-    except (pl.exceptions.PolarsError, OSError) as error:
+        table = pl.read_csv(read_bounded(path, "table of labels", _MOST_BYTES), infer_schema=False)
+    except pl.exceptions.PolarsError as error:
         reason = str(error).partition("\n")[0]
         raise InputError(f"{path}: not a readable CSV file ({reason})") from error
     known = [name for name in IDS if name in table.columns]

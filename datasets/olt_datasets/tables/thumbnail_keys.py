@@ -64,11 +64,11 @@ def make_probes(signs: Signs, effort: Effort) -> NDArray[np.uint64]:
     """Keys (tables, probes, n) under which what looks like thumbnails (n, cells) may be; odd probes are mirrored."""
     stacked, _ = stack_warps(list_crops(effort.scales, (0.0,)))
     waves = _waves()
-    parity = np.repeat([(-1.0) ** wave for wave in range(1, WAVES_ALONG + 1)], WAVES_DOWN).astype(np.float32)
+    parity: Signs = np.repeat([(-1.0) ** wave for wave in range(1, WAVES_ALONG + 1)], WAVES_DOWN).astype(np.float32)
     probes = []
     for warp in np.split(stacked.toarray(), len(effort.scales)):
-        amplitudes = signs @ (waves @ warp).T
-        probes += [_round_to_keys(amplitudes, effort), _round_to_keys(parity * amplitudes, effort)]
+        amplitudes: Signs = signs @ (waves @ warp).T
+        probes += [_round_to_keys(amplitudes, effort), _round_to_keys(amplitudes * parity, effort)]
     return np.stack(probes, axis=1)
 
 

@@ -59,7 +59,7 @@ def list_crops(scales: tuple[float, ...], shifts: tuple[float, ...]) -> tuple[Wa
 @lru_cache(maxsize=256)
 def stack_warps(warps: tuple[Warp, ...]) -> tuple[SparseMatrix, NDArray[np.float32]]:
     """Warps in one matrix (warps x cells, cells), and which cells (warps, cells) each fills: 1, else 0."""
-    stacked = scipy.sparse.vstack([warp.matrix() for warp in warps], format="csr")
+    stacked = SparseMatrix(scipy.sparse.vstack([warp.matrix() for warp in warps]))
     filled = stacked.sum(axis=1) > 0.5
     return stacked, filled.reshape(len(warps), -1).astype(np.float32)
 

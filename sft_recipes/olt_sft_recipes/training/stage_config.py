@@ -46,7 +46,7 @@ class StageConfig(BaseModel):
             real recipe. Toy only.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     stage: Literal[1, 2]
     num_train_epochs: PositiveInt = 3

@@ -10,8 +10,9 @@ import json
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,6 +32,7 @@ from olt_sft_recipes.toy.tokens import FUTURE_TOKENS, encode_actions
 from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_sft_recipes.training.stage_config import StageConfig
 from olt_toolkit import PolicySample, SampleKey
+from olt_toolkit.runtime.json_files import read_json
 from olt_toolkit.runtime.version import code_version
 
 Batches = Callable[[int, int], Sequence[Sequence[SampleKey]]]
@@ -155,11 +157,11 @@ def train_stage(
     ]
     keys = sorted({key for epoch in epochs for batch in epoch for key in batch})
     samples_seed = derive_seed(*(f"{key.clip_id} {key.t0_us}" for key in keys))
-    before = "" if checkpoint_in is None else json.loads((checkpoint_in / LOG_FILE).read_text())["identity"]
+    before = "" if checkpoint_in is None else _read_log(checkpoint_in)["identity"]
     sizes = "" if model_config is None else model_config.model_dump_json()
     identity = f"{derive_seed(code_version(), stage.model_dump_json(), sizes, samples_seed, before):x}"
     if (out / LOG_FILE).exists():
-        log = json.loads((out / LOG_FILE).read_text())
+        log = _read_log(out)
         if log.pop("identity") == identity:
             on_progress(1.0)
             return StageResult(**log)
@@ -184,6 +186,14 @@ def train_stage(
     with write_whole(out / LOG_FILE) as path:
         path.write_text(json.dumps({"identity": identity, **asdict(result)}) + "\n")
     return result
+
+
+def _read_log(folder: Path) -> dict[str, Any]:
+    path = folder / LOG_FILE
+    log = read_json(path, "log of a training")
+    if not isinstance(log, dict) or log.keys() != {"identity", *(field.name for field in fields(StageResult))}:
+        raise InputError(f"{path}: not the log of a training by this release; train again, into another folder")
+    return log
 
 
 def _make_model(stage: StageConfig, checkpoint_in: Path | None, config: ToyPolicyConfig | None) -> ToyModel:

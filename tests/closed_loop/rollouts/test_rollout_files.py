@@ -12,6 +12,8 @@ from olt_closed_loop.commands import app
 from olt_closed_loop.rollouts.rollout_files import parse_rollout, read_rollout_file
 from olt_generator.errors import InputError
 
+from ...fuzzing import SECONDS
+
 
 def written(folder, values):
     path = folder / "drive.json"
@@ -120,3 +122,20 @@ def test_the_command_prints_a_table(tmp_path, texts):
     path = written(tmp_path, texts.rollout(texts.along_x()))
     result = CliRunner().invoke(app, ["score-rollout", str(path)])
     assert result.exit_code == 0 and "definition strict" in result.output and "mean_speed" in result.output
+
+
+@pytest.fixture
+def damaged_drive(tmp_path, texts):
+    path = tmp_path / "drive.json"
+    agent = texts.agent(texts.along_x(count=9))
+    path.write_text(json.dumps(texts.rollout(texts.along_x(count=9), agents={"a": agent})))
+    return path
+
+
+def test_damaged_rollouts_are_read_or_refused_in_words(fuzzer, damaged_drive):
+    fuzzer.run("rollout", damaged_drive)
+
+
+@pytest.mark.slow
+def test_damaged_rollouts_for_long(fuzzer, damaged_drive):
+    fuzzer.run("rollout", damaged_drive, seconds=SECONDS)

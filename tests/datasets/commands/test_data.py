@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from olt_datasets.commands.data import app
 from olt_datasets.commands.mix import app as mix
-from olt_datasets.tables.clip_frame import read_clip_tables
+from olt_datasets.tables.clip_frame import SHARES, read_clip_tables
 from olt_generator.errors import InputError
 from olt_toolkit.rigs.rig import POLICY_CAMERAS
 
@@ -63,6 +63,7 @@ def test_from_a_data_set_to_built_clips(toy, tmp_path):
     assert result.exit_code == 0, result.output
     assert [clip["state"] for clip in json.loads(result.stdout)["clips"]] == ["built"] * 6
     of_the_files = ("store", "checksum", "fingerprint", "doubts", "build_options")
+    of_the_files += ("acceleration_noise", "acceleration_noise_basis", "action_errors", *SHARES)
     built, indexed = (read_clip_tables([path]).drop(of_the_files) for path in (store, table))
     assert_frame_equal(built, indexed)
     assert read_clip_tables([store])["doubts"].to_list() == [[]] * 6

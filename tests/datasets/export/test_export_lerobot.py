@@ -185,14 +185,9 @@ def test_an_interrupted_export_goes_on(stores, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
 
-def test_a_full_disk_names_the_file(stores, tmp_path, monkeypatch):
-    from olt_datasets.export import lerobot
-
-    def fill(path, frames, rate):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(lerobot, "write_video", fill)
-    with pytest.raises(InputError, match=r"camera_cross_left_120fov/.*\.mp4: cannot be written \(No space left"):
+def test_a_full_disk_names_the_file(stores, tmp_path, full_disk):
+    message = r"camera_cross_left_120fov/.*\.mp4: cannot be written \(File too large"
+    with pytest.raises(InputError, match=message), full_disk(1000):
         export_lerobot(contents_of_stores(stores, "train"), tmp_path / "set", image_size=SIZE)
 
 

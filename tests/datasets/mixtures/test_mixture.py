@@ -519,3 +519,25 @@ def test_weights_shift_what_is_drawn_and_say_where_they_choose_nothing(measured_
 def test_limits_and_weights_that_mean_nothing_are_refused(part, message):
     with pytest.raises(InputError, match=re.escape(message)):
         make_recipe({"name": "all", "share": 1.0, **part})
+
+
+def test_an_epoch_beyond_all_memory_is_refused(toy_table):
+    content = {"name": "a", "description": "", "version": 1, "components": [{"name": "all", "share": 1e-9}]}
+    content["components"].append({"name": "rest", "share": 1.0 - 1e-9, "where": {"kind": "Syn"}, "repeats": 10**8})
+    content["components"][0] |= {"where": {"kind": "GT"}, "repeats": 10**8}
+    with pytest.raises(
+        InputError, match=r"recipe a: an epoch would have \d+ samples, more than 100000000; give 'samples'"
+    ):
+        compose_mixture(parse_recipe(content, "given"), toy_table, 0)
+
+
+def test_steps_need_no_epoch_between_the_named(toy_table):
+    shares = {"first": {0: 0.2, 10_000: 0.7}, "second": {0: 0.8, 10_000: 0.3}}
+    components = [
+        {"name": name, "share_by_epoch": by_epoch, "where": {"kind": kind}}
+        for (name, by_epoch), kind in zip(shares.items(), ("GT", "Syn"), strict=True)
+    ]
+    content = {"name": "a", "description": "", "version": 1, "samples": 10, "components": components}
+    mixture = compose_mixture(parse_recipe(content | {"between_epochs": "steps"}, "given"), toy_table, 0)
+    assert [mixture.counts(epoch) for epoch in (0, 9_999, 10_000)] == [[2, 8], [2, 8], [7, 3]]
+    assert [len(part.samples) for part in mixture.components] == [7, 8]

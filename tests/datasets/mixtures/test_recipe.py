@@ -93,6 +93,25 @@ def test_built_in_recipes_are_sound_and_named_as_their_files():
         ("share: 0.3", "share_by_epoch: {0: 1.3}", "components[1].share_by_epoch[0]: input should be less than"),
         ("name: mine", "name: [mine", "not YAML"),
         ("name: mine", "1: 2\nname: mine", "[1]: keys should be strings"),
+        ("samples: 100", "samples: 100\nsamples: 200", "line 6: key 'samples' is there twice"),
+        ("[nominal]", "[nominal]\ncomponents: []", "not YAML"),
+        ("[nominal]", "[nominal], country: [NO]", "line 9: YAML takes NO for false; write 'NO', in quotes, or false"),
+        ("[nominal]", "[true]", "components[0].where.category[0]: input should be a valid string, got True; put it in"),
+        ("samples: 100", "samples: 1000000000000", "samples: input should be less than or equal to 100000000, got 10"),
+        (
+            "samples: 100",
+            "samples: 1e6",
+            "samples: input should be a valid integer, got '1e6'; YAML takes 1e6 for text",
+        ),
+        ("repeats: 2", "repeats: 1000000000000000000", "components[1].repeats: input should be less than or equal to"),
+        ("repeats: 2", f"repeats: {'9' * 30}", "line 14: 999999999999999999999999999999 is beyond 9223372036854775807"),
+        ("repeats: 2", "samples_per_clip: 1000000000", "components[1].samples_per_clip: input should be less than"),
+        ("share: 0.3", "share_by_epoch: {0: 0.3, 1000000000: 0.1}", "components[1].share_by_epoch[1000000000]"),
+        ("share: 0.3", "share: .inf", "components[1].share: input should be less than or equal to 1"),
+        ("name: mine", 'name: "mi\\nne"', "name: holds a line break or another control character, got 'mi\\nne'"),
+        ("name: mine", 'name: "mi\\0ne"', "line 2: the text 'mi\\x00ne' holds the control character"),
+        ("name: mine", f"name: {'m' * 300}", "name: string should have at most 200 characters, got 'mmm"),
+        ("kind: GT", f"kind: {'G' * 3000}", "components[0].where.kind: input should be 'GT', 'Syn' or 'any', got 'GGG"),
     ],
 )
 def test_errors_name_file_field_and_remedy(tmp_path, old, new, message):
@@ -162,3 +181,10 @@ def test_any_value_is_read_or_refused_in_one_line(key, value):
         parse_recipe(content, "recipe")
     except InputError as error:
         assert str(error).startswith("recipe: ")
+
+
+def test_a_recipe_of_very_many_components_is_refused():
+    component = {"name": "a", "share": 1.0}
+    content = yaml.safe_load(RECIPE) | {"components": [component | {"name": str(number)} for number in range(1000)]}
+    with pytest.raises(InputError, match="components: tuple should have at most 256 items"):
+        parse_recipe(content, "given")

@@ -21,6 +21,8 @@ from olt_toolkit.recordings.recording import OpenOptions
 from olt_toolkit.rigs.rig import CROSS_LEFT, DEFAULT_VEHICLE, FRONT_TELE, FRONT_WIDE, POLICY_CAMERAS
 from olt_toolkit.rigs.rig_files import load_rig, pav_rig
 
+from ...fuzzing import SECONDS
+
 SIZE = (64, 36)
 FRAMES = 240
 START_US = 12_000
@@ -285,3 +287,21 @@ def test_a_look_at_a_clip(tree, tmp_path, check_peek):
     # Every 30th frame is a key frame; that one is 10 frames away, 1 frame, and 14 frames, which is too far.
     assert times_us.tolist() == dataset.drive(KEY).front_us[[30, 30, 44]].tolist()
     assert np.abs(images[:, 9, 16, 0].astype(int) - frames_of(1)[[30, 30, 44], 0, 0, 0]).max() <= 2
+
+
+PAV_FILES = [
+    "clip_index.parquet",
+    "labels/egomotion/egomotion.chunk_0000.zip",
+    f"camera/{FRONT_WIDE}/{FRONT_WIDE}.chunk_0000.zip",
+]
+
+
+@pytest.mark.parametrize("name", PAV_FILES)
+def test_damaged_files_are_read_or_refused_in_words(fuzzer, tree, name):
+    fuzzer.run("dataset", tree / name, tree, examples=8)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PAV_FILES)
+def test_damaged_files_for_long(fuzzer, tree, name):
+    fuzzer.run("dataset", tree / name, tree, seconds=SECONDS)

@@ -1,9 +1,11 @@
 """Which files of a folder are front videos."""
 
+import os
+
 import numpy as np
 import pytest
 
-from olt_datasets.sources.video_files import looks_elsewhere
+from olt_datasets.sources.video_files import find_video_files, looks_elsewhere
 from olt_generator.errors import InputError
 from olt_generator.omissions import word_omission
 from olt_generator.video import write_video
@@ -130,3 +132,27 @@ def test_a_folder_of_hidden_files_is_no_data_set(tmp_path):
     (tmp_path / "._DSC0001.MP4").write_bytes(b"\x00\x05\x16\x07" + bytes(4000))
     with pytest.raises(InputError, match="no recording and no data set"):
         open_dataset(tmp_path)
+
+
+def test_loops_pipes_and_devices_are_no_videos(tmp_path):
+    (tmp_path / "day").mkdir()
+    (tmp_path / "day" / "a.mp4").write_bytes(b"\0\1")
+    (tmp_path / "day" / "again").symlink_to(tmp_path)
+    (tmp_path / "self.mp4").symlink_to("self.mp4")
+    (tmp_path / "zero.mp4").symlink_to("/dev/zero")
+    os.mkfifo(tmp_path / "pipe.mp4")
+    assert find_video_files(tmp_path) == ([tmp_path / "day" / "a.mp4"], {})
+
+
+def test_a_folder_that_cannot_be_listed_is_told(tmp_path, monkeypatch):
+    (tmp_path / "closed").mkdir()
+    scandir = os.scandir
+
+    def refuse(path):
+        if str(path).endswith("closed"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return scandir(path)
+
+    monkeypatch.setattr(os, "scandir", refuse)
+    with pytest.raises(InputError, match=r"closed: cannot be listed \(Permission denied\)"):
+        find_video_files(tmp_path)

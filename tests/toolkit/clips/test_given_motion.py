@@ -185,7 +185,7 @@ def test_a_clip_with_other_labels_is_not_taken_for_the_one_that_is_wanted(make_c
     ]
     info = describe_clip(replace(make_clip(), build_options=texts[0]), "0" * 32)
     assert find_differences(info, options, texts[0]) == []
-    assert find_differences(info, options, texts[1]) == ["--labels as-measured (now smoothed)"]
+    assert find_differences(info, options, texts[1]) == ["--labels not given (now smoothed)"]
 
 
 def test_a_clip_without_samples_has_no_action_errors(make_clip):

@@ -1,13 +1,40 @@
-"""Files and folders that appear whole or not at all."""
+"""Files and folders that appear whole or not at all, and files of bounded size.
 
+What the system refuses to write becomes an `InputError` that names the file; no writer has to see to that itself.
+"""
+
+import errno
 import os
 import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 from olt_generator.errors import InputError
+
+# Why a disk takes no more. Libraries tell it in errors of their own, but in the words of the system.
+_NOT_WRITTEN = [os.strerror(code) for code in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS)]
+
+
+def read_bounded(path: Path, what: str, most_bytes: int) -> bytes:
+    """The content of a file that errors call `what`, such as "recipe", and that has at most so many bytes.
+
+    Raises:
+        InputError: the file is missing, is no regular file (a pipe or a device would never end), is too large, or
+            cannot be read.
+    """
+    try:
+        if not path.exists():
+            raise InputError(f"{path}: cannot read this {what}: no such file")
+        if not path.is_file():
+            raise InputError(f"{path}: cannot read this {what}: not a regular file")
+        if (size := path.stat().st_size) > most_bytes:
+            raise InputError(f"{path}: has {size} bytes; a {what} has at most {most_bytes}")
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: cannot read this {what} ({error.strerror})") from error
 
 
 def make_folder(path: Path) -> Path:
@@ -25,37 +52,88 @@ def make_folder(path: Path) -> Path:
     return path
 
 
+def walk_files(folder: Path) -> list[Path]:
+    """All files in a folder and below, sorted; links to folders are not followed, so that no loop is walked.
+
+    Raises:
+        InputError: a folder cannot be listed, so that files in it would be passed over in silence.
+    """
+
+    def refuse(error: OSError) -> NoReturn:
+        raise InputError(f"{error.filename}: cannot be listed ({error.strerror}); make it readable") from error
+
+    return sorted(Path(parent) / name for parent, _, names in os.walk(folder, onerror=refuse) for name in names)
+
+
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Turn the system's refusal to write, whichever library tells it, into an `InputError` that names the file."""
+    try:
+        yield
+    except InputError:
+        raise
+    except Exception as error:
+        reason = next((words for words in _NOT_WRITTEN if words in str(error)), None)
+        if reason is None:
+            raise
+        raise InputError(f"{path}: cannot be written ({reason}); free some space or choose another folder") from error
+
+
 @contextmanager
 def write_whole(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` on success, remove it on any failure.
 
     The temporary name keeps the suffix of `path`, because writers choose their format by it.
+
+    Raises:
+        InputError: the folder cannot be made, the disk is full, or `path` cannot be replaced.
     """
     make_folder(path.parent)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
+    with _placing(path):
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
     try:
-        yield temporary
+        with naming(path):
+            yield temporary
         temporary.chmod(0o666 & ~_umask())
-        temporary.replace(path)
+        with _placing(path):
+            temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
 @contextmanager
 def write_whole_folder(path: Path) -> Iterator[Path]:
-    """Yield a temporary folder beside `path` that replaces `path` on success and is removed on any failure."""
+    """Yield a temporary folder beside `path` that replaces `path` on success and is removed on any failure.
+
+    Raises:
+        InputError: see `write_whole`.
+    """
     make_folder(path.parent)
-    temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
+    with _placing(path):
+        temporary = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=path.parent))
     try:
-        yield temporary
+        with naming(path):
+            yield temporary
         temporary.chmod(0o777 & ~_umask())
-        if path.exists():
-            shutil.rmtree(path)
-        temporary.rename(path)
+        with _placing(path):
+            if path.exists():
+                shutil.rmtree(path)
+            temporary.rename(path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+@contextmanager
+def _placing(path: Path) -> Iterator[None]:
+    """Name the file where the system does not let it appear, for whatever reason."""
+    try:
+        yield
+    except OSError as error:
+        raise InputError(
+            f"{path}: cannot be written ({error.strerror}); free some space or choose another name"
+        ) from error
 
 
 def _umask() -> int:

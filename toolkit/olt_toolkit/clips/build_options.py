@@ -16,6 +16,8 @@ from olt_toolkit.clips.clip import ClipInfo
 from olt_toolkit.clips.estimators import Estimators, PoseEstimator
 from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.recordings.recording import OpenOptions
+from olt_toolkit.rigs.names import MotionLabels
+from olt_toolkit.runtime.json_files import parse_json
 
 _OPTIONS = {
     "cameras": "--rig (cameras)",
@@ -38,7 +40,7 @@ def describe_build(options: BuildOptions, estimators: Estimators, opening: OpenO
         "samples": None if options.sample_t0_us is None else _digest(*options.sample_t0_us),
     }
     kind = clip_kind(options)
-    if kind == "GT" or takes_reference:
+    if options.labels is MotionLabels.SMOOTHED and (kind == "GT" or takes_reference):
         told["labels"] = options.labels.value
     if kind != "GT":
         poses = PoseEstimator.REFERENCE if takes_reference else estimators.poses
@@ -78,7 +80,9 @@ def find_differences(found: ClipInfo, options: BuildOptions, wanted: str) -> lis
 def _compare_texts(stored: str | None, wanted: str) -> list[str]:
     if stored is None:
         return ["options that it does not tell"]
-    before, now = json.loads(stored), json.loads(wanted)
+    before, now = parse_json(stored, "build_options of the clip table"), json.loads(wanted)
+    if not isinstance(before, dict) or "samples" not in before:
+        return ["options of another form"]
     if before["samples"] is None or now["samples"] is None:  # all that there are: `find_differences` sees the times
         before["samples"] = now["samples"] = None
     names = [name for name in sorted(before.keys() | now.keys()) if before.get(name) != now.get(name)]

@@ -101,8 +101,10 @@ class ChunkArchive:
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
     try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: not a regular file; build the clips again")
         yield
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file; the clip store is incomplete") from error
-    except (zipfile.BadZipFile, OSError) as error:
+    except (zipfile.BadZipFile, NotImplementedError, OSError, ValueError) as error:  # names that are no text, too
         raise InputError(f"{path}: damaged zip file ({error}); build its clips again") from error

@@ -74,7 +74,8 @@ def _local_contrast(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     # Bounded by the spread around, so that a lamp does not decide over its cell alone.
     spread = cv2.GaussianBlur(difference**2, (0, 0), 2.0 * sigma, borderType=cv2.BORDER_REFLECT)
     bound = 2.5 * (np.sqrt(spread) + 4.0)
-    return cv2.resize(np.clip(difference, -bound, bound), (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
+    cells = cv2.resize(np.clip(difference, -bound, bound), (COLUMNS, ROWS), interpolation=cv2.INTER_AREA)
+    return cells.astype(np.float32)
 
 
 def _without_bars(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -99,6 +99,8 @@ def _read_track(track: bytes, file_size: int) -> Mp4Index | None:
     codec, configuration = _CODECS[entry_kind]
     settings = dict(_boxes(entry[_SAMPLE_ENTRY_FIELDS:]))
     uniform, count = struct.unpack_from(">II", tables[b"stsz"], 4)
+    if uniform and count > file_size:
+        raise ValueError("more frames than bytes")
     sizes = np.full(count, uniform, np.int64) if uniform else _numbers(tables[b"stsz"], 12)[:count]
     shown = _shown(tables, _first_shown_time(track), len(sizes))
     offsets = _offsets(tables, sizes)
@@ -113,11 +115,11 @@ def _read_track(track: bytes, file_size: int) -> Mp4Index | None:
 def _shown(tables: dict[bytes, bytes], start: int, count: int) -> NDArray[np.int64] | None:
     """Number of each frame in the order of showing; None unless these are at one constant distance from time 0 on."""
     runs = _numbers(tables[b"stts"], 8).reshape(-1, 2)
-    steps = np.repeat(runs[:, 1], runs[:, 0])
+    steps = _repeat(runs[:, 1], runs[:, 0], count)
     times = np.cumsum(steps) - steps - start
     if b"ctts" in tables:
         delays = _numbers(tables[b"ctts"], 8, signed=True).reshape(-1, 2)
-        times = times + np.repeat(delays[:, 1], delays[:, 0])
+        times = times + _repeat(delays[:, 1], delays[:, 0], count)
     step = int(steps[0])
     constant = step > 0 and len(times) == count and np.array_equal(np.sort(times), step * np.arange(count))
     return times // step if constant else None
@@ -141,11 +143,18 @@ def _offsets(tables: dict[bytes, bytes], sizes: NDArray[np.int64]) -> NDArray[np
     wide = b"co64" in tables
     starts = np.frombuffer(tables[b"co64"], ">i8", offset=8).astype(np.int64) if wide else _numbers(tables[b"stco"], 8)
     first_run, per_run, _ = _numbers(tables[b"stsc"], 8).reshape(-1, 3).T
-    lengths = np.repeat(per_run, np.diff(np.append(first_run - 1, len(starts))))
-    run = np.repeat(np.arange(len(starts)), lengths)
+    lengths = _repeat(per_run, np.diff(np.append(first_run - 1, len(starts))), len(starts))
+    run = _repeat(np.arange(len(starts)), lengths, len(sizes))
     before = np.cumsum(sizes) - sizes
     run_begins = before[np.cumsum(lengths) - lengths]
     return starts[run] + before - run_begins[run]
+
+
+def _repeat(values: NDArray[np.int64], times: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Each value so many times, `count` of them in all; a table that says otherwise could fill the memory."""
+    if times.sum() != count:
+        raise ValueError("a table of runs is not as long as what it is about")
+    return np.repeat(values, times)
 
 
 def _numbers(table: bytes, start: int, signed: bool = False) -> NDArray[np.int64]:

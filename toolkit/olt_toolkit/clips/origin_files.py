@@ -19,6 +19,8 @@ from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips.clip import shares_of
 from olt_toolkit.clips.pai_tables import read_table
 
+# Of the width and the height of a mask.
+_MOST_DIGITS = 5
 _SCHEMA = pa.schema([("timestamp", pa.int64()), ("origin", pa.list_(pa.uint8())), ("length", pa.list_(pa.uint32()))])
 
 
@@ -81,7 +83,7 @@ def decode_origin(data: bytes, where: str) -> OriginRuns:
     if any(table.schema.field(name).type != _SCHEMA.field(name).type for name in _SCHEMA.names):
         raise InputError(f"{where}: columns are {table.schema.types}, not {_SCHEMA.types}; build the clip again")
     size = [(table.schema.metadata or {}).get(key, b"").decode(errors="replace") for key in (b"width", b"height")]
-    if not all(side.isdecimal() and int(side) > 0 for side in size):
+    if not all(side.isdecimal() and len(side) <= _MOST_DIGITS and int(side) > 0 for side in size):
         raise InputError(f"{where}: its metadata tell no width and height; build the clip again")
     width, height = map(int, size)
     origin, length = (table.column(name).combine_chunks() for name in ("origin", "length"))

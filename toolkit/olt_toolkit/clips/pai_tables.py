@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -20,9 +19,11 @@ from olt_generator.errors import InputError
 from olt_generator.poses import Array, pose_from_quaternion
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import CameraStream, EgoMotion
+from olt_toolkit.clips.parquet_files import open_parquet, read_rows
 from olt_toolkit.rigs.ftheta_fit import fit_ftheta
 from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
+_WIDEST = 20_000
 QUATERNION = ["qx", "qy", "qz", "qw"]
 POSITION = ["x", "y", "z"]
 VELOCITY = ["vx", "vy", "vz"]
@@ -30,6 +31,8 @@ ACCELERATION = ["ax", "ay", "az"]
 FORWARD = [f"fw_poly_{power}" for power in range(5)]
 BACKWARD = [f"bw_poly_{power}" for power in range(5)]
 LENS = ["width", "height", "cx", "cy", *FORWARD, *BACKWARD]
+# What pandas and Arrow raise where the metadata contradict the columns.
+_NOT_PANDAS = (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError, pa.ArrowException)
 DIMENSIONS = ["length", "width", "height", "rear_axle_to_bbox_center", "wheelbase", "track_width"]
 
 
@@ -98,6 +101,10 @@ def read_mounted_camera(intrinsics: Path, extrinsics: Path, clip_id: str, camera
     key = (clip_id, camera)
     lens = _row(read_indexed(intrinsics, LENS, ["clip_id", "camera_name"]), key, LENS, intrinsics)
     pose = _row(read_indexed(extrinsics, mounting, ["clip_id", "sensor_name"]), key, mounting, extrinsics)
+    if any(lens[side] not in range(1, _WIDEST + 1) for side in ("width", "height")):
+        raise InputError(
+            f"{intrinsics}: row {key} is a picture of {lens['width']:g} x {lens['height']:g} pixels; no camera has that"
+        )
     forward, backward = (tuple(lens[name] for name in names) for names in (FORWARD, BACKWARD))
     model = FthetaCamera(int(lens["width"]), int(lens["height"]), lens["cx"], lens["cy"], forward, backward)
     return MountedCamera(
@@ -113,31 +120,34 @@ def read_vehicle(path: Path, clip_id: str) -> VehicleDimensions:
 
 def read_indexed(path: Path, columns: list[str], index: list[str]) -> pd.DataFrame:
     """Read a table with the given columns and pandas index; an `InputError` where it has not both."""
-    table = read_table(path, columns, str(path))
-    names = (table.schema.pandas_metadata or {}).get("index_columns", [])
+    frame, names = to_pandas(read_table(path, columns, str(path)), path)
     if names != index:
         raise InputError(
             f"{path}: its index is {names or 'missing'}; it must be {', '.join(index)}, written as a pandas index"
         )
-    frame = table.to_pandas()
+    if not all(pd.api.types.is_hashable(key) for key in frame.index):
+        raise InputError(f"{path}: its index {', '.join(index)} holds lists; it must hold words")
     if not frame.index.is_unique:
         repeated = frame.index[frame.index.duplicated()][0]
         raise InputError(f"{path}: {', '.join(index)} {repeated} is there more than once")
     return frame
 
 
+def to_pandas(table: pa.Table, path: Path) -> tuple[pd.DataFrame, list[str]]:
+    """A table and the columns of its index, as the metadata that pandas wrote tell; `InputError` where they cannot."""
+    try:
+        return table.to_pandas(), (table.schema.pandas_metadata or {}).get("index_columns", [])
+    except _NOT_PANDAS as error:
+        raise InputError(f"{path}: its metadata for pandas are damaged ({error!r}); write it again") from error
+
+
 def read_table(source: Path | bytes, columns: list[str], where: str) -> pa.Table:
     """Read a Parquet table; an `InputError` where it cannot be read or lacks one of these columns."""
-    try:
-        file = pq.ParquetFile(io.BytesIO(source) if isinstance(source, bytes) else source)
+    with open_parquet(source, where) as file:
         missing = [name for name in columns if name not in file.schema_arrow.names]
         if missing:
             raise InputError(f"{where}: column {', '.join(missing)} is missing")
-        return file.read()
-    except FileNotFoundError as error:
-        raise InputError(f"{where}: no such file; the clip store is incomplete") from error
-    except (pa.ArrowException, OSError) as error:
-        raise InputError(f"{where}: not a readable Parquet file; write it again") from error
+        return read_rows(file, where)
 
 
 def to_bytes(frame: pd.DataFrame) -> bytes:
@@ -158,7 +168,10 @@ def _indexed(rows: dict[tuple[str, str], dict[str, float]], names: list[str]) ->
 def _row(frame: pd.DataFrame, key: str | tuple[str, str], columns: list[str], path: Path) -> dict[str, float]:
     if key not in frame.index:
         raise InputError(f"{path}: no row for {key if isinstance(key, str) else ', '.join(key)}")
-    values = frame[columns].to_numpy(dtype=np.float64)[frame.index.get_loc(key)]
+    try:
+        values = frame[columns].to_numpy(dtype=np.float64)[frame.index.get_loc(key)]
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{path}: row {key} holds what is no number ({error})") from error
     if not np.isfinite(values).all():
         raise InputError(f"{path}: row {key} holds values that are not finite")
     return dict(zip(columns, values.tolist(), strict=True))

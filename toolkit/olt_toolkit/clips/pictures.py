@@ -141,8 +141,10 @@ def _share_text(origin: NDArray[np.uint8], wanted: PixelOrigin, words: str) -> s
 
 def write_picture(path: Path, picture: Image) -> None:
     """Write an RGB picture (H, W, 3) in the format of the path's suffix; the file appears whole."""
+    coded, content = cv2.imencode(path.suffix, cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+    assert coded, f"OpenCV does not write {path.suffix} pictures of shape {picture.shape}"
     with write_whole(path) as temporary:
-        cv2.imwrite(str(temporary), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        temporary.write_bytes(content.tobytes())
 
 
 def write_animation(path: Path, frames: Image, frame_rate: float) -> None:

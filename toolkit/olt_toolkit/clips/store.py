@@ -19,7 +19,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, write_whole_folder
+from olt_generator.files import make_folder, naming, write_whole_folder
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
@@ -205,8 +205,8 @@ class ClipStore:
             InputError: the table is missing or damaged, or has no row for the clip.
         """
         path = self._chunk_file(clip_id, feature)
-        table = tables.read_table(path, [], str(path)).to_pandas()
-        rows = table[table.index.get_level_values(0) == clip_id]
+        table, _ = tables.to_pandas(tables.read_table(path, [], str(path)), path)
+        rows = table.loc[table.index.get_level_values(0) == clip_id]
         if rows.empty:
             raise InputError(f"{path}: no row for {clip_id}")
         return rows
@@ -452,7 +452,10 @@ class ClipStore:
     def _only_writer(self) -> Iterator[None]:
         """Hold the store's lock; the system releases it however this process ends."""
         make_folder(self.root)
-        with (self.root / ".lock").open("w") as lock:
+        path = self.root / ".lock"
+        with naming(path):
+            lock = path.open("w")
+        with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:

@@ -4,31 +4,25 @@ One row a clip, in the order in which clips were added. This is the only place t
 under another name lists clips that are indexed and not built.
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_toolkit.clips.clip import (
-    ClipInfo,
-    ClipKind,
-    ClipOrigin,
-    NoiseBasis,
-    Split,
-    ViewKind,
-    ViewProvenance,
-    check_clip_id,
-)
+from olt_toolkit.clips.clip import ClipInfo, ClipOrigin, ViewProvenance, check_clip_id
 from olt_toolkit.clips.pai_tables import read_table
+from olt_toolkit.clips.table_values import check_rows
 
 CLIP_TABLE = "clips.parquet"
 TABLE_VERSION = 5
 VERSION_KEY = b"table_version"
+_LONGEST_VERSION = 9
 
 _VIEW = pa.struct(
     [
@@ -75,26 +69,10 @@ SCHEMA = pa.schema(
     ],
     metadata={VERSION_KEY: str(TABLE_VERSION).encode()},
 )
-OPTIONAL_COLUMNS = frozenset(
-    {
-        "split",
-        "doubts",
-        "scale_sigma",
-        "acceleration_noise",
-        "acceleration_noise_basis",
-        "no_sample_reason",
-        "country",
-        "licence",
-        "fingerprint",
-        "action_errors",
-        "build_options",
-        "file_checksums",
-    }
-)
 
 
 def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
-    """Write the table; it appears whole."""
+    """Write the table; it appears whole. An `InputError` tells a value that could not be read again."""
     rows = []
     for info in clips:
         row = {field.name: getattr(info, field.name) for field in fields(info) if field.name != "origin"}
@@ -102,8 +80,10 @@ def write_clip_table(path: Path, clips: Sequence[ClipInfo]) -> None:
         files = info.file_checksums
         checksums = None if files is None else [{"file": name, "checksum": files[name]} for name in sorted(files)]
         rows.append(row | asdict(info.origin) | {"views": views, "file_checksums": checksums})
+    table = pa.Table.from_pylist(rows, schema=SCHEMA)
+    check_rows(table, str(path))
     with write_whole(path) as temporary:
-        pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), temporary)
+        pq.write_table(table, temporary)
 
 
 def read_clip_table(path: Path) -> list[ClipInfo]:
@@ -116,16 +96,19 @@ def read_clip_table(path: Path) -> list[ClipInfo]:
             raise InputError(f"{path}: column {name} is missing")
         if table.schema.field(name).type != SCHEMA.field(name).type:
             raise InputError(f"{path}: column {name} is {table.schema.field(name).type}, not {SCHEMA.field(name).type}")
-        if table.column(name).null_count and name not in OPTIONAL_COLUMNS:
-            raise InputError(f"{path}: column {name} has missing values")
-    return [_info(row, f"{path}: row {index}") for index, row in enumerate(table.to_pylist())]
+    check_rows(table, str(path))
+    clips = [_info(row, f"{path}: row {index}") for index, row in enumerate(table.to_pylist())]
+    twice, count = Counter(info.clip_id for info in clips).most_common(1)[0] if clips else ("", 0)
+    if count > 1:
+        raise InputError(f"{path}: column clip_id has {twice!r} more than once; each clip needs one row")
+    return clips
 
 
 def check_table_version(version: bytes | str | None, path: Path) -> None:
     """Check the version that the metadata of a table tell; an `InputError` where this release does not read it."""
     text = version.decode(errors="replace") if isinstance(version, bytes) else version
-    if text is None or not text.isdecimal():
-        raise InputError(f"{path}: table_version is {text!r}; this is no clip table")
+    if text is None or not text.isdecimal() or len(text) > _LONGEST_VERSION:
+        raise InputError(f"{path}: table_version is {text!r:.40}; this is no clip table")
     if int(text) != TABLE_VERSION:
         advice = (
             "install a newer release"
@@ -137,11 +120,6 @@ def check_table_version(version: bytes | str | None, path: Path) -> None:
 
 def _info(row: dict[str, Any], where: str) -> ClipInfo:
     check_clip_id(row["clip_id"], where)
-    views = [(f"view {view['camera']}: kind", view["kind"], ViewKind) for view in row["views"]]
-    known = (("kind", ClipKind), ("split", Split), ("acceleration_noise_basis", NoiseBasis))
-    for name, word, words in [*((name, row[name], words) for name, words in known), *views]:
-        if word is not None and word not in get_args(words):
-            raise InputError(f"{where}: {name} is {word!r}; it must be one of {', '.join(get_args(words))}")
     row["views"] = {view.pop("camera"): ViewProvenance(**view) for view in row["views"]}
     row["factors"], row["sample_t0_us"] = tuple(row["factors"]), tuple(row["sample_t0_us"])
     row["doubts"] = None if row["doubts"] is None else tuple(row["doubts"])

@@ -4,7 +4,6 @@ Formats: docs/formats/source_datasets.md, and the public documentation of av2-ap
 that the scene begins at the recorded ego's first position.
 """
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from olt_generator.poses import Array, make_pose, planar_pose, pose_from_quatern
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.rigs.rig import VehicleDimensions
+from olt_toolkit.runtime.json_files import read_json
 
 FORD_FUSION = VehicleDimensions(
     length=4.872, width=1.852, height=1.473, rear_axle_to_bbox_center=1.34, wheelbase=2.850, track_width=1.58
@@ -275,7 +275,7 @@ def _read_map(folder: Path, origin: Array, flat: bool = False) -> tuple[list[Lan
     """Driving lanes, and outlines (n, 3) of the drivable areas; with heights 0 if `flat`."""
     path = _single(folder, "log_map_archive_*.json")
     try:
-        content = json.loads(path.read_text())
+        content = read_json(path, "map")
         segments, areas = content["lane_segments"].values(), content["drivable_areas"].values()
         lanes = [
             lane_between(
@@ -289,7 +289,7 @@ def _read_map(folder: Path, origin: Array, flat: bool = False) -> tuple[list[Lan
         ]
         outlines = [_points(area["area_boundary"], origin, flat) for area in areas]
         return lanes, tuple(line if shapely.LinearRing(line[:, :2]).is_ccw else line[::-1] for line in outlines)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, shapely.errors.GEOSException) as error:
         raise InputError(f"{path}: not an Argoverse 2 map ({error!r}); give an unchanged copy of the log") from error
 
 

@@ -6,7 +6,7 @@ sideways, and it equals nuScenes' own ego pose), its box in the file has length 
 """
 
 import gzip
-import json
+import io
 import zlib
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,11 @@ from olt_closed_loop.scenes.polylines import length_of, without_repeats
 from olt_closed_loop.scenes.scene import Agent, Lane, Scene
 from olt_closed_loop.scenes.sources.roads import edges, lane_around, link_by_place, outlines, route_along
 from olt_generator.errors import InputError
+from olt_generator.files import read_bounded
 from olt_generator.poses import Array, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
+from olt_toolkit.runtime.json_files import MOST_BYTES, parse_json
 
 RENAULT_ZOE = VehicleDimensions(
     length=4.084, width=1.730, height=1.562, rear_axle_to_bbox_center=1.385, wheelbase=2.588, track_width=1.51
@@ -58,9 +60,8 @@ def read_scenario(path: Path) -> Scene:
         InputError: the file is not such a scenario.
     """
     try:
-        content = path.read_bytes()
-        scenario = json.loads(gzip.decompress(content) if path.suffix == ".gz" else content)
-    except (OSError, EOFError, ValueError, zlib.error) as error:
+        scenario = parse_json(_read_content(path), str(path))
+    except (OSError, EOFError, zlib.error) as error:
         raise InputError(f"{path}: cannot be read ({error}); give a scenario as .json or .json.gz") from error
     try:
         return _make_scene(scenario)
@@ -68,6 +69,17 @@ def read_scenario(path: Path) -> Scene:
         raise InputError(
             f"{path}: not a ScenarioNet scenario of nuScenes ({error!r}); give an unchanged copy"
         ) from error
+
+
+def _read_content(path: Path) -> bytes:
+    content = read_bounded(path, "scenario", MOST_BYTES)
+    if path.suffix != ".gz":
+        return content
+    with gzip.open(io.BytesIO(content)) as file:
+        unpacked = file.read(MOST_BYTES + 1)
+    if len(unpacked) > MOST_BYTES:
+        raise InputError(f"{path}: unpacks to more than {MOST_BYTES} bytes; a scenario is smaller")
+    return unpacked
 
 
 def _make_scene(scenario: Any) -> Scene:

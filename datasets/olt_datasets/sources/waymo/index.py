@@ -13,7 +13,7 @@ import polars as pl
 from olt_datasets.sources.waymo.frames import read_states
 from olt_datasets.sources.waymo.tfrecord import map_records, record_spans
 from olt_generator.errors import InputError
-from olt_generator.files import write_whole
+from olt_generator.files import walk_files, write_whole
 from olt_toolkit.runtime.workers import default_workers, map_parallel
 
 SHARDS = "*.tfrecord*"
@@ -46,7 +46,7 @@ class ShardTask(NamedTuple):
 
 def build_index(root: Path, cache: Path) -> Path:
     """The index of all shards below a folder, else InputError, in one Parquet file; only what is new is read."""
-    shards = sorted(path for path in root.rglob(SHARDS) if path.is_file())
+    shards = [path for path in walk_files(root) if path.match(SHARDS) and path.is_file()]
     if not shards:
         raise InputError(f"{root}: holds no file {SHARDS}; give the folder with the shards of Waymo's E2E data set")
     tasks = []

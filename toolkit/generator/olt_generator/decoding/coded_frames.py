@@ -58,7 +58,7 @@ class OpenVideo:
 def open_video(path: Path) -> Iterator[OpenVideo]:
     """Open a file; FFmpeg's errors inside become `InputError`."""
     if not path.is_file():
-        raise InputError(f"{path}: no such video file")
+        raise InputError(f"{path}: {'not a regular file' if path.exists() else 'no such video file'}; give a video")
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file is empty; copy or download it again")
     try:
