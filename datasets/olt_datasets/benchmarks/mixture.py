@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets import Mixture, compose_mixture, scan_clip_tables
+from olt_datasets import Mixture, MixtureBatchSampler, compose_mixture, scan_clip_tables
 from olt_datasets.mixtures.recipe import parse_recipe
 from olt_datasets.tables.fake_table import write_fake_table
 from olt_generator.seeds import derive_seed
@@ -30,7 +30,7 @@ Counts = NDArray[np.int64]
 
 def _compose(table: Path, **content: Any) -> Mixture:
     recipe = parse_recipe({"name": "benchmark", "description": "", "version": 1, **content}, "benchmark")
-    return compose_mixture(recipe, scan_clip_tables([table]), seed=0)
+    return compose_mixture(recipe, scan_clip_tables([table]), seed=0, allow_uncompared=True)
 
 
 def _prepare_mixture() -> Callable[[], Counts]:
@@ -43,11 +43,12 @@ def _prepare_mixture() -> Callable[[], Counts]:
         table = Path(folder) / "clips.parquet"
         write_fake_table(table, SAMPLES)
         mixture = _compose(table, components=parts, samples=SAMPLES)
-    synthesized = set(mixture.samples.filter(kind="Syn")["clip_id"])
+    synthesized = (mixture.samples["kind"] == "Syn").to_numpy()
+    batches = MixtureBatchSampler(mixture, BATCH_SIZE)
 
     def count() -> Counts:
-        batches = mixture.epoch(0, BATCH_SIZE)
-        return np.array([sum(key.clip_id in synthesized for key in batch) for batch in batches])
+        batches.set_epoch(0)
+        return np.array([synthesized[batch].sum() for batch in batches])
 
     return count
 
@@ -75,7 +76,7 @@ def _prepare_torch(weighted: bool) -> Callable[[], Counts]:
 
 def _settings() -> Sequence[Setting]:
     return [
-        Setting("Mixture.epoch", _prepare_mixture, default=True),
+        Setting("MixtureBatchSampler", _prepare_mixture, default=True),
         Setting("torch RandomSampler", partial(_prepare_torch, weighted=False)),
         Setting("torch WeightedRandomSampler", partial(_prepare_torch, weighted=True)),
     ]

@@ -37,7 +37,6 @@ from olt_toolkit.clips.pai_layout import (
     VEHICLE_DIMENSIONS,
     VIDEO,
 )
-from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
 
 Generator = np.random.Generator
@@ -256,11 +255,6 @@ def _other_features(root: Path, _: str, __: str, ___: Generator) -> None:
     (root / FEATURE_TABLE).write_text(text.replace(CROSS_LEFT, "camera_left"))
 
 
-def _doubled_clip(root: Path, _: str, __: str, ___: Generator) -> None:
-    clips = read_clip_table(root / CLIP_TABLE)
-    write_clip_table(root / CLIP_TABLE, [*clips, clips[0]])
-
-
 def _calibration(name: str, change: Callable[[pd.DataFrame], pd.DataFrame]) -> Plant:
     return lambda root, clip, _, __: change_calibration(root, clip, name, change)
 
@@ -441,7 +435,6 @@ FAULTS: tuple[Fault, ...] = (
         _TABLES,
     ),
     Fault("features of other files", _other_features, ("features",), _TABLES),
-    Fault("clip twice in the table", _doubled_clip, ("clips once",), _TABLES),
     Fault(
         "left and right mounting swapped",
         _calibration(SENSOR_EXTRINSICS, _swap_rows(CROSS_LEFT, CROSS_RIGHT)),

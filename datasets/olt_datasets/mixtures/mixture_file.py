@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import polars as pl
+from polars.exceptions import PanicException
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from olt_datasets.mixtures.mixture import SAMPLE_SCHEMA, Mixture, MixtureComponent
@@ -18,6 +19,7 @@ from olt_datasets.mixtures.recipe import Recipe
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_toolkit import __version__
+from olt_toolkit.clips.parquet_files import open_parquet, read_rows
 from olt_toolkit.runtime.json_files import parse_json, read_json
 
 MIXTURE_SUFFIXES = (".json", ".parquet")
@@ -84,6 +86,8 @@ def read_mixture(path: Path) -> Mixture:
     Raises:
         InputError: the file cannot be read or is not a mixture of this version; names the field.
     """
+    if not path.is_file():
+        raise InputError(f"{path}: cannot read this mixture: no such file")
     try:
         header, samples = _read_parts(path)
     except OSError as error:
@@ -96,7 +100,7 @@ def read_mixture(path: Path) -> Mixture:
                 f"{path}: version is {first['input']!r}, this release reads 3; compose it again"
             ) from error
         raise InputError(f"{path}: {field}: {first['msg']}; compose the mixture again") from error
-    except (InputError, ValueError, TypeError, OverflowError, pl.exceptions.PolarsError) as error:
+    except (InputError, ValueError, TypeError, OverflowError, pl.exceptions.PolarsError, PanicException) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(f"{path}: not a mixture ({reason}); compose it again") from error
     if len(samples) != sum(header.distinct) or any(samples[name].has_nulls() for name in _NEEDED):
@@ -117,10 +121,12 @@ def _parse_header(content: object) -> _Header:
 
 def _read_parts(path: Path) -> tuple[_Header, pl.DataFrame]:
     if path.suffix == ".parquet":
-        header = pl.read_parquet_metadata(path).get(METADATA_KEY)
-        if header is None:
-            raise ValueError("it was not written by `olt mix compose`")
-        return _parse_header(parse_json(header, str(path))), pl.read_parquet(path).match_to_schema(SAMPLE_SCHEMA)
+        with open_parquet(path, str(path)) as file:
+            header = (file.metadata.metadata or {}).get(METADATA_KEY.encode())
+            if header is None:
+                raise ValueError("it was not written by `olt mix compose`")
+            samples = pl.DataFrame(read_rows(file, str(path)))
+        return _parse_header(parse_json(header, str(path))), samples.match_to_schema(SAMPLE_SCHEMA)
     content = read_json(path, "mixture")
     if not isinstance(content, dict):
         raise ValueError("it is not a JSON object")

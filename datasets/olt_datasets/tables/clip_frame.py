@@ -110,8 +110,10 @@ def _scan_clip_table(path: Path) -> pl.LazyFrame:
         )
         table = table.select(SCHEMA.names())
         check_file(file)
+        # What Arrow reads and Polars does not shows here, and not in the middle of later work.
+        pl.scan_parquet(file).select(pl.all().null_count()).collect(engine="streaming")
         is_sorted = _check_ids(table, file)
-    except (pl.exceptions.PolarsError, OSError) as error:
+    except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(f"{file}: not a readable Parquet file ({reason}); build or index the clips again") from error
     ordered = table.set_sorted("clip_id") if is_sorted else table.sort("clip_id")

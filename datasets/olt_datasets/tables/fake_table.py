@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 from olt_datasets.tables.clip_frame import check_table_name
 from olt_generator.files import write_whole
 from olt_generator.seeds import make_generator
-from olt_toolkit.clips.fingerprint import IMAGES, RECORD
+from olt_toolkit.clips.fingerprint import RECORD
 from olt_toolkit.clips.table import SCHEMA
 
 ROWS_AT_ONCE = 100_000
@@ -30,12 +30,10 @@ def write_fake_table(path: Path, clips: int) -> None:
 
 
 def _draw_fingerprints(random: np.random.Generator, count: int) -> pa.Array:
-    """Fingerprints of images by chance, each like no other."""
-    images = np.zeros((count, IMAGES), RECORD)
-    images["time_ms"] = 20_000 // IMAGES * np.arange(IMAGES)
+    """Fingerprints of one image each, by chance and like no other."""
+    images = np.zeros(count, RECORD)
     images["signs"] = random.integers(256, size=images["signs"].shape, dtype=np.uint8)
-    width, buffer = IMAGES * RECORD.itemsize, pa.py_buffer(images.tobytes())
-    return pa.FixedSizeBinaryArray.from_buffers(pa.binary(width), count, [None, buffer])
+    return pa.FixedSizeBinaryArray.from_buffers(pa.binary(RECORD.itemsize), count, [None, pa.py_buffer(images)])
 
 
 def _rows(start: int, count: int) -> pa.Table:

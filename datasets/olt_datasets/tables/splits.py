@@ -11,7 +11,7 @@
 - own: the split that the data set itself gave, which is what an index begins with; rows without one are refused.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
@@ -25,18 +25,19 @@ from numpy.typing import NDArray
 
 from olt_datasets.tables.choices import SplitRule
 from olt_datasets.tables.clip_frame import TABLE_SUFFIX, replace_column, rewrite_rows, scan_clip_tables
+from olt_datasets.tables.split_columns import (
+    NO_SPLIT,
+    NUMBERS,
+    Counts,
+    SplitColumns,
+    gather_columns,
+    name_splits,
+    read_columns,
+)
 from olt_generator.errors import InputError
-from olt_generator.seeds import derive_seed
 
-_SEED_RANGE = 2.0**63
-_SPLIT = pl.Enum(["train", "val", "test"])
-_NUMBERS = {"train": 0, "val": 1, "test": 2, None: 3}
-_NO_SPLIT = _NUMBERS[None]
 _NEVER = np.iinfo(np.int64).max
 _ROWS_AT_ONCE = 500_000
-_ROWS_READ = 50_000
-
-Counts = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,11 @@ class Splitting:
         if self.rule is SplitRule.EXTERNAL and not self.sources:
             raise InputError("rule external: name the sources that are never trained on")
 
+    @property
+    def seed_of_scenes(self) -> int:
+        """The seed of what is drawn for each scene: by rule seen, which seed is given changes nothing."""
+        return self.seed if self.rule is SplitRule.UNSEEN else 0
+
 
 @dataclass(frozen=True)
 class SplitSummary:
@@ -92,84 +98,20 @@ def split_table(table: Path, splitting: Splitting, out: Path) -> SplitSummary:
             )
     scan_clip_tables([table])
     with pq.ParquetFile(table, pre_buffer=False) as file:
-        clips = _gather(partial(_read, file), file.metadata.num_rows, splitting)
+        clips = gather_columns(partial(read_columns, file), file.metadata.num_rows, splitting.seed_of_scenes)
     codes = _assign(clips, splitting)
     _check_filled(_count(clips, codes, _from_sources(clips, splitting)), splitting, table)
 
     def change(rows: pa.Table, start: int) -> pa.Table:
-        return replace_column(rows, "split", _name(codes[start : start + len(rows)]).cast(pl.String))
+        return replace_column(rows, "split", name_splits(codes[start : start + len(rows)]).cast(pl.String))
 
     rewrite_rows(table, out, change)
     return _count(clips, codes, np.ones(len(codes), bool))
 
 
-def _read(file: pq.ParquetFile, columns: Sequence[str]) -> Iterator[pl.DataFrame]:
-    """Some columns in the order of the file, and `samples` for the sample times."""
-    for rows in file.iter_batches(_ROWS_READ, columns=list(columns), use_threads=False):
-        few = pl.DataFrame(pa.Table.from_batches([rows]))
-        if "sample_t0_us" in columns:
-            few = few.with_columns(samples=pl.col("sample_t0_us").list.len())
-        yield few
-
-
-@dataclass(frozen=True)
-class _Clips:
-    """What rules look at, in the order of the rows; 30 bytes a clip.
-
-    Attributes:
-        scene: (n,) numbers of the scenes, each of which has a clip.
-        source: (n,) numbers of `sources`.
-        start_us, end_us, samples: (n,) as in the table, and how many samples each gives.
-        split: (n,) numbers of the splits that they have, `_NO_SPLIT` where none.
-        place: (scenes,) a place in [0, 1) for each scene, by its id and the seed alone.
-    """
-
-    scene: NDArray[np.uint32]
-    source: NDArray[np.uint16]
-    start_us: Counts
-    end_us: Counts
-    samples: NDArray[np.int32]
-    split: NDArray[np.uint8]
-    sources: list[str]
-    place: NDArray[np.float64]
-
-    def __getitem__(self, rows: Counts) -> "_Clips":
-        present, scene = np.unique(self.scene[rows], return_inverse=True)
-        columns = [getattr(self, name)[rows] for name in ("source", "start_us", "end_us", "samples", "split")]
-        return _Clips(scene.astype(np.uint32), *columns, self.sources, self.place[present])
-
-
-def _gather(read: Callable[[Sequence[str]], Iterable[pl.DataFrame]], count: int, splitting: Splitting) -> _Clips:
-    """Read the columns of so many clips twice, a part at a time: the ids of all scenes are never held together."""
-    # Scenes are told by a hash of 64 bits. That two of millions have the same is less likely than a broken disk.
-    known = np.concatenate(
-        [np.empty(0, np.uint64), *(rows["scene_id"].hash().to_numpy() for rows in read(["scene_id"]))]
-    )
-    known = np.unique(known)
-    numbers = [np.empty(count, dtype) for dtype in (np.uint32, np.uint16, np.int64, np.int64, np.int32, np.uint8)]
-    place, sources, start = np.full(len(known), np.nan), {}, 0
-    seed = splitting.seed if splitting.rule is SplitRule.UNSEEN else 0
-    for rows in read(["scene_id", "source", "start_us", "end_us", "sample_t0_us", "split"]):
-        scene = np.searchsorted(known, rows["scene_id"].hash().to_numpy())
-        new, first = np.unique(scene, return_index=True)
-        unseen = np.isnan(place[new])
-        for number, name in zip(new[unseen], rows["scene_id"].gather(first[unseen]), strict=True):
-            place[number] = derive_seed("split", seed, name) / _SEED_RANGE
-        for name in rows["source"].unique().sort():
-            sources.setdefault(name, len(sources))
-        found = rows["source"].replace_strict(sources, return_dtype=pl.UInt16)
-        split = rows["split"].replace_strict(_NUMBERS, return_dtype=pl.UInt8)
-        these = slice(start, start := start + len(rows))
-        for column, cells in zip(
-            numbers, (scene, found, rows["start_us"], rows["end_us"], rows["samples"], split), strict=True
-        ):
-            column[these] = cells
-    return _Clips(*numbers, list(sources), place)
-
-
-def _count(clips: _Clips, codes: NDArray[np.uint8], chosen: NDArray[np.bool_]) -> SplitSummary:
+def _count(clips: SplitColumns, codes: NDArray[np.uint8], chosen: NDArray[np.bool_]) -> SplitSummary:
     counted = {}
-    for name, number in _NUMBERS.items():
+    for name, number in NUMBERS.items():
         inside = (codes == number) & chosen
         if inside.any():
             scenes = np.count_nonzero(np.bincount(clips.scene[inside]))
@@ -177,7 +119,7 @@ def _count(clips: _Clips, codes: NDArray[np.uint8], chosen: NDArray[np.bool_]) -
     return SplitSummary(*({name: int(row[place]) for name, row in counted.items()} for place in range(3)))
 
 
-def _from_sources(clips: _Clips, splitting: Splitting) -> NDArray[np.bool_]:
+def _from_sources(clips: SplitColumns, splitting: Splitting) -> NDArray[np.bool_]:
     """Which clips (n,) the rule is for; InputError where a source has none."""
     absent = sorted(set(splitting.sources) - set(clips.sources))
     if absent:
@@ -213,26 +155,24 @@ def assign_splits(clips: pl.DataFrame, splitting: Splitting) -> pl.Series:
     """
     if "samples" not in clips.columns:
         clips = clips.with_columns(samples=pl.lit(1))
-    return _name(_assign(_gather(lambda _: [clips], len(clips), splitting), splitting)).alias("split")
+    return name_splits(
+        _assign(gather_columns(lambda _: [clips], len(clips), splitting.seed_of_scenes), splitting)
+    ).alias("split")
 
 
-def _assign(clips: _Clips, splitting: Splitting) -> NDArray[np.uint8]:
+def _assign(clips: SplitColumns, splitting: Splitting) -> NDArray[np.uint8]:
     by_rule = {
         SplitRule.SEEN: _by_time,
         SplitRule.UNSEEN: _by_scene,
-        SplitRule.EXTERNAL: lambda rows, _: np.full(len(rows.scene), _NUMBERS["test"], np.uint8),
+        SplitRule.EXTERNAL: lambda rows, _: np.full(len(rows.scene), NUMBERS["test"], np.uint8),
         SplitRule.OWN: _by_own,
     }[splitting.rule]
     chosen = _from_sources(clips, splitting)
     if chosen.all():
         return by_rule(clips, splitting)
     codes = clips.split.copy()
-    codes[chosen] = by_rule(clips[np.flatnonzero(chosen)], splitting)
+    codes[chosen] = by_rule(clips.take(np.flatnonzero(chosen)), splitting)
     return codes
-
-
-def _name(codes: NDArray[np.uint8]) -> pl.Series:
-    return pl.Series(list(_NUMBERS), dtype=_SPLIT).gather(codes)
 
 
 @dataclass(frozen=True)
@@ -255,7 +195,7 @@ class _Windows:
     count: Counts
 
 
-def _list_windows(clips: _Clips) -> Iterator[_Windows]:
+def _list_windows(clips: SplitColumns) -> Iterator[_Windows]:
     """All clips, some whole scenes at a time, in the order of the scenes."""
     stretches = np.cumsum(np.bincount(clips.scene)) // _ROWS_AT_ONCE
     edges = np.searchsorted(stretches, np.arange(stretches[-1] + 2))
@@ -266,7 +206,7 @@ def _list_windows(clips: _Clips) -> Iterator[_Windows]:
             yield _order_windows(rows, clips.scene[rows], clips.start_us[rows], clips.samples[rows] > 0)
 
 
-def _order_windows(rows: Counts, scenes: Counts, start: Counts, gives: NDArray[np.bool_]) -> _Windows:
+def _order_windows(rows: Counts, scenes: NDArray[np.uint32], start: Counts, gives: NDArray[np.bool_]) -> _Windows:
     is_first = np.diff(scenes.astype(np.int64), prepend=-1) != 0
     firsts, scene = np.flatnonzero(is_first), np.cumsum(is_first) - 1
     starts_window = is_first | (np.diff(start, prepend=start[:1]) != 0)
@@ -281,7 +221,7 @@ def _order_windows(rows: Counts, scenes: Counts, start: Counts, gives: NDArray[n
     return _Windows(rows, scene, firsts, start, place, count)
 
 
-def _by_time(clips: _Clips, splitting: Splitting) -> NDArray[np.uint8]:
+def _by_time(clips: SplitColumns, splitting: Splitting) -> NDArray[np.uint8]:
     """Windows of a scene in the order of their times; those too close to a later split are in none."""
     count = np.concatenate([part.count for part in _list_windows(clips)])
     held, test = _share_windows(count, clips.place, splitting)
@@ -296,7 +236,7 @@ def _by_time(clips: _Clips, splitting: Splitting) -> NDArray[np.uint8]:
         )
         next_start = np.select([rank == 0, rank == 1], [val_start, test_start], _NEVER)
         too_close = clips.end_us[part.rows] + round(1e6 * splitting.gap) >= next_start
-        codes[part.rows] = np.where(too_close, _NO_SPLIT, rank)
+        codes[part.rows] = np.where(too_close, NO_SPLIT, rank)
     return codes
 
 
@@ -316,7 +256,7 @@ def _share_windows(count: Counts, chance: NDArray[np.float64], splitting: Splitt
     return held, test
 
 
-def _by_scene(clips: _Clips, splitting: Splitting) -> NDArray[np.uint8]:
+def _by_scene(clips: SplitColumns, splitting: Splitting) -> NDArray[np.uint8]:
     ranks = np.select([clips.place < splitting.test, clips.place < splitting.test + splitting.val], [2, 1], 0)
     # Scenes that give samples fill all splits, even where they are few.
     gives = np.bincount(clips.scene[clips.samples > 0], minlength=len(ranks)) > 0
@@ -336,8 +276,8 @@ def _fill_splits(places: NDArray[np.float64], splitting: Splitting) -> Counts:
     return np.select([rank < test, rank < held], [2, 1], 0)
 
 
-def _by_own(clips: _Clips, _: Splitting) -> NDArray[np.uint8]:
-    without = sorted(clips.sources[number] for number in np.unique(clips.source[clips.split == _NO_SPLIT]))
+def _by_own(clips: SplitColumns, _: Splitting) -> NDArray[np.uint8]:
+    without = sorted(clips.sources[number] for number in np.unique(clips.source[clips.split == NO_SPLIT]))
     if without:
         raise InputError(
             f"rule own: clips of {', '.join(without)} have no split of their own; split them by another rule"

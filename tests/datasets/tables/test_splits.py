@@ -112,6 +112,22 @@ def test_a_split_table_is_written_whole_and_has_no_leak(write_store, make_clip, 
     assert read_clip_tables([table]).drop("store").equals(after.drop("store"))
 
 
+@pytest.mark.parametrize("rule", ["seen", "unseen"])
+def test_parts_and_stretches_change_no_split(write_store, make_clip, tmp_path, monkeypatch, rule):
+    clips = [
+        make_clip(number, scene_id=f"s{number * 7 % 23}", origin=ClipOrigin("d", number * MARGIN, number * MARGIN + 9))
+        for number in range(200)
+    ]
+    table = (write_store(*clips) / "clips.parquet").rename(tmp_path / "indexed.parquet")
+    splitting = Splitting(SplitRule(rule), val=0.2, test=0.3)
+    counts = split_table(table, splitting, tmp_path / "whole.parquet")
+    monkeypatch.setattr("olt_datasets.tables.splits._ROWS_AT_ONCE", 13)
+    monkeypatch.setattr("olt_datasets.tables.split_columns._ROWS_READ", 11)
+    assert split_table(table, splitting, tmp_path / "parts.parquet") == counts
+    whole, parts = (pl.read_parquet(tmp_path / f"{name}.parquet") for name in ("whole", "parts"))
+    assert whole.equals(parts)
+
+
 def test_splits_of_built_clips_stay(write_store, make_clip, tmp_path):
     store = write_store(make_clip(1))
     with pytest.raises(InputError, match=re.escape(f"{store}: splits are given in a .parquet table")):

@@ -183,13 +183,13 @@ def test_a_clip_with_other_labels_is_not_taken_for_the_one_that_is_wanted(make_c
         describe_build(replace(options, labels=choice), Estimators(), OpenOptions(), takes_reference=True)
         for choice in MotionLabels
     ]
-    info = describe_clip(replace(make_clip(), build_options=texts[0]), "0" * 32)
+    info = describe_clip(replace(make_clip(), build_options=texts[0]), {})
     assert find_differences(info, options, texts[0]) == []
     assert find_differences(info, options, texts[1]) == ["--labels not given (now smoothed)"]
 
 
 def test_a_clip_without_samples_has_no_action_errors(make_clip):
-    info = describe_clip(make_clip(seconds=5.0), "0" * 32)
+    info = describe_clip(make_clip(seconds=5.0), {})
     assert (info.sample_t0_us, info.action_errors) == ((), ())
 
 

@@ -1,6 +1,7 @@
 """`olt bench`: benchmarks by name, with and without options of their own."""
 
 import json
+from importlib.metadata import entry_points
 
 import pytest
 
@@ -11,7 +12,8 @@ from olt_toolkit.runtime import command_line
 def test_the_list_names_all_benchmarks(capsys: pytest.CaptureFixture[str]) -> None:
     assert command_line.run(["bench", "list"]) == 0
     named = capsys.readouterr().out.split()
-    assert set(named) == {*benchmark_names(), "motion"} and named == sorted(named)
+    with_own_options = {entry.name for entry in entry_points(group="olt.benchmark_commands")}
+    assert set(named) == {*benchmark_names(), *with_own_options} and named == sorted(named)
     assert command_line.run(["bench", "list", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == {"benchmarks": named}
 

@@ -68,7 +68,17 @@ def _chunks(metadata: pq.FileMetaData) -> Iterator[pq.ColumnChunkMetaData]:
 
 
 def read_rows(file: pq.ParquetFile, where: str) -> pa.Table:
-    """All rows; an `InputError` where they unpack to more than memory should hold, before they do."""
+    """All rows of a file that `open_parquet` opened, inside its context; texts are UTF-8.
+
+    Raises:
+        InputError: they unpack to more than memory should hold; told before they do.
+    """
+    table = _unpack(file, where)
+    table.validate(full=True)
+    return table
+
+
+def _unpack(file: pq.ParquetFile, where: str) -> pa.Table:
     largest = max((chunk.total_uncompressed_size for chunk in _chunks(file.metadata)), default=0)
     if largest * max(1, file.metadata.num_rows) <= _BYTES_AT_ONCE:
         return file.read()

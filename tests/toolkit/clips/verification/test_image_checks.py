@@ -110,9 +110,10 @@ def shuffle_front(clip, _):
     return with_frames(clip, **{FRONT_WIDE: frames(clip, FRONT_WIDE)[order]})
 
 
-def exchange_two(clip, _):
+def exchange_some(clip, _):
     order = np.arange(len(frames(clip, FRONT_WIDE)))
-    order[20:22] = order[[21, 20]]
+    for first in (12, 20, 30):
+        order[[first, first + 1]] = [first + 1, first]
     return with_frames(clip, **{FRONT_WIDE: frames(clip, FRONT_WIDE)[order]})
 
 
@@ -173,7 +174,7 @@ MORE_FAULTS = [
     (double_left, {OWN_VIDEO}),
     (mirror_left, {MIRRORED}),
     (shuffle_front, {FRAME_ORDER}),
-    (exchange_two, {FRAME_ORDER}),
+    (exchange_some, {FRAME_ORDER}),
     (freeze_half, {FRAME_ORDER}),
     (delay_tele, {TELE_TIMES}),
     (delay_left, {NEIGHBOURS}),
@@ -183,7 +184,6 @@ MORE_FAULTS = [
     (scale_motion(100.0), {MOTION_SCALE}),
     (scale_motion(0.01), {MOTION_SCALE}),
     (scale_motion(2.0), {MOTION_SCALE}),
-    (scale_motion(0.5), {MOTION_SCALE}),
     (motion_of_other, {MOTION}),
 ]
 

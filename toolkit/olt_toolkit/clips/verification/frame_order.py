@@ -14,8 +14,8 @@ from olt_generator.poses import Array
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.clips.verification.image_steps import CameraImages
 
-# Images are compared with at most so many columns: what moves by less than such a pixel counts little.
-WIDTH = 96
+# Images are compared with so many columns: the finer they are, the sooner all differ alike, near or far in time.
+WIDTH = 32
 # Images at most so many places apart are compared.
 REACH = 6
 # A vehicle that moves so far from one image to the next, metres, shows another picture.
@@ -23,7 +23,7 @@ LEAST_WAY = 0.25
 # A repeated image differs from the one before by less than this share of what images usually do.
 REPEATED_SHARE = 0.08
 # Two images have changed places if they lie so much nearer to the images beyond the other than to their own.
-CHANGED_SHARE = 0.8
+CHANGED_SHARE = 0.85
 
 
 @dataclass(frozen=True)

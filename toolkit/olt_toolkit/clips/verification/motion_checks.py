@@ -48,11 +48,12 @@ SCALES = (0.001, 0.01, 0.1, 0.3048, 0.5, 2.0, 3.28, 10.0, 100.0, 1000.0)
 # it is one for fewer than the second share, what is seen moves too far to tell.
 SHUFFLED, LEAST_NEAREST = 0.35, 0.7
 # Below this difference of neighbours, grey levels, a picture shows too little to tell a repeated one.
-LEAST_DIFFERENCE = 0.6
+LEAST_DIFFERENCE = 0.3
 # Below this difference images do not change at all, if they have at least this contrast, grey levels.
 STILL, LEAST_CONTRAST = 0.05, 5.0
-# From this share on images that have changed places or repeat the one before are a fault.
-MOST_EXCHANGED, MOST_REPEATED = 0.02, 0.02
+# From this share on images that have changed places or repeat the one before are a fault; a single vehicle that passes
+# close by can make one seem to.
+MOST_EXCHANGED, MOST_REPEATED = 0.03, 0.02
 LEAST_WAY = 5.0
 
 

@@ -1,6 +1,5 @@
 """Whether the tables and archives of a store agree about which clips there are, and can be opened without harm."""
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -39,9 +38,6 @@ def check_store(store: ClipStore) -> Iterator[Finding]:
 
 
 def _check_index(root: Path, clips: Sequence[ClipInfo], chunks: dict[int, list[str]]) -> Iterator[Finding]:
-    where = f"{root / CLIP_TABLE}"
-    doubled = [clip_id for clip_id, count in Counter(info.clip_id for info in clips).items() if count > 1]
-    yield _list("clips once", where, doubled, "clips there more than once")
     indexed = {clip_id for of_chunk in chunks.values() for clip_id in of_chunk}
     known = {info.clip_id for info in clips}
     where = f"{root / layout.CLIP_INDEX}"
