@@ -7,7 +7,7 @@ the matched images. Drives of one camera have the bonnet, the horizon, the lane 
 but none of what passes by.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -30,12 +30,13 @@ _STANDING = 0.06
 _LEAST_ALIKE_STANDING = 0.94
 _WEIGHT_OF_CHANGES = 2.0
 _TINY = 1e-6
+# A crop's sides need not be equal, so that it may stretch what is left.
 _NEAR = tuple(
-    Warp(1.0 + enlarged, along, down, turn)
-    for enlarged in (-0.05, 0.0, 0.05)
+    Warp(1.0 + enlarged, along, down, stretch=1.0 + stretched)
+    for enlarged in (-0.06, 0.0, 0.06)
+    for stretched in (-0.1, 0.0, 0.1)
     for along in (-0.5, 0.0, 0.5)
     for down in (-0.5, 0.0, 0.5)
-    for turn in (-0.04, 0.0, 0.04)
 )
 
 Floats = NDArray[np.float32]
@@ -113,11 +114,30 @@ def _find_warp_and_line(short: Sequence, long: Sequence) -> tuple[Warp, NDArray[
 
 
 def _refine(mine: Floats, theirs: Floats, warp: Warp) -> Likeness:
-    """How alike matched images (n, cells) are where the second are turned and moved a little under the first's warp."""
+    """How alike matched images (n, cells) are where the second are stretched, moved and turned a little as well."""
     stacked, filled = stack_warps((warp,))
-    near, near_filled = stack_warps(_NEAR)
-    found = _measure(_warp(stacked, mine) * near_filled[:, None], _warp(near, theirs) * filled[:, None])
-    return max(found, key=lambda each: each.alike + _WEIGHT_OF_CHANGES * each.moving)
+    warped = _warp(stacked, mine)
+    best, _ = _try(warped, filled, theirs, _NEAR)
+    return _try(warped, filled, theirs, _list_turned(best))[1]
+
+
+def _try(warped: Floats, filled: Floats, theirs: Floats, near: tuple[Warp, ...]) -> tuple[Warp, Likeness]:
+    """The best of some warps of `theirs` (n, cells) on images (1, n, cells) that fill cells (1, cells)."""
+    stacked, near_filled = stack_warps(near)
+    found = _measure(warped * near_filled[:, None], _warp(stacked, theirs) * filled[:, None])
+    place = int(np.argmax([each.alike + _WEIGHT_OF_CHANGES * each.moving for each in found]))
+    return near[place], found[place]
+
+
+@lru_cache(maxsize=len(_NEAR))
+def _list_turned(warp: Warp) -> tuple[Warp, ...]:
+    """A warp turned by up to 3 degrees, and moved by a quarter of a cell."""
+    return tuple(
+        replace(warp, along=warp.along + along, down=warp.down + down, turn=turn)
+        for along in (-0.25, 0.0, 0.25)
+        for down in (-0.25, 0.0, 0.25)
+        for turn in (-0.05, -0.025, 0.0, 0.025, 0.05)
+    )
 
 
 def _duration(sequence: Sequence) -> float:

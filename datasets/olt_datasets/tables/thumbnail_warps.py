@@ -22,12 +22,14 @@ class Warp:
         scale: cells of the thumbnail that one of the warped one covers.
         along, down: by how many cells the middle is moved.
         turn: in radians.
+        stretch: by how much more the scale is down than along.
     """
 
     scale: float
     along: float = 0.0
     down: float = 0.0
     turn: float = 0.0
+    stretch: float = 1.0
 
     def matrix(self) -> SparseMatrix:
         """The bilinear warp (cells, cells), without entries for cells that lie outside of the thumbnail."""
@@ -36,7 +38,7 @@ class Warp:
         cosine, sine = self.scale * np.cos(self.turn), self.scale * np.sin(self.turn)
         from_middle, below_middle = along - half_along, down - half_down
         x = cosine * from_middle - sine * below_middle + half_along + self.along
-        y = sine * from_middle + cosine * below_middle + half_down + self.down
+        y = self.stretch * (sine * from_middle + cosine * below_middle) + half_down + self.down
         inside = (np.abs(x - half_along) <= 0.5 * COLUMNS) & (np.abs(y - half_down) <= 0.5 * ROWS)
         return _bilinear(x, y, inside)
 
@@ -56,7 +58,7 @@ def list_crops(scales: tuple[float, ...], shifts: tuple[float, ...]) -> tuple[Wa
     return tuple(crops)
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=512)
 def stack_warps(warps: tuple[Warp, ...]) -> tuple[SparseMatrix, NDArray[np.float32]]:
     """Warps in one matrix (warps x cells, cells), and which cells (warps, cells) each fills: 1, else 0."""
     stacked = SparseMatrix(scipy.sparse.vstack([warp.matrix() for warp in warps]))
