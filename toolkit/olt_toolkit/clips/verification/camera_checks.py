@@ -35,6 +35,8 @@ SAME_DIFFERENCE = 1.0
 # The tele image is inside the front view where it correlates so well and is not where it correlates less; between them
 # nothing is said. Elsewhere, mirrored or at other times the correlation must be lower, or higher, by the margin.
 INSIDE, OUTSIDE, MARGIN = 0.5, 0.35, 0.08
+# Metres that the vehicle drives in a shift in time that is told: the cameras sit decimetres apart.
+LEAST_SHIFT_WAY = 1.0
 
 
 def check_names(clip: ClipEvidence) -> Iterator[Finding]:
@@ -103,7 +105,7 @@ def check_tele(clip: ClipEvidence) -> Iterator[Finding]:
         yield not_compared(TELE_INSIDE, FRONT_TELE, why)
         return
     yield _judge_place(match, known)
-    yield _judge_tele_times(match)
+    yield _judge_tele_times(match, clip.speed)
 
 
 def _judge_place(match: TeleMatch, known: Mask) -> Finding:
@@ -129,8 +131,9 @@ def _judge_place(match: TeleMatch, known: Mask) -> Finding:
     return Finding(TELE_INSIDE, FRONT_TELE, Verdict.PASSED, detail, here, INSIDE)
 
 
-def _judge_tele_times(match: TeleMatch) -> Finding:
+def _judge_tele_times(match: TeleMatch, speed: float) -> Finding:
     gains = match.shifted - match.at_place[:, None]
+    gains[:, speed * np.abs(SHIFTS) < LEAST_SHIFT_WAY] = np.nan
     means = np.array([np.nanmean(column) if np.isfinite(column).any() else -np.inf for column in gains.T])
     best = int(np.argmax(means))
     if surely_above(gains[:, best], 0.02):

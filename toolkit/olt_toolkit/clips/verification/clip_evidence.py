@@ -76,6 +76,12 @@ class ClipEvidence:
         return sum_up(self.gains(camera, hypothesis))
 
     @cached_property
+    def speed(self) -> float:
+        """Mean speed in m/s, as the clip says."""
+        first_us, last_us = self.ego_motion.span_us
+        return self.way / (1e-6 * (last_us - first_us))
+
+    @cached_property
     def wide(self) -> tuple[str, ...]:
         """The cameras that tell of the motion: one with a narrow view may show the vehicle ahead and nothing else."""
         return tuple(camera for camera, mounted in self.mounted.items() if not is_narrow(mounted.camera))

@@ -82,7 +82,9 @@ def _exchanged(apart: Array) -> NDArray[np.bool_]:
     own = apart[:-3, 0], apart[2:-1, 0]
     other = apart[:-3, 1], apart[1:-2, 1]
     found[1:-2] = (other[0] < CHANGED_SHARE * own[0]) & (other[1] < CHANGED_SHARE * own[1])
-    return found
+    # Where images in a row seem to, a row of like things passes, such as posts, at two images a post.
+    alone = ~np.append(found[1:], False) & ~np.append(False, found[:-1])
+    return found & alone
 
 
 def _nearest_share(apart: Array, moving: NDArray[np.bool_]) -> float:
