@@ -20,10 +20,11 @@ from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.origin_files import decode_origin
 from olt_toolkit.clips.pai_tables import read_table
+from olt_toolkit.clips.verification.decoded_videos import decode_video
 from olt_toolkit.clips.verification.findings import Finding, judge, not_compared, state
 from olt_toolkit.clips.verification.report import Report
 from olt_toolkit.clips.verification.verify import GROUPS, STORE_GROUP
-from olt_toolkit.clips.verification.video_checks import check_decoded, decode_video
+from olt_toolkit.clips.verification.video_checks import check_decoded
 from olt_toolkit.runtime.threads import use_one_thread
 from olt_toolkit.runtime.workers import Engine, map_parallel
 

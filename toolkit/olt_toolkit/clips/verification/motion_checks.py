@@ -41,7 +41,7 @@ LEAST_RATE_GAIN = 0.5
 LEAST_LOSS = 0.1
 # Nats in all from which on a shift in time is believed, which shows only while the motion changes.
 CLEAR_SHIFT = 25.0
-SHIFTS = tuple(round(0.1 * count, 1) for count in range(1, 11))
+SHIFTS = (0.1, 0.2, 0.3, 0.5, 0.7, 1.0)
 RATES = (1 / 3, 0.5, 2.0, 3.0)
 SCALES = (0.001, 0.01, 0.1, 0.3048, 0.5, 2.0, 3.28, 10.0, 100.0, 1000.0)
 # Where the most similar image of fewer than this share is a neighbour, images are shuffled: chance gives a sixth. Where
