@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from olt_datasets.export.contents import Contents, ExportItem
 from olt_datasets.export.image_sizes import Sizes, only_sizes, read_image_sizes, tell_resized, word_size
-from olt_datasets.export.look import halves, look_at_export
+from olt_datasets.export.look import halves, leave_out_failing, look_at_export
 from olt_datasets.export.writing import finished_part, note_finished, write_export
 from olt_datasets.verification.file_list import write_file_list
 from olt_datasets.verification.lerobot import verify_lerobot
@@ -232,10 +232,13 @@ def export_lerobot(
     resized = tell_resized(true_sizes, sizes)
 
     def write(root: Path) -> dict[str, Any]:
-        write_one = partial(write_clip, root, sizes, keep_going, contents.contract)
-        clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_written, engine)
-        components = [group.component for group in contents.groups for _ in group.items]
-        stores = {item.store: ClipStore(item.store) for item in contents.items}
+        wanted, failing = contents, {}
+        if verify and keep_going:
+            wanted, failing = leave_out_failing(contents, out, workers, silent, engine)
+        write_one = partial(write_clip, root, sizes, keep_going, wanted.contract)
+        clips = map_parallel(write_one, list(enumerate(wanted.items)), workers, on_written, engine)
+        components = [group.component for group in wanted.groups for _ in group.items]
+        stores = {item.store: ClipStore(item.store) for item in wanted.items}
         done = [clip for clip in clips if isinstance(clip, ClipFrames)]
         if not done:
             raise InputError(f"{out}: no clip could be exported: {clips[0]}")
@@ -246,9 +249,9 @@ def export_lerobot(
         ]
         tasks = sorted({episode.info.category for episode in episodes})
         columns = _write_data(root, episodes, tasks)
-        _write_meta(root, contents, episodes, tasks, columns, _features(sizes, resized))
-        pairs = zip(contents.items, clips, strict=True)
-        failures = {item.clip_id: reason for item, reason in pairs if isinstance(reason, str)}
+        _write_meta(root, wanted, episodes, tasks, columns, _features(sizes, resized))
+        pairs = zip(wanted.items, clips, strict=True)
+        failures = failing | {item.clip_id: reason for item, reason in pairs if isinstance(reason, str)}
         told = {"image_sizes": {camera: word_size(size) for camera, size in sizes.items()}, "resized_from": resized}
         write_file_list(root)
         verified = look_at_export(verify_lerobot, root, out, workers, on_verified, engine) if verify else None

@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from olt_datasets.verification.file_list import check_file_list
+from olt_datasets.verification.image_statistics import check_image_statistics
 from olt_datasets.verification.pose_columns import check_pose_columns
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
@@ -62,10 +63,12 @@ def verify_lerobot(
     if "motion" in groups:
         report.add(check_pose_columns(info, episodes, data, str(root / "data")))
     if "videos" in groups:
-        for findings in map_parallel(
-            partial(check_video, root), list_videos(info, episodes, root), workers, on_progress, engine
-        ):
+        jobs = list_videos(info, episodes, root)
+        for findings in map_parallel(partial(check_video, root), jobs, workers, on_progress, engine):
             report.add(findings)
+        for key in videos:
+            of_key = [(path, frames) for name, path, frames, *_ in jobs if name == key]
+            report.add(check_image_statistics(root, key, of_key))
     report.clips = len(set(episodes["clip_id"].to_pylist())) if "clip_id" in episodes.column_names else 0
     if "images" in groups:
         why = "a LeRobot data set tells no lens and no mounting; verify the clip stores that it was made of"

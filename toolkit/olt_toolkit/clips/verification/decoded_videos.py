@@ -117,4 +117,6 @@ def small_size(width: int, height: int) -> tuple[int, int]:
 
 
 def _grey(reformatter: VideoReformatter, frame: av.VideoFrame, size: tuple[int, int]) -> NDArray[np.uint8]:
-    return reformatter.reformat(frame, *size, "gray", interpolation="AREA", threads=1).to_ndarray()
+    return np.asarray(
+        reformatter.reformat(frame, *size, "gray", interpolation="AREA", threads=1).to_ndarray(), np.uint8
+    )

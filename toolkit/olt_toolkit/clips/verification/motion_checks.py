@@ -171,11 +171,15 @@ def _check_scale(clip: ClipEvidence, where: str) -> Finding:
         return _failed(MOTION_SCALE, where, says, found[scale], LEAST_SCALE_GAIN)
     smaller = [scale for scale in SCALES if scale < 1.0 and gains[scale].loses(LEAST_LOSS)]
     larger = [scale for scale in SCALES if scale > 1.0 and gains[scale].loses(LEAST_LOSS)]
-    if smaller and larger:
-        low, high = max(smaller), min(larger)
-        says = f"it drives neither {low:.4g} times as far as it says nor {high:.4g} times"
-        return _passed(MOTION_SCALE, where, says, max((gains[low], gains[high]), key=_mean))
-    return not_compared(MOTION_SCALE, where, _why_still(clip) or "too little of the road is seen to tell how far")
+    if not (smaller and larger):
+        why = "too little of the road is seen to tell how far"
+        return not_compared(MOTION_SCALE, where, _why_still(clip) or why)
+    low, high = max(smaller), min(larger)
+    if (low, high) != (0.5, 2.0):
+        why = f"what is seen tells only that it does not drive {low:.4g} times as far as it says, nor {high:.4g} times"
+        return not_compared(MOTION_SCALE, where, why)
+    says = "it drives neither half as far as it says nor twice as far"
+    return _passed(MOTION_SCALE, where, says, max((gains[low], gains[high]), key=_mean))
 
 
 def _check_times(clip: ClipEvidence, where: str) -> Finding:
