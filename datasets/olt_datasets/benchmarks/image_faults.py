@@ -102,11 +102,20 @@ def _late(frames: int) -> Callable[[Frames, Generator], Frames]:
     return lambda images, _: images[np.maximum(np.arange(len(images)) - frames, 0)]
 
 
-def _poses(change: Callable[[Array], Array], seconds: float = 0.0) -> Plant:
+def _poses(change: Callable[[Array], Array]) -> Plant:
     def plant(clip: ClipEvidence, _: ClipEvidence, __: Generator) -> ClipEvidence:
         said = clip.ego_motion.trajectory
-        changed = Trajectory(said.timestamps_us + round(seconds * 1e6), change(said.T_world_rig))
+        changed = Trajectory(said.timestamps_us, change(said.T_world_rig))
         return _with_motion(clip, EgoMotion.from_trajectory(changed))
+
+    return plant
+
+
+def _delayed(seconds: float) -> Plant:
+    def plant(clip: ClipEvidence, _: ClipEvidence, __: Generator) -> ClipEvidence:
+        said = clip.ego_motion
+        late = Trajectory(said.trajectory.timestamps_us + round(seconds * 1e6), said.trajectory.T_world_rig)
+        return _with_motion(clip, replace(said, trajectory=late))
 
     return plant
 
@@ -206,7 +215,7 @@ IMAGE_FAULTS: tuple[ImageFault, ...] = (
     ImageFault("motion in feet", _scaled(3.281), (_motion(MOTION_SCALE),)),
     ImageFault("motion of half the length", _scaled(0.5), (_motion(MOTION_SCALE),)),
     ImageFault("motion of twice the length", _scaled(2.0), (_motion(MOTION_SCALE),)),
-    ImageFault("motion 0.3 s late", _poses(lambda poses: poses, 0.3), (_motion(MOTION_TIMES),)),
-    ImageFault("motion 1 s late", _poses(lambda poses: poses, 1.0), (_motion(MOTION_TIMES),)),
+    ImageFault("motion 0.3 s late", _delayed(0.3), (_motion(MOTION_TIMES),)),
+    ImageFault("motion 1 s late", _delayed(1.0), (_motion(MOTION_TIMES),)),
     ImageFault("motion of another clip", _motion_of_other, (_motion(MOTION),)),
 )

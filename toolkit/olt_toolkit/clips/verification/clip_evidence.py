@@ -40,7 +40,8 @@ def is_narrow(lens: Camera) -> bool:
 class ClipEvidence:
     """The cameras of a clip, their images, and the evidence of each; in the order of the clip table.
 
-    `other_motions` are those of clips beside it in its store, by name.
+    `other_motions` are those of clips beside it in its store, by name. `agreeing` are the cameras that show what the
+    ones beside them show where both look, at the same time: what moves in them otherwise than the vehicle is traffic.
     """
 
     clip_id: str
@@ -49,6 +50,7 @@ class ClipEvidence:
     images: dict[str, CameraImages]
     evidence: dict[str, ImageEvidence]
     other_motions: dict[str, Hypothesis]
+    agreeing: frozenset[str] = frozenset()
 
     @cached_property
     def said(self) -> dict[str, Array]:

@@ -15,7 +15,7 @@ from olt_toolkit.clips.pai_layout import VIDEO
 from olt_toolkit.clips.store import ClipStore
 
 # Images are looked at with at most so many columns, at most so often, and so many of them.
-WIDEST = 320
+WIDEST = 480
 LEAST_GAP_US = 80_000
 MOST_IMAGES = 250
 

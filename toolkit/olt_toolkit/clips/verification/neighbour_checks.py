@@ -1,6 +1,6 @@
 """Checks of whether neighbouring cameras show the same where they look over the same ground, and at the same time."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import combinations
 
 import numpy as np
@@ -31,7 +31,18 @@ def check_neighbours(clip: ClipEvidence) -> Iterator[Finding]:
     if not found:
         yield not_compared(NEIGHBOURS, ", ".join(clip.images), "no two cameras see enough in common")
     for (first, second), match in found.items():
-        yield _judge(match, f"{first} and {second}", clip.way)
+        yield _judge(match, _name_pair(first, second), clip.way)
+
+
+def find_agreeing(clip: ClipEvidence, findings: Iterable[Finding]) -> frozenset[str]:
+    """Cameras that some pair of `check_neighbours` finds to show what another one shows."""
+    passed = {each.where for each in findings if each.verdict is Verdict.PASSED}
+    pairs = [pair for pair in combinations(clip.images, 2) if _name_pair(*pair) in passed]
+    return frozenset(camera for pair in pairs for camera in pair)
+
+
+def _name_pair(first: str, second: str) -> str:
+    return f"{first} and {second}"
 
 
 def _judge(match: NeighbourMatch, where: str, way: float) -> Finding:
