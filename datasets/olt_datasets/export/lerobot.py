@@ -226,19 +226,19 @@ def export_lerobot(
             fails; names the file.
     """
     on_written, on_verified = halves(on_progress, verify)
+    failing: dict[str, str] = {}
+    if verify and keep_going:
+        contents, failing = leave_out_failing(contents, out, workers, silent, engine)
     contents = contents.with_one_item_per_clip()
     true_sizes = read_image_sizes(contents)
     sizes = dict.fromkeys(contents.contract.cameras, image_size) if image_size else only_sizes(true_sizes)
     resized = tell_resized(true_sizes, sizes)
 
     def write(root: Path) -> dict[str, Any]:
-        wanted, failing = contents, {}
-        if verify and keep_going:
-            wanted, failing = leave_out_failing(contents, out, workers, silent, engine)
-        write_one = partial(write_clip, root, sizes, keep_going, wanted.contract)
-        clips = map_parallel(write_one, list(enumerate(wanted.items)), workers, on_written, engine)
-        components = [group.component for group in wanted.groups for _ in group.items]
-        stores = {item.store: ClipStore(item.store) for item in wanted.items}
+        write_one = partial(write_clip, root, sizes, keep_going, contents.contract)
+        clips = map_parallel(write_one, list(enumerate(contents.items)), workers, on_written, engine)
+        components = [group.component for group in contents.groups for _ in group.items]
+        stores = {item.store: ClipStore(item.store) for item in contents.items}
         done = [clip for clip in clips if isinstance(clip, ClipFrames)]
         if not done:
             raise InputError(f"{out}: no clip could be exported: {clips[0]}")
@@ -249,8 +249,8 @@ def export_lerobot(
         ]
         tasks = sorted({episode.info.category for episode in episodes})
         columns = _write_data(root, episodes, tasks)
-        _write_meta(root, wanted, episodes, tasks, columns, _features(sizes, resized))
-        pairs = zip(wanted.items, clips, strict=True)
+        _write_meta(root, contents, episodes, tasks, columns, _features(sizes, resized))
+        pairs = zip(contents.items, clips, strict=True)
         failures = failing | {item.clip_id: reason for item, reason in pairs if isinstance(reason, str)}
         told = {"image_sizes": {camera: word_size(size) for camera, size in sizes.items()}, "resized_from": resized}
         write_file_list(root)

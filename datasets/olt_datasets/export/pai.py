@@ -61,12 +61,12 @@ def export_pai(
             cannot be written, or a check fails; names the file.
     """
     on_written, on_verified = halves(on_progress, verify)
+    failing: dict[str, str] = {}
+    if verify and keep_going:
+        contents, failing = leave_out_failing(contents, out, workers, silent, engine)
 
     def write(root: Path) -> dict[str, Any]:
-        wanted, failing = contents, {}
-        if verify and keep_going:
-            wanted, failing = leave_out_failing(contents, out, workers, silent, engine)
-        chunks = divide_into_chunks(wanted.groups)
+        chunks = divide_into_chunks(contents.groups)
         write_one = partial(write_chunk, root, keep_going=keep_going)
         results = map_parallel(write_one, chunks, workers, on_written, engine)
         failures = {clip: reason for result in results for clip, reason in result["failures"].items()}
@@ -76,7 +76,7 @@ def export_pai(
         infos = _write_tables(root, rows)
         verified = look_at_export(verify_store, root, out, workers, on_verified, engine) if verify else None
         told = {"failures": failing | failures, "verification": verified}
-        return _summarize(wanted, chunks, results, rows, infos) | told
+        return _summarize(contents, chunks, results, rows, infos) | told
 
     return write_export("pai", contents, {"verify": verify}, out, write)
 
