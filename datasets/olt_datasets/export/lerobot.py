@@ -322,6 +322,7 @@ def _write_meta(
     for name, values in columns.items():
         if values.dtype != np.bool_:
             rows = values.reshape(len(values), -1)
+            rows = rows.astype(np.float64) if rows.dtype == np.float32 else rows
             stats[name] = {each: getattr(np, each)(rows, axis=0).tolist() for each in ("min", "max", "mean", "std")}
             quantiles = np.quantile(rows, list(QUANTILES.values()), axis=0).tolist()
             stats[name] |= {"count": [len(rows)]} | dict(zip(QUANTILES, quantiles, strict=True))

@@ -33,9 +33,18 @@ class PublicFolder(ClipStore):
     """A store whose clips are told by its clip index and its archives alone."""
 
     @cached_property
-    def _clips(self) -> dict[str, ClipInfo]:
+    def indexed(self) -> dict[str, ClipInfo]:
+        """All clips of the clip index, with the cameras that are here."""
         return {
             clip_id: _describe(clip_id, [camera for camera in CAMERA_INDEX if self._holds(camera, chunk, clip_id)])
+            for chunk, clip_ids in self.chunks().items()
+            for clip_id in clip_ids
+        }
+
+    @cached_property
+    def _clips(self) -> dict[str, ClipInfo]:
+        return {
+            clip_id: self.indexed[clip_id]
             for chunk, clip_ids in self.chunks().items()
             for clip_id in clip_ids
             if self._holds(EGOMOTION, chunk, clip_id)
@@ -61,8 +70,8 @@ def verify_public_folder(
         InputError: the clip index cannot be read.
     """
     folder = PublicFolder(root)
-    clips, indexed = [info.clip_id for info in folder.clips()], sum(map(len, folder.chunks().values()))
-    report = Report().add([_tell_table(root), *_tell_absent(root, len(clips), indexed)])
+    clips = [info.clip_id for info in folder.clips()]
+    report = Report().add([_tell_table(root), *_tell_absent(root, len(clips), len(folder.indexed))])
     if STORE_GROUP in groups:
         report.add(_check_archives(folder))
     look = partial(_look, root, tuple(groups), uuid.uuid4().hex)
@@ -89,7 +98,6 @@ def _tell_absent(root: Path, present: int, indexed: int) -> list[Finding]:
 def _check_archives(folder: PublicFolder) -> Iterator[Finding]:
     if (folder.root / FEATURE_TABLE).is_file():
         yield check_features(folder.root)
-    known = {info.clip_id: info for info in folder.clips()}
     for feature in FEATURES.values():
         here, absent = {}, 0
         for chunk, clip_ids in folder.chunks().items():
@@ -97,7 +105,7 @@ def _check_archives(folder: PublicFolder) -> Iterator[Finding]:
                 here[chunk] = clip_ids
             else:
                 absent += 1
-        yield from check_feature(folder.root, feature, known, here)
+        yield from check_feature(folder.root, feature, folder.indexed, here)
         if absent:
             why = f"{absent} of {absent + len(here)} chunks are not here"
             yield not_compared("chunk file", f"{folder.root / feature.directory / feature.name}", why)
