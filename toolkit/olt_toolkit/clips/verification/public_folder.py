@@ -32,6 +32,10 @@ _TRUE_VIEW = ViewProvenance("observed", "not told", "not told", None, 1.0, 0.0)
 class PublicFolder(ClipStore):
     """A store whose clips are told by its clip index and its archives alone."""
 
+    def __init__(self, root: Path) -> None:
+        super().__init__(root)
+        self._names: dict[Path, frozenset[str] | None] = {}
+
     @cached_property
     def indexed(self) -> dict[str, ClipInfo]:
         """All clips of the clip index, with the cameras that are here."""
@@ -53,8 +57,18 @@ class PublicFolder(ClipStore):
     def _holds(self, name: str, chunk: int, clip_id: str) -> bool:
         """Whether the archive of that feature and chunk is there and holds all members of the clip."""
         feature = STORED[name]
-        members = _members(feature.chunk_file(self.root, chunk))
+        members = self._archive_names(feature.chunk_file(self.root, chunk))
         return members is not None and {feature.member(alias, clip_id) for alias in feature.members} <= members
+
+    def _archive_names(self, path: Path) -> frozenset[str] | None:
+        """Names in an archive, read once; None where it is missing or damaged."""
+        if path not in self._names:
+            try:
+                with zipfile.ZipFile(path) as archive:
+                    self._names[path] = frozenset(archive.namelist())
+            except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+                self._names[path] = None
+        return self._names[path]
 
 
 def verify_public_folder(
@@ -153,16 +167,6 @@ def _describe(clip_id: str, cameras: list[str]) -> ClipInfo:
         fingerprint=None,
         views=dict.fromkeys(cameras, _TRUE_VIEW),
     )
-
-
-@lru_cache(maxsize=256)
-def _members(path: Path) -> frozenset[str] | None:
-    """Names in an archive; None where it is missing or damaged."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return frozenset(archive.namelist())
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
-        return None
 
 
 @lru_cache(maxsize=8)
