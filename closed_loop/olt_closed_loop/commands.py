@@ -24,7 +24,7 @@ app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and 
 
 
 # What the options take, as the modules named beside them have it; those are loaded only when a command runs.
-Definition = Literal["strict", "alpasim"]  # scoring.definitions
+Definition = Literal["strict", "alpasim", "alpasim@3032e0c", "alpasim@challenge-2026-09"]  # scoring.definitions
 Traffic = Literal["recorded", "idm"]  # rollouts.rollout
 Vehicle = Literal["kinematic", "tyres"]  # simulation.settings
 Controller = Literal["lqr", "linear", "nonlinear"]  # control.tracking
@@ -184,13 +184,18 @@ def score_rollout(
     """Score one recorded rollout."""
     from olt_closed_loop import read_rollout_file, score_record
     from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
+    from olt_closed_loop.scoring.definitions import alpasim_rows, alpasim_version, full_definition
     from olt_toolkit.runtime.console import print_json, print_table
 
-    record = read_rollout_file(file)
-    if definition == "alpasim":
-        scores = score_as_alpasim(record)
-        result = {"definition": definition, **scores.to_dict()}
-        figures = {**vars(scores.scene), **scores.final}
+    record, definition = read_rollout_file(file), full_definition(definition)
+    version = alpasim_version(definition)
+    if version:
+        score = score_record(record, definition)
+        (row,) = alpasim_rows([score])
+        result = {"definition": definition, **score_as_alpasim(record, version).to_dict(), "summary_row": row}
+        if score.failed:  # whose metrics AlpaSim never looks at
+            result |= {"final": {}, "scene": {name: row[name] for name in ("score", "failure_reason", "passed")}}
+        figures = {"status": row["status"], **result["scene"], **result["final"]}
     else:
         strict = score_record(record)
         result = strict.to_dict()
