@@ -84,7 +84,7 @@ def lateral_distances(path: Array, points: Array) -> Array:
     length or whose last segment has none leaves the plain distance.
     """
     line, places = shapely.linestrings(path), shapely.points(points)
-    distances = shapely.distance(line, places)
+    distances = np.asarray(shapely.distance(line, places))
     direction = path[-1] - path[-2]
     length, step = float(shapely.length(line)), float(np.linalg.norm(direction))
     if step == 0.0:
