@@ -38,8 +38,8 @@ def draw_report(out: Path, summary: dict[str, Any]) -> None:
     scenes = [read_scene(out / "scenes" / f"{name}.usda") for name in summary["scenes"]["evaluation"]]
     definition = policies[RECIPES[0]]["table"]["definition"]
     note = (
-        f"Definition {definition!r}. AS: mean score of the valid rollouts, Student-t interval over scenes. CR: share of "
-        "valid rollouts that touched anything, Wilson interval. The last rows are policies that know nothing. The "
+        f"Definition {definition!r}. AS: mean score of the valid rollouts, Student-t interval over scenes. CR: share "
+        "of valid rollouts that touched anything, Wilson interval. The last rows are policies that know nothing. The "
         "scenes are held out of every mixture. These are toy policies on a handful of scenes: the intervals say how "
         "little the difference between two rows means."
     )
