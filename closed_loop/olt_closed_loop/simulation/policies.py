@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,17 +23,26 @@ PolicyLoader = Callable[[str | None], Policy]
 
 
 def make_policy(spec: str) -> Policy:
-    """The policy called NAME or NAME:ARGUMENT: one of `BUILT_IN`, or one of the entry points `olt.policies`.
+    """The policy called NAME or NAME:ARGUMENT: found through the entry points `olt.policies` and `BUILT_IN`.
 
     Raises:
         InputError: no package brings a policy of that name, or it does not take the argument.
     """
-    name, _, argument = spec.partition(":")
-    found = {entry.name: entry for entry in entry_points(group="olt.policies")}
-    if name not in BUILT_IN and name not in found:
-        raise InputError(f"policy {name!r} is not known; choose from {', '.join(sorted({*BUILT_IN, *found}))}")
-    loader: PolicyLoader = BUILT_IN[name] if name in BUILT_IN else found[name].load()
-    return loader(argument or None)
+    loader: PolicyLoader = find_policy(spec).load()
+    return loader(spec.partition(":")[2] or None)
+
+
+def find_policy(spec: str) -> EntryPoint:
+    """The entry point of the policy called NAME or NAME:ARGUMENT.
+
+    Raises:
+        InputError: no package brings a policy of that name.
+    """
+    name = spec.partition(":")[0]
+    found = {**{entry.name: entry for entry in entry_points(group="olt.policies")}, **BUILT_IN}
+    if name not in found:
+        raise InputError(f"policy {name!r} is not known; choose from {', '.join(sorted(found))}")
+    return found[name]
 
 
 @dataclass(frozen=True)
@@ -167,11 +176,9 @@ load_constant_speed = partial(_load, ConstantSpeedPolicy)
 load_constant_velocity = partial(_load, ConstantVelocityPolicy)
 load_route = partial(_load, RouteFollowingPolicy)
 load_standing = partial(_load, StandingPolicy)
-BUILT_IN: dict[str, PolicyLoader] = {
-    "constant_speed": load_constant_speed,
-    "constant_velocity": load_constant_velocity,
-    "route": load_route,
-    "standing": load_standing,
+BUILT_IN = {
+    name: EntryPoint(name, f"{__name__}:load_{name}", "olt.policies")
+    for name in ("constant_speed", "constant_velocity", "route", "standing")
 }
 """Policies that are there whatever else is installed, by name."""
 
