@@ -21,6 +21,8 @@ EGO_FRONT = DEFAULT_VEHICLE.rear_axle_to_bbox_center + DEFAULT_VEHICLE.length / 
 
 HANDOVER = 1.7
 """Seconds after which the policy drives, as in AlpaSim (docs/formats/alpasim.md)."""
+REACTION, BRAKING = 1.45, 0.774 * 9.81
+"""Seconds until a defensive driver has reacted and the brakes are full, and m/s2 (UN Regulation 157, annex 4)."""
 _STAYS_ON = 0.2
 """Seconds for which a deer stays in the lane after it would have been hit."""
 
@@ -145,13 +147,13 @@ def uncommon_vehicle(road: Road, approach: Approach, generator: np.random.Genera
 def animal(road: Road, approach: Approach, generator: np.random.Generator) -> Event:
     """A deer walks into the lane, stands there and walks on; the ego brakes until it has gone.
 
-    It is still there when a car arrives that drives on as at the hand-over, and stands in full view for long enough to
-    be braked for.
+    It is still there when a car arrives that drives on as at the hand-over, and by then has stood in full view for
+    longer than a defensive driver needs to stop.
     """
     crossing = approach.onset + generator.uniform(30.0, 45.0)
     crawl = generator.uniform(2.5, 3.5)
     speed = generator.uniform(3.0, 4.0)
-    stands = generator.uniform(2.0, 3.0)
+    stands = REACTION + approach.cruise / BRAKING + generator.uniform(0.5, 1.5)
     side = generator.choice([-1.0, 1.0])
 
     def place_agents(ego: EgoMotion) -> list[Agent]:
