@@ -1,6 +1,6 @@
 import json
 from dataclasses import replace
-from importlib.metadata import EntryPoint
+from types import SimpleNamespace
 from typing import get_args
 
 import pytest
@@ -229,8 +229,7 @@ def register(monkeypatch):
     """Makes a policy known under a name."""
 
     def register_policy(name, policy):
-        entry = EntryPoint(name, "nowhere:policy", "olt.policies")
-        monkeypatch.setattr(EntryPoint, "load", lambda self: lambda argument: policy)
+        entry = SimpleNamespace(name=name, load=lambda: lambda argument: policy)
         monkeypatch.setattr(policies, "entry_points", lambda group: [entry])
 
     return register_policy
