@@ -59,9 +59,9 @@ def read_clip_tables(paths: Sequence[Path]) -> pl.DataFrame:
 
 
 def check_table_name(path: Path) -> None:
-    """InputError unless a path is that of a table of indexed clips."""
+    """InputError unless a path can be that of a table, of indexed clips or of leaks."""
     if path.suffix != TABLE_SUFFIX:
-        raise InputError(f"{path}: a table of clips is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
+        raise InputError(f"{path}: a table is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
 
 
 def rewrite_rows(table: Path, out: Path, change: Callable[[pa.Table, int], pa.Table]) -> None:
