@@ -210,7 +210,8 @@ def _is_bytes(values: pa.Array) -> bool:
 
 
 def _are(texts: pa.Array, words: tuple[str | None, ...]) -> Flags:
-    return pc.is_in(texts, pa.array(words, texts.type)).to_numpy(False)
+    options = pc.SetLookupOptions(pa.array(words, texts.type))
+    return pc.call_function("is_in", [texts], options).to_numpy(False)
 
 
 def _are_dots(texts: pa.Array, sizes: NDArray[Any]) -> Flags:
@@ -246,14 +247,14 @@ def _hold(texts: pa.Array, is_wrong: Callable[[NDArray[np.uint8]], Flags]) -> Fl
     return held
 
 
-def _edges(texts: pa.Array) -> NDArray[np.int32] | NDArray[np.int64]:
+def _edges(texts: pa.Array) -> NDArray[Any]:
     """Where texts begin and end in their buffer."""
     kind = np.int64 if pa.types.is_large_string(texts.type) or pa.types.is_large_binary(texts.type) else np.int32
     offsets = texts.buffers()[1]
     return np.zeros(1, kind) if offsets is None else np.frombuffer(offsets, kind)[texts.offset :][: len(texts) + 1]
 
 
-def _sizes(texts: pa.Array) -> NDArray[np.int32] | NDArray[np.int64]:
+def _sizes(texts: pa.Array) -> NDArray[Any]:
     return np.diff(_edges(texts)) if len(texts) else np.zeros(0, np.int32)
 
 
