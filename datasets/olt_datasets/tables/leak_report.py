@@ -120,9 +120,10 @@ def word_report(report: LeakReport, shown: int, rest: str = "olt data check --le
         lines = [f"nothing was compared: {report.empty}"]
     else:
         lines = ["no leaks in what was compared"]
-    lines += [f"  {leak.rule}: {leak}" for leak in report.leaks[:shown]]
-    if total > shown:
-        lines.append(f"  and {total - min(shown, len(report.leaks)):,} more; {rest} lists them")
+    told = report.leaks[:shown]
+    lines += [f"  {leak.rule}: {leak}" for leak in told]
+    if total > len(told):
+        lines.append(f"  and {total - len(told):,} more; {rest} lists them")
     held = ", ".join(f"{count:,} {split}" for split, count in report.splits.items())
     return [*lines, f"clips by split: {held or 'none'}", *map(str, report.comparisons)]
 
