@@ -22,7 +22,7 @@ SCHEMA = pl.Schema(
     dict.fromkeys(("rule", *PLACE, *_OTHER, "kind", "kind_other", "source"), pl.String)
     | dict.fromkeys(("from_us", "to_us", "pairs"), pl.Int64)
 )
-"""Columns of a table of leaks: docs/formats/leak_table.md."""
+"""Columns of a table of leaks: docs/concepts.md, Leaks."""
 _ORDER = ("rule", "scene_id", "clip_id", "scene_id_other", "clip_id_other", "store", "kind", "split", "split_other")
 
 Write = Callable[[pl.DataFrame], None]
