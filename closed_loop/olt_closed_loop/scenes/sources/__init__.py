@@ -2,7 +2,7 @@
 
 | source | recognised by |
 | --- | --- |
-| Argoverse 2 sensor log | a folder with `city_SE3_egovehicle.feather` and `annotations.feather` |
+| Argoverse 2 sensor log | a folder with `city_SE3_egovehicle.feather` and `annotations[_with_ego].feather` |
 | Argoverse 2 motion scenario | a folder with `scenario_*.parquet` |
 | nuScenes scenario (ScenarioNet) | a file `*.json.gz` or `*.json`, or a folder of them |
 """
@@ -55,4 +55,6 @@ def _is_scenario(path: Path) -> bool:
 
 
 def _is_sensor_log(path: Path) -> bool:
-    return (path / "city_SE3_egovehicle.feather").is_file() and (path / "annotations.feather").is_file()
+    from olt_closed_loop.scenes.sources.argoverse2 import find_annotations
+
+    return (path / "city_SE3_egovehicle.feather").is_file() and find_annotations(path) is not None
