@@ -10,7 +10,7 @@ from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import Array, invert, make_pose, planar_pose
-from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_US, Observation, PlannedTrajectory
+from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, PlannedTrajectory
 
 
 class RecordedDriver:
@@ -21,24 +21,28 @@ class RecordedDriver:
     image_size: tuple[int, int] = (0, 0)
 
     def __init__(self, scene: Scene) -> None:
-        self._scene = scene
+        self._start_us = int(scene.ego.timestamps_us[0])
+        self._recorded = _upright_poses(scene)
         self._T_world_rig: Array | None = None
 
     def plan(self, observation: Observation) -> PlannedTrajectory:
         """See `Policy.plan`."""
+        step = (observation.time_us - self._start_us) // STEP_US
         if self._T_world_rig is None:
-            self._T_world_rig = self._recorded(np.array([observation.time_us]))[0]
+            T_world_rig: Array = self._recorded[step]
         else:
             T_rig_before = make_pose(observation.history_rotation[-2], observation.history_xyz[-2])
-            self._T_world_rig = self._T_world_rig @ invert(T_rig_before)
-        times_us = observation.time_us + STEP_US * np.arange(1, FUTURE_STEPS + 1, dtype=np.int64)
-        planned = invert(self._T_world_rig) @ self._recorded(times_us)
+            T_world_rig = self._T_world_rig @ invert(T_rig_before)
+        self._T_world_rig = T_world_rig
+        planned = invert(T_world_rig) @ self._recorded[step + 1 : step + 1 + FUTURE_STEPS]
         return PlannedTrajectory(planned[:, :3, 3], planned[:, :3, :3])
 
-    def _recorded(self, times_us: Array) -> Array:
-        """Recorded poses (n, 4, 4), upright as the simulated vehicle is."""
-        end_us = int(self._scene.ego.timestamps_us[-1])
-        states, heights = recorded_motion(self._scene, np.minimum(times_us, end_us).astype(np.int64))
-        x, y, yaw, speed = states[:, : STATE.steering].T
-        beyond = speed * np.maximum(times_us - end_us, 0) * 1e-6
-        return planar_pose(x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw, heights)
+
+def _upright_poses(scene: Scene) -> Array:
+    """Poses (n, 4, 4) at all steps of a recording and FUTURE_STEPS beyond, upright as the simulated vehicle is."""
+    start_us, end_us = int(scene.ego.timestamps_us[0]), int(scene.ego.timestamps_us[-1])
+    states, heights = recorded_motion(scene, np.arange(start_us, end_us + 1, STEP_US, dtype=np.int64))
+    beyond = np.concatenate([np.zeros(len(states)), STEP_SECONDS * np.arange(1, FUTURE_STEPS + 1)])
+    x, y, yaw, speed = np.pad(states[:, : STATE.steering], ((0, FUTURE_STEPS), (0, 0)), mode="edge").T
+    way = speed * beyond
+    return planar_pose(x + way * np.cos(yaw), y + way * np.sin(yaw), yaw, np.pad(heights, (0, FUTURE_STEPS), "edge"))
