@@ -88,8 +88,10 @@ def _run_batch(
         from olt_closed_loop.sensors.ray_casting import rig_sensors
 
         rollouts = [simulate(scene, policy, settings, seed, rig_sensors(scene)) for scene, seed in driven]
-    else:
+    elif driven:
         rollouts = simulate_batch([RolloutRequest(scene, seed) for scene, seed in driven], policy, settings)
+    else:
+        rollouts = []
     finished = iter(rollouts)
     results = []
     for source, seed in runs:

@@ -132,7 +132,12 @@ class _Gate:
 
     def replay(self) -> GateCheck:
         score = self._replay_score
-        return GateCheck("replay scores 1", score.score == 1.0 and not score.collided, _found(score))
+        if self._definition == "strict":
+            return GateCheck("replay scores 1", score.score == 1.0 and not score.collided, _found(score))
+        # AlpaSim measures progress along the whole recording, which a drive of the time that is asked for may not end.
+        expected = min(self._share(int(self.replayed.timestamps_us[-1])) / FULL_PROGRESS, 1.0)
+        passed = score.score is not None and abs(score.score - expected) <= SAME_SCORE and not score.collided
+        return GateCheck(f"replay scores {expected:.4g}", passed, _found(score))
 
     def standing(self) -> GateCheck:
         name = "standing scores 0"
@@ -142,15 +147,17 @@ class _Gate:
         if self._definition == "strict":
             return GateCheck(name, score.score == 0.0 and score.progress == 0.0, _found(score))
         # AlpaSim counts as driven what the recording drove before the hand-over.
-        given = self._warm_up_share()
+        given = self._share(self.replayed.handover_us)
         passed = score.score is not None and score.score * FULL_PROGRESS <= given + SAME_SCORE
         finding = f"{_found(score)}, of which the warm-up gives progress {given:.4f}"
         return GateCheck("standing scores what the warm-up gives", passed, finding)
 
-    def _warm_up_share(self) -> float:
-        """The part of the recorded way that is driven before the hand-over."""
+    def _share(self, time_us: int) -> float:
+        """The part of the recorded way that is driven until a time; 1 where the recording stands throughout."""
         driven = arc_lengths(self._scene.ego.positions)
-        return float(np.interp(self.replayed.handover_us, self._scene.ego.timestamps_us, driven) / driven[-1])
+        if driven[-1] < SHORT_RECORDING:
+            return 1.0
+        return float(np.interp(time_us, self._scene.ego.timestamps_us, driven) / driven[-1])
 
     def wall(self) -> GateCheck:
         name, vehicle = "a wall is hit once", self._scene.vehicle
@@ -220,5 +227,7 @@ def _found(score: RolloutScore) -> str:
     ]
     moments = [(f"{hit.side} contact with {hit.label} {hit.agent_id}", hit.time_us) for hit in score.collisions]
     moments += [("off the road", score.offroad_us), ("off the recorded path", score.left_path_us)]
+    if score.valid and score.offroad is None:
+        figures.append("leaving the road not measured")
     happened = [f"{what} at {time_us * 1e-6:.2f} s" for what, time_us in moments if time_us is not None]
     return ", ".join([*figures, *happened, *([score.reason] if score.reason else [])])
