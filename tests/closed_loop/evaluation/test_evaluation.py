@@ -3,6 +3,7 @@ from dataclasses import replace
 from importlib.metadata import EntryPoint
 from typing import get_args
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -149,6 +150,43 @@ def test_no_scene_is_scored_where_the_recording_itself_collides(straight_scene, 
     assert [result.scene for result in pass_gate([straight_scene()])] == ["straight"]
     with pytest.raises(InputError, match=r"gate fails on scene blocked \(replay scores 1: score 0\.0000"):
         pass_gate([straight_scene(), blocked])
+
+
+def test_a_bad_scene_loses_itself_only(straight_scene, moving_agent):
+    blocked = replace(straight_scene((moving_agent("in the way", (30.0, 0.0)),)), name="blocked", category="dense")
+    alone = run_closed_loop([straight_scene()], "constant_velocity", settings=SHORT)
+    for workers in (1, 2):
+        results = run_closed_loop(
+            [blocked, "absent.usda", straight_scene(duration=1.5), straight_scene()],
+            "constant_velocity",
+            settings=SHORT,
+            workers=workers,
+        )
+        assert [(score.scene, score.category, score.valid) for _, score in results[::2]] == [
+            ("blocked", "dense", False),
+            ("absent.usda", "unknown", False),
+            ("straight", "nominal", False),
+            ("straight", "nominal", True),
+        ]
+        reasons = [score.reason for _, score in results[:6:2]]
+        assert all(
+            text in why
+            for text, why in zip(("in the way at 2.37 s", "absent.usda", "after the warm-up"), reasons, strict=True)
+        )
+        assert all(score.score is None for _, score in results[:6])
+        for (rollout, score), (other, expected) in zip(results[6:], alone, strict=True):
+            np.testing.assert_array_equal(rollout.states, other.states)
+            assert score.to_dict() == expected.to_dict()
+    table = summarize_scores([score for _, score in results])
+    assert (table.overall.rollouts, table.overall.valid) == (8, 2)
+
+
+def test_the_gate_command_names_what_it_refuses(tmp_path):
+    arguments = ["gate", str(tmp_path / "absent.json.gz"), "cyclists:3", "--definition", "alpasim", "--json"]
+    result = CliRunner().invoke(app, arguments)
+    refused, passed = json.loads(result.stdout)["gate"]
+    assert result.exit_code == 1 and not refused["passed"] and "absent.json.gz" in refused["refusal"]
+    assert passed["passed"] and passed["narrow"][0]["metres"] > 1.0
 
 
 def test_the_command_prints_a_table_and_writes_files(tmp_path):

@@ -115,7 +115,7 @@ def change_table(draw, table: pa.Table) -> pa.Table:
     if way == "again":
         return pa.concat_tables([table, table.slice(row, 3)])
     if way == "turn":
-        return table.take(list(reversed(range(len(values)))))
+        return table.take(pa.array(range(len(values))[::-1], pa.int64()))
     if way == "text":
         return table.set_column(at, name, [list(map(str, values))])
     if way == "scale" and values and isinstance(values[0], (int, float)):

@@ -60,7 +60,10 @@ def _checked(path: Path, name: str, values: Columns) -> NDArray[Any]:
             raise InputError(f"{path}: column {name} holds what is no text; give an unchanged copy of the log")
         return column.astype(str)
     if column.dtype.kind not in ("iu" if name in _INTEGERS else "iuf"):
-        raise InputError(f"{path}: column {name} holds {column.dtype}; give an unchanged copy of the log")
+        kind = "whole numbers" if name in _INTEGERS else "numbers"
+        raise InputError(
+            f"{path}: column {name} holds {column.dtype}, {kind} are expected; give an unchanged copy of the log"
+        )
     most = np.iinfo(np.int64).max if name == "timestamp_ns" else FARTHEST
     wrong = ~((column >= -most) & (column <= most))
     if wrong.any():
