@@ -134,9 +134,9 @@ class _Gate:
         score = self._replay_score
         if self._definition == "strict":
             return GateCheck("replay scores 1", score.score == 1.0 and not score.collided, _found(score))
-        # AlpaSim measures progress along the whole recording, which a drive of the time that is asked for may not end.
+        # AlpaSim may measure progress along the whole recording, which the drive that is asked for may not end.
         expected = min(self._share(int(self.replayed.timestamps_us[-1])) / FULL_PROGRESS, 1.0)
-        passed = score.score is not None and abs(score.score - expected) <= SAME_SCORE and not score.collided
+        passed = score.score is not None and score.score >= expected - SAME_SCORE and not score.collided
         return GateCheck(f"replay scores {expected:.4g}", passed, _found(score))
 
     def standing(self) -> GateCheck:
@@ -147,8 +147,9 @@ class _Gate:
         if self._definition == "strict":
             return GateCheck(name, score.score == 0.0 and score.progress == 0.0, _found(score))
         # AlpaSim counts as driven what the recording drove before the hand-over.
-        given = self._share(self.replayed.handover_us)
-        passed = score.score is not None and score.score * FULL_PROGRESS <= given + SAME_SCORE
+        start, end = (self._share(int(time)) for time in (self.replayed.handover_us, self.replayed.timestamps_us[-1]))
+        given = start / end * (self._replay_score.progress or 0.0)
+        passed = score.progress is not None and score.progress <= given + SAME_SCORE
         finding = f"{_found(score)}, of which the warm-up gives progress {given:.4f}"
         return GateCheck("standing scores what the warm-up gives", passed, finding)
 
