@@ -158,17 +158,21 @@ def _gate_rows(result: "GateResult") -> list[tuple[str, str, str, str]]:
 def convert_scene(
     recording: Annotated[str, typer.Argument(help="A recorded drive (file or folder), or CATEGORY:SEED.")],
     out: Annotated[Path, typer.Option(help="Scene file to write, .usda or .usdc; its looks are written beside it.")],
+    room: Annotated[
+        float | None, typer.Option(help="Metres about the recorded ego that are drivable wherever it drove.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write a recorded drive as a scene, and say what was assumed and whether the gate holds on it."""
     from olt_closed_loop import check_gate, load_scene, write_scene
+    from olt_closed_loop.scenes.sources.swath import add_room
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
     if out.suffix not in (".usda", ".usdc"):
         raise typer.BadParameter(f"{out}: give a file ending in .usda or .usdc")
     with make_progress() as progress:
         task = progress.add_task("scene", total=3)
-        loaded = load_scene(recording)
+        loaded = load_scene(recording) if room is None else add_room(load_scene(recording), room)
         progress.advance(task)
         result = check_gate(loaded)
         progress.advance(task)

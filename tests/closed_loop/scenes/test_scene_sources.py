@@ -1,5 +1,7 @@
 """Recorded drives as scenes, on small invented files of the data sets' formats."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -21,6 +23,7 @@ from olt_closed_loop.scenes.sources.roads import (
     outlines,
     route_along,
 )
+from olt_closed_loop.scenes.sources.swath import add_room
 from olt_generator.errors import InputError
 from olt_generator.poses import yaw_of
 
@@ -102,10 +105,31 @@ def test_a_nuscenes_scenario_is_put_on_flat_ground(tmp_path):
     assert check_gate(scene).passed
 
 
-def test_where_the_recorded_ego_drove_is_drivable(tmp_path):
+def test_where_the_recorded_ego_drove_is_drivable_and_nobody_else_could(tmp_path):
     scene = read_recording(write_scenario(tmp_path / "one.json.gz", scenario(turned=True)))
     assert any(f"({STEPS} of its {STEPS} poses" in text for text in scene.assumptions)
-    assert check_gate(scene).passed
+    result = check_gate(scene)
+    assert result.checks[0].passed and "off the road" in result.failed[-1].finding
+    assert result.narrow[0].metres == pytest.approx(0.0, abs=2e-3)
+
+
+@pytest.mark.parametrize(("room", "passes"), [(0.05, False), (0.2, True)])
+def test_room_about_the_recorded_ego_is_told(tmp_path, room, passes):
+    scene = read_recording(write_scenario(tmp_path / "one.json.gz", scenario(turned=True)))
+    roomy = add_room(scene, room)
+    assert f"{room} m about the recorded ego are drivable" in roomy.assumptions[-1]
+    result = check_gate(roomy)
+    assert result.passed is passes and result.narrow[0].metres == pytest.approx(room, abs=2e-3)
+
+
+def test_room_that_is_there_changes_nothing(tmp_path):
+    scene = read_recording(write_scenario(tmp_path / "one.json.gz", scenario()))
+    assert add_room(scene, 0.2) is scene
+    for room in (0.0, -1.0, 3.0, float("nan")):
+        with pytest.raises(InputError, match="give more than 0 and at most 2 m"):
+            add_room(scene, room)
+    with pytest.raises(InputError, match="no drivable area"):
+        add_room(replace(scene, drivable=()), 0.2)
 
 
 @pytest.mark.parametrize(

@@ -16,11 +16,11 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from olt_closed_loop.scenes.actors import footprints
 from olt_closed_loop.scenes.polylines import length_of, without_repeats
 from olt_closed_loop.scenes.scene import Agent, Lane, Scene
 from olt_closed_loop.scenes.sources.fields import FARTHEST, coordinates, expect, member, numbers
 from olt_closed_loop.scenes.sources.roads import NO_ROAD, edges, lane_around, link_by_place, outlines, route_along
+from olt_closed_loop.scenes.sources.swath import ego_swath
 from olt_closed_loop.scenes.sources.tracks import (
     FARTHEST_FROM_EGO,
     MOST_GAP_US,
@@ -47,8 +47,6 @@ RENAULT_ZOE = VehicleDimensions(
 """The recording car (docs/formats/source_datasets.md); where its box is over the axle is estimated."""
 LANE_WIDTH = 3.7
 """Metres, for lanes of which only the centre line is recorded (AlpaSim's: docs/formats/alpasim.md)."""
-ROOM = 0.25
-"""Metres about the recorded ego's box that are drivable wherever it drove: with none, nobody but a replay could."""
 
 _EGO = ("vehicle.ego", "ego_vehicle")
 # nuScenes' categories; after them, for tracks without one, the types of ScenarioNet.
@@ -116,10 +114,10 @@ def _make_scene(scenario: Any) -> Scene:
     ego, first, origin, ego_notes = _read_ego(tracks.pop(driver), f"track {driver:.80}", times_us)
     agents, agent_notes = _read_agents(tracks, times_us - times_us[first], origin, int(ego.timestamps_us[-1]))
     lanes, areas = _read_lanes(member(scenario, "map_features", dict, "scenario"), origin)
-    swath, beyond = _ego_swath(ego, areas) if areas else ([], 0)
+    swath, beyond = ego_swath(ego, RENAULT_ZOE, areas) if areas else ([], 0)
     road = (
         f"drivable area: the lanes, {LANE_WIDTH:g} m wide where only a centre line is recorded, and where the "
-        f"recorded ego drove ({beyond} of its {len(ego)} poses reach beyond the lanes), {ROOM:g} m about it"
+        f"recorded ego drove ({beyond} of its {len(ego)} poses reach beyond the lanes)"
     )
     return Scene(
         name=f"nuscenes_{scenario.get('id', driver)}",
@@ -285,18 +283,3 @@ def _near(values: Any, where: str, origin: Array, fewest: int = 0) -> Array:
             f"{where} is more than {FARTHEST_FROM_EGO * 1e-3:g} km from the ego; not the map of this drive"
         )
     return points
-
-
-def _ego_swath(ego: Trajectory, areas: list[shapely.Polygon]) -> tuple[list[shapely.Polygon], int]:
-    """What the ego's box and the ROOM about it swept where they leave the areas, and how many poses leave them."""
-    x, y, yaw = ego.T_world_rig[:, 0, 3], ego.T_world_rig[:, 1, 3], yaw_of(ego.T_world_rig)
-    ahead = RENAULT_ZOE.rear_axle_to_bbox_center
-    centers = np.column_stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), np.zeros_like(x), yaw])
-    union = shapely.union_all([shapely.make_valid(area) for area in areas])
-    shapely.prepare(union)
-    beyond = ~shapely.covers(union, footprints(centers, RENAULT_ZOE.length, RENAULT_ZOE.width))
-    boxes = footprints(centers, RENAULT_ZOE.length + 2.0 * ROOM, RENAULT_ZOE.width + 2.0 * ROOM)
-    outside = ~shapely.covers(union, boxes)
-    touched = outside[:-1] | outside[1:]
-    pairs = shapely.union(boxes[:-1][touched], boxes[1:][touched])
-    return list(shapely.convex_hull(pairs)), int(beyond.sum())
