@@ -1,5 +1,7 @@
 """Recorded drives of public data sets as scenes. What a recording does not say, and was assumed, a scene tells itself.
 
+What they must hold, and what is refused: docs/formats/recorded_drives.md.
+
 | source | recognised by |
 | --- | --- |
 | Argoverse 2 sensor log | a folder with `city_SE3_egovehicle.feather`, and `annotations[_with_ego].feather` in it |
