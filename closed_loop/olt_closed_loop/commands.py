@@ -120,6 +120,7 @@ def gate(
     definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
     vehicle: Annotated[Vehicle, typer.Option(help="How the ego moves.")] = "kinematic",
     controller: Annotated[Controller, typer.Option(help="What follows the recording.")] = "linear",
+    picture: Annotated[Path | None, typer.Option(help="Picture of the scenes from above, .png, .svg or .pdf.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Check on scenes that drives of known worth get what they are worth, and that a good driver can drive them.
@@ -130,11 +131,18 @@ def gate(
     from olt_closed_loop.evaluation.evaluation import find_scenes, gate_scene
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
+    if picture and picture.suffix not in (".png", ".svg", ".pdf"):
+        raise typer.BadParameter(f"{picture}: give a file ending in .png, .svg or .pdf")
     settings = SimulationSettings(vehicle=vehicle, control=ControlSettings(method=controller))
     sources = find_scenes(scenes)
     with make_progress() as progress:
         opened = [gate_scene(s, settings, definition) for s in progress.track(sources, description="gate")]
     results = [result for _, result in opened]
+    read = [(scene, result) for scene, result in opened if scene and not result.refusal]
+    if picture and read:
+        from olt_closed_loop.evaluation.gate_picture import draw_gate
+
+        draw_gate(picture, read)
     if as_json:
         print_json({"passed": all(result.passed for result in results), "gate": [r.to_dict() for r in results]})
     else:

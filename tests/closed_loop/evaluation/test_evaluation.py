@@ -3,6 +3,7 @@ from dataclasses import replace
 from importlib.metadata import EntryPoint
 from typing import get_args
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -187,6 +188,14 @@ def test_the_gate_command_names_what_it_refuses(tmp_path):
     refused, passed = json.loads(result.stdout)["gate"]
     assert result.exit_code == 1 and not refused["passed"] and "absent.json.gz" in refused["refusal"]
     assert passed["passed"] and passed["narrow"][0]["metres"] > 1.0
+
+
+def test_the_gate_command_draws_what_it_could_read(tmp_path):
+    picture = tmp_path / "gate.png"
+    CliRunner().invoke(app, ["gate", str(tmp_path / "absent.json.gz"), "cyclists:3", "--picture", str(picture)])
+    image = cv2.imread(str(picture))
+    assert image.shape[1] > image.shape[0] > 300 and len(np.unique(image.reshape(-1, 3), axis=0)) > 20
+    assert CliRunner().invoke(app, ["gate", "cyclists:3", "--picture", str(tmp_path / "gate.gif")]).exit_code == 2
 
 
 def test_the_command_prints_a_table_and_writes_files(tmp_path):
