@@ -40,6 +40,7 @@ def run_closed_loop(
     workers: int = 1,
     on_progress: Progress = silent,
     definition: Definition = "strict",
+    gated: bool = False,
 ) -> list[Result]:
     """Drive every scene `rollouts` times and score it, provided that the gate holds on it.
 
@@ -54,6 +55,8 @@ def run_closed_loop(
         workers: processes; the results do not depend on it.
         on_progress: told the share of rollouts that are done.
         definition: how to score (`scoring.definitions`).
+        gated: whether the caller knows that the gate holds on all scenes with these settings and this definition, as
+            from a run of another policy; then it is not asked again.
 
     Returns:
         Rollouts and scores, by scene in the order given and then by seed.
@@ -67,7 +70,7 @@ def run_closed_loop(
     runs = [(scene, seed + index) for scene in find_scenes(scenes) for index in range(rollouts)]
     size = min(LARGEST_BATCH, -(-len(runs) // (4 * workers)))
     batches = [runs[start : start + size] for start in range(0, len(runs), size)]
-    run_batch = partial(_run_batch, policy_spec=policy, settings=settings, definition=definition)
+    run_batch = partial(_run_batch, policy_spec=policy, settings=settings, definition=definition, gated=gated)
     results = [result for results in map_parallel(run_batch, batches, workers, on_progress) for result in results]
     refusals = [rollout.failure for rollout, _ in results if rollout.failure and not len(rollout.timestamps_us)]
     if results and len(refusals) == len(results):
@@ -76,11 +79,16 @@ def run_closed_loop(
 
 
 def _run_batch(
-    runs: list[tuple[SceneSource, int]], policy_spec: str, settings: SimulationSettings, definition: Definition
+    runs: list[tuple[SceneSource, int]],
+    policy_spec: str,
+    settings: SimulationSettings,
+    definition: Definition,
+    gated: bool,
 ) -> list[Result]:
     policy = _load_policy(policy_spec)
     opened = {_key(source): source for source, _ in runs}
-    gates = {key: gate_scene(source, settings, definition) for key, source in opened.items()}
+    ask = _taken_as_gated if gated else gate_scene
+    gates = {key: ask(source, settings, definition) for key, source in opened.items()}
     driven = [
         (scene, seed) for source, seed in runs if (scene := gates[_key(source)][0]) and gates[_key(source)][1].passed
     ]
@@ -102,6 +110,13 @@ def _run_batch(
             rollout = next(finished)
             results.append((rollout, score_rollout(scene, rollout, settings.skip, definition)))
     return results
+
+
+def _taken_as_gated(
+    source: SceneSource, settings: SimulationSettings, definition: Definition
+) -> tuple[Scene | None, GateResult]:
+    scene = load_scene(source)
+    return scene, GateResult(scene.name, (), definition)
 
 
 def _key(source: SceneSource) -> str | int:

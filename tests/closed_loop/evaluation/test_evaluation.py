@@ -12,6 +12,7 @@ from olt_closed_loop import commands
 from olt_closed_loop.commands import app
 from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.tracking import ControlMethod, ControlSettings
+from olt_closed_loop.evaluation import evaluation
 from olt_closed_loop.evaluation.evaluation import (
     count_left_out,
     count_vehicle_steps,
@@ -20,6 +21,7 @@ from olt_closed_loop.evaluation.evaluation import (
     run_closed_loop,
     save_results,
 )
+from olt_closed_loop.evaluation.gate import check_gate
 from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout import Traffic, load_rollouts
 from olt_closed_loop.scenes.scene_file import write_scene
@@ -180,6 +182,16 @@ def test_a_bad_scene_loses_itself_only(straight_scene, moving_agent):
             assert score.to_dict() == expected.to_dict()
     table = summarize_scores([score for _, score in results])
     assert (table.overall.rollouts, table.overall.valid) == (8, 2)
+
+
+def test_the_gate_is_not_asked_again_of_scenes_on_which_it_holds(straight_scene, monkeypatch):
+    asked = []
+    monkeypatch.setattr(evaluation, "check_gate", lambda scene, *rest: asked.append(scene) or check_gate(scene, *rest))
+    first, again = (
+        run_closed_loop([straight_scene()], "constant_velocity", 1, settings=SHORT, gated=gated)[0][1]
+        for gated in (False, True)
+    )
+    assert len(asked) == 1 and first == again
 
 
 def test_the_gate_command_names_what_it_refuses(tmp_path):
