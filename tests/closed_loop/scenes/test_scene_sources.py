@@ -183,6 +183,12 @@ def test_a_lane_around_a_line_has_its_borders_to_the_left_and_right(yaw, half_wi
     np.testing.assert_allclose((lane.right - lane.center)[:, :2] @ across, -half_width, atol=1e-9)
 
 
+def test_a_lane_around_a_line_that_folds_back_is_finite():
+    lane = lane_around("a", np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), 1.8)
+    assert np.isfinite(lane.left).all() and np.isfinite(lane.right).all()
+    np.testing.assert_allclose(np.linalg.norm(lane.left - lane.center, axis=1), 1.8)
+
+
 @given(yaw=st.floats(-np.pi, np.pi))
 def test_a_route_goes_on_along_the_straightest_successor(yaw):
     end = 50.0 * np.array([np.cos(yaw), np.sin(yaw), 0.0])

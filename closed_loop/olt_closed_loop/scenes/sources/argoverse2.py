@@ -181,7 +181,8 @@ def read_motion_scenario(folder: Path) -> Scene:
 def _in_stretches(tracks: list[Agent], ego: Trajectory, path: Path) -> tuple[list[Agent], list[str]]:
     """The agents without gaps while the ego drives, and what is to be said of them."""
     parts = {
-        track.id: list(agents_of(track, int(ego.timestamps_us[-1]), f"{path}: track {track.id}")) for track in tracks
+        track.id: list(agents_of(track, int(ego.timestamps_us[-1]), f"{path}: track {track.id:.80}"))
+        for track in tracks
     }
     apart, away = ([name for name, some in parts.items() if matches(len(some))] for matches in ((1).__lt__, (0).__eq__))
     notes = [word_away(apart)] if apart else []
@@ -207,7 +208,7 @@ def _scene(
     lanes, areas = road
     known, notes = agents
     return Scene(
-        name=f"argoverse2_{name}",
+        name=f"argoverse2_{name:.200}",
         category="recorded",
         factors=(),
         vehicle=FORD_FUSION,

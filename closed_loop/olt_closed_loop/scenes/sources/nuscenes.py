@@ -120,7 +120,7 @@ def _make_scene(scenario: Any) -> Scene:
         f"recorded ego drove ({beyond} of its {len(ego)} poses reach beyond the lanes)"
     )
     return Scene(
-        name=f"nuscenes_{scenario.get('id', driver)}",
+        name=f"nuscenes_{scenario.get('id', driver)!s:.200}",
         category="recorded",
         factors=(),
         vehicle=RENAULT_ZOE,
