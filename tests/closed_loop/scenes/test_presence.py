@@ -114,7 +114,7 @@ def test_an_agent_that_is_never_valid_is_left_out_and_named(tmp_path):
     absent(content, "bus", range(STEPS))
     state_of(content, "bus")["position"][3] = [float("nan")] * 3
     scene = read(tmp_path, content)
-    assert scene.agents == () and "1 of 1 agents (bus): never valid" in scene.assumptions
+    assert scene.agents == () and "1 of 1 agents (bus): valid at no time of the drive" in scene.assumptions
 
 
 def change_state(field, step, value):

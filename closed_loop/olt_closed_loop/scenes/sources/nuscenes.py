@@ -220,7 +220,11 @@ def _read_agents(tracks: dict[str, Any], times_us: Times, origin: Array, end_us:
         agents += parts
     notes = []
     if never:
-        notes.append(word_omission(Omission(f"agents ({listed(never)})", "never valid", len(never), len(tracks))))
+        notes.append(
+            word_omission(
+                Omission(f"agents ({listed(never)})", "valid at no time of the drive", len(never), len(tracks))
+            )
+        )
     if apart:
         notes.append(word_away(apart))
     if doubles:

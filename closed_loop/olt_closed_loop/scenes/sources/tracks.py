@@ -49,7 +49,7 @@ def check_times(times_us: Times, where: str) -> None:
 
 
 def whole_microseconds(seconds: Array) -> Times:
-    """Times (n,) in microseconds from the first on; what is no time on a road of this life is cut to 1e12 s."""
+    """Times (n,) in microseconds from the first on, cut to 1e12 s, as far as integers reach."""
     return np.round(np.clip(seconds - seconds[0], -1e12, 1e12) * 1e6).astype(np.int64)
 
 
