@@ -26,7 +26,7 @@ FARTHEST_FROM_EGO = 20_000.0
 """Metres from the start of the drive: what is farther away is in another frame or unit."""
 LARGEST_BOX = 100.0
 """Metres; the longest on roads are trams."""
-_STEP_SECONDS = (0.01, 1.0)
+_STEP_SECONDS = (0.01, 0.25)
 _SHORTEST_WAY = 5.0
 _ALONG = float(np.cos(np.pi / 4.0))
 
