@@ -11,7 +11,7 @@ from olt_closed_loop.evaluation.refusals import refused_result
 from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout import Rollout, save_rollouts
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scoring.definitions import Definition, RolloutScore, score_rollout
+from olt_closed_loop.scoring.definitions import DefinitionName, RolloutScore, full_definition, score_rollout
 from olt_closed_loop.simulation.closed_loop import RolloutRequest, simulate, simulate_batch
 from olt_closed_loop.simulation.policies import make_policy
 from olt_closed_loop.simulation.settings import SimulationSettings
@@ -39,7 +39,7 @@ def run_closed_loop(
     settings: SimulationSettings | None = None,
     workers: int = 1,
     on_progress: Progress = silent,
-    definition: Definition = "strict",
+    definition: DefinitionName = "strict",
     gated: bool = False,
 ) -> list[Result]:
     """Drive every scene `rollouts` times and score it, provided that the gate holds on it.
@@ -82,7 +82,7 @@ def _run_batch(
     runs: list[tuple[SceneSource, int]],
     policy_spec: str,
     settings: SimulationSettings,
-    definition: Definition,
+    definition: DefinitionName,
     gated: bool,
 ) -> list[Result]:
     policy = _load_policy(policy_spec)
@@ -113,10 +113,10 @@ def _run_batch(
 
 
 def _taken_as_gated(
-    source: SceneSource, settings: SimulationSettings, definition: Definition
+    source: SceneSource, settings: SimulationSettings, definition: DefinitionName
 ) -> tuple[Scene | None, GateResult]:
     scene = load_scene(source)
-    return scene, GateResult(scene.name, (), definition)
+    return scene, GateResult(scene.name, (), full_definition(definition))
 
 
 def _key(source: SceneSource) -> str | int:
@@ -124,7 +124,7 @@ def _key(source: SceneSource) -> str | int:
 
 
 def gate_scene(
-    source: SceneSource, settings: SimulationSettings | None = None, definition: Definition = "strict"
+    source: SceneSource, settings: SimulationSettings | None = None, definition: DefinitionName = "strict"
 ) -> tuple[Scene | None, GateResult]:
     """A scene, None if it cannot be loaded, and its gate; one that cannot be asked is refused with the reason."""
     scene = None
@@ -132,11 +132,13 @@ def gate_scene(
         scene = load_scene(source)
         return scene, check_gate(scene, settings, definition)
     except InputError as error:
-        return scene, GateResult(scene.name if scene else str(source), (), definition, refusal=str(error))
+        return scene, GateResult(
+            scene.name if scene else str(source), (), full_definition(definition), refusal=str(error)
+        )
 
 
 def pass_gate(
-    scenes: Sequence[SceneSource], settings: SimulationSettings | None = None, definition: Definition = "strict"
+    scenes: Sequence[SceneSource], settings: SimulationSettings | None = None, definition: DefinitionName = "strict"
 ) -> list[GateResult]:
     """Check that drives of known worth get what they are worth (`evaluation.gate.check_gate`); by scene.
 

@@ -21,7 +21,9 @@ from olt_closed_loop.scoring.definitions import (
     FULL_PROGRESS,
     SHORT_RECORDING,
     Definition,
+    DefinitionName,
     RolloutScore,
+    full_definition,
     recorded_length,
     score_rollout,
 )
@@ -98,7 +100,7 @@ class GateResult:
 
 
 def check_gate(
-    scene: Scene, settings: SimulationSettings | None = None, definition: Definition = "strict"
+    scene: Scene, settings: SimulationSettings | None = None, definition: DefinitionName = "strict"
 ) -> GateResult:
     """Score given drives of the scene by a definition, with the vehicle and the controller of the settings.
 
@@ -112,9 +114,10 @@ def check_gate(
         InputError: the recording is too short to be driven.
     """
     settings = replace(settings or SimulationSettings(), traffic="recorded")
-    gate = _Gate(scene, settings, definition)
+    full = full_definition(definition)
+    gate = _Gate(scene, settings, full)
     checks = (gate.replay(), gate.standing(), gate.wall(), gate.driving(), gate.room())
-    return GateResult(scene.name, checks, definition, narrow_places(record_rollout(scene, gate.replayed)))
+    return GateResult(scene.name, checks, full, narrow_places(record_rollout(scene, gate.replayed)))
 
 
 class _Gate:
