@@ -7,6 +7,7 @@ import typer
 
 if TYPE_CHECKING:
     from olt_closed_loop.evaluation.comparison import Comparison
+    from olt_closed_loop.evaluation.gate import GateResult
     from olt_closed_loop.evaluation.score_table import ScoreTable
     from olt_closed_loop.scoring.definitions import RolloutScore
     from olt_generator.omissions import Omission
@@ -177,42 +178,71 @@ def compare(
 
 @app.command()
 def gate(
-    scenes: Annotated[list[str], typer.Argument(help="Scene files, recorded drives, or CATEGORY:SEED.")],
+    scenes: Annotated[list[str], typer.Argument(help="Scene files, recorded drives (file or folder), CATEGORY:SEED.")],
+    definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
+    vehicle: Annotated[Vehicle, typer.Option(help="How the ego moves.")] = "kinematic",
+    controller: Annotated[Controller, typer.Option(help="What follows the recording.")] = "linear",
+    picture: Annotated[Path | None, typer.Option(help="Picture of the scenes from above, .png, .svg or .pdf.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Check on scenes that drives of known worth get what they are worth."""
-    from olt_closed_loop.evaluation.evaluation import find_scenes, load_scene
-    from olt_closed_loop.evaluation.gate import check_gate
+    """Check on scenes that drives of known worth get what they are worth, and that a good driver can drive them.
+
+    Exit status 1 if a check fails on a scene, or a scene is refused.
+    """
+    from olt_closed_loop import ControlSettings, SimulationSettings
+    from olt_closed_loop.evaluation.evaluation import find_scenes, gate_scene
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
+    if picture and picture.suffix not in (".png", ".svg", ".pdf"):
+        raise typer.BadParameter(f"{picture}: give a file ending in .png, .svg or .pdf")
+    settings = SimulationSettings(vehicle=vehicle, control=ControlSettings(method=controller))
     sources = find_scenes(scenes)
     with make_progress() as progress:
-        results = [check_gate(load_scene(source)) for source in progress.track(sources, description="gate")]
+        opened = [gate_scene(s, settings, definition) for s in progress.track(sources, description="gate")]
+    results = [result for _, result in opened]
+    read = [(scene, result) for scene, result in opened if scene and not result.refusal]
+    if picture and read:
+        from olt_closed_loop.evaluation.gate_picture import draw_gate
+
+        draw_gate(picture, read)
     if as_json:
         print_json({"passed": all(result.passed for result in results), "gate": [r.to_dict() for r in results]})
     else:
-        answers = {True: "yes", False: "NO", None: "cannot be asked"}
-        rows = [(r.scene, check.name, answers[check.passed], check.finding) for r in results for check in r.checks]
-        print_table("Gate", ["scene", "check", "holds", "found"], rows)
+        columns = ["scene", "check", "holds", "found"]
+        print_table(f"Gate, definition {definition}", columns, [row for r in results for row in _gate_rows(r)])
     if not all(result.passed for result in results):
         raise typer.Exit(1)
+
+
+def _gate_rows(result: "GateResult") -> list[tuple[str, str, str, str]]:
+    """The checks of a scene, where it is narrow, or why it is refused."""
+    if result.refusal:
+        return [(result.scene, "can be driven", "NO", result.refusal)]
+    answers = {True: "yes", False: "NO", None: "cannot be asked"}
+    rows = [(result.scene, check.name, answers[check.passed], check.finding) for check in result.checks]
+    places = [f"{place.metres:.2f} m to {place.what} at {place.time_us * 1e-6:.1f} s" for place in result.narrow]
+    return [*rows, (result.scene, "narrowest", "", ", ".join(places) or "no border and no agents")]
 
 
 @app.command(name="scene")
 def convert_scene(
     recording: Annotated[str, typer.Argument(help="A recorded drive (file or folder), or CATEGORY:SEED.")],
     out: Annotated[Path, typer.Option(help="Scene file to write, .usda or .usdc; its looks are written beside it.")],
+    room: Annotated[
+        float | None, typer.Option(help="Metres about the recorded ego that are drivable wherever it drove.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write a recorded drive as a scene, and say what was assumed and whether the gate holds on it."""
     from olt_closed_loop import check_gate, load_scene, write_scene
+    from olt_closed_loop.scenes.sources.swath import add_room
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
     if out.suffix not in (".usda", ".usdc"):
         raise typer.BadParameter(f"{out}: give a file ending in .usda or .usdc")
     with make_progress() as progress:
         task = progress.add_task("scene", total=3)
-        loaded = load_scene(recording)
+        loaded = load_scene(recording) if room is None else add_room(load_scene(recording), room)
         progress.advance(task)
         result = check_gate(loaded)
         progress.advance(task)

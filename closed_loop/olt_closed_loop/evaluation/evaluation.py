@@ -7,10 +7,11 @@ from functools import lru_cache, partial
 from pathlib import Path
 
 from olt_closed_loop.evaluation.gate import GateResult, check_gate
+from olt_closed_loop.evaluation.refusals import refused_result
 from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout import Rollout, save_rollouts
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scoring.definitions import DefinitionName, RolloutScore, score_rollout
+from olt_closed_loop.scoring.definitions import DefinitionName, RolloutScore, full_definition, score_rollout
 from olt_closed_loop.simulation.closed_loop import RolloutRequest, simulate, simulate_batch
 from olt_closed_loop.simulation.policies import make_policy
 from olt_closed_loop.simulation.settings import SimulationSettings
@@ -39,8 +40,11 @@ def run_closed_loop(
     workers: int = 1,
     on_progress: Progress = silent,
     definition: DefinitionName = "strict",
+    gated: bool = False,
 ) -> list[Result]:
     """Drive every scene `rollouts` times and score it, provided that the gate holds on it.
+
+    A scene that cannot be read or driven, or fails the gate, loses itself alone: its rows are not valid and say why.
 
     Args:
         scenes: what to drive; a folder of recorded drives stands for each of them.
@@ -51,12 +55,14 @@ def run_closed_loop(
         workers: processes; the results do not depend on it.
         on_progress: told the share of rollouts that are done.
         definition: how to score (`scoring.definitions`).
+        gated: whether the caller knows that the gate holds on all scenes with these settings and this definition, as
+            from a run of another policy; then it is not asked again.
 
     Returns:
         Rollouts and scores, by scene in the order given and then by seed.
 
     Raises:
-        InputError: a scene or the policy cannot be used, or the gate fails on a scene.
+        InputError: the policy cannot be used, or no scene can.
     """
     if rollouts < 1:
         raise InputError(f"{rollouts} rollouts a scene: give 1 or more")
@@ -64,40 +70,85 @@ def run_closed_loop(
     runs = [(scene, seed + index) for scene in find_scenes(scenes) for index in range(rollouts)]
     size = min(LARGEST_BATCH, -(-len(runs) // (4 * workers)))
     batches = [runs[start : start + size] for start in range(0, len(runs), size)]
-    run_batch = partial(_run_batch, policy_spec=policy, settings=settings, definition=definition)
-    return [result for results in map_parallel(run_batch, batches, workers, on_progress) for result in results]
+    run_batch = partial(_run_batch, policy_spec=policy, settings=settings, definition=definition, gated=gated)
+    results = [result for results in map_parallel(run_batch, batches, workers, on_progress) for result in results]
+    refusals = [rollout.failure for rollout, _ in results if rollout.failure and not len(rollout.timestamps_us)]
+    if results and len(refusals) == len(results):
+        raise InputError("; ".join(dict.fromkeys(refusals)))
+    return results
 
 
 def _run_batch(
-    runs: list[tuple[SceneSource, int]], policy_spec: str, settings: SimulationSettings, definition: DefinitionName
+    runs: list[tuple[SceneSource, int]],
+    policy_spec: str,
+    settings: SimulationSettings,
+    definition: DefinitionName,
+    gated: bool,
 ) -> list[Result]:
     policy = _load_policy(policy_spec)
-    driven = [(load_scene(source), seed) for source, seed in runs]
-    pass_gate(list({id(scene): scene for scene, _ in driven}.values()), settings)
+    opened = {_key(source): source for source, _ in runs}
+    ask = _taken_as_gated if gated else gate_scene
+    gates = {key: ask(source, settings, definition) for key, source in opened.items()}
+    driven = [
+        (scene, seed) for source, seed in runs if (scene := gates[_key(source)][0]) and gates[_key(source)][1].passed
+    ]
     if policy.cameras:  # one after another, so that one scene's textures are held at a time
         from olt_closed_loop.sensors.ray_casting import rig_sensors
 
         rollouts = [simulate(scene, policy, settings, seed, rig_sensors(scene)) for scene, seed in driven]
-    else:
+    elif driven:
         rollouts = simulate_batch([RolloutRequest(scene, seed) for scene, seed in driven], policy, settings)
-    return [
-        (rollout, score_rollout(scene, rollout, settings.skip, definition))
-        for (scene, _), rollout in zip(driven, rollouts, strict=True)
-    ]
+    else:
+        rollouts = []
+    finished = iter(rollouts)
+    results = []
+    for source, seed in runs:
+        scene, gate = gates[_key(source)]
+        if scene is None or not gate.passed:
+            results.append(refused_result(gate, scene.category if scene else "unknown", policy.name, seed, settings))
+        else:
+            rollout = next(finished)
+            results.append((rollout, score_rollout(scene, rollout, settings.skip, definition)))
+    return results
 
 
-def pass_gate(scenes: Sequence[SceneSource], settings: SimulationSettings | None = None) -> list[GateResult]:
+def _taken_as_gated(
+    source: SceneSource, settings: SimulationSettings, definition: DefinitionName
+) -> tuple[Scene | None, GateResult]:
+    scene = load_scene(source)
+    return scene, GateResult(scene.name, (), full_definition(definition))
+
+
+def _key(source: SceneSource) -> str | int:
+    return source if isinstance(source, str) else id(source)
+
+
+def gate_scene(
+    source: SceneSource, settings: SimulationSettings | None = None, definition: DefinitionName = "strict"
+) -> tuple[Scene | None, GateResult]:
+    """A scene, None if it cannot be loaded, and its gate; one that cannot be asked is refused with the reason."""
+    scene = None
+    try:
+        scene = load_scene(source)
+        return scene, check_gate(scene, settings, definition)
+    except InputError as error:
+        return scene, GateResult(
+            scene.name if scene else str(source), (), full_definition(definition), refusal=str(error)
+        )
+
+
+def pass_gate(
+    scenes: Sequence[SceneSource], settings: SimulationSettings | None = None, definition: DefinitionName = "strict"
+) -> list[GateResult]:
     """Check that drives of known worth get what they are worth (`evaluation.gate.check_gate`); by scene.
 
     Raises:
         InputError: a scene cannot be loaded or driven, or a check fails on one, so that its scores would mean nothing.
     """
-    results = [check_gate(load_scene(scene), settings) for scene in find_scenes(scenes)]
-    failures = [
-        f"scene {result.scene} ({check.name}: {check.finding})" for result in results for check in result.failed
-    ]
-    if failures:
-        raise InputError(f"the gate fails on {'; '.join(failures)}: scores would mean nothing, repair the scene")
+    results = [gate_scene(scene, settings, definition)[1] for scene in find_scenes(scenes)]
+    refusals = [result.why_not for result in results if result.why_not]
+    if refusals:
+        raise InputError("; ".join(refusals))
     return results
 
 
