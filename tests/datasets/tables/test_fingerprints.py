@@ -8,6 +8,7 @@ import pytest
 from olt_datasets.benchmarks.copies import KINDS, Drive, copy_window
 from olt_datasets.benchmarks.near_duplicates import fingerprint
 from olt_datasets.tables import fingerprints as module
+from olt_datasets.tables import thumbnail_index
 from olt_datasets.tables.fingerprints import find_near_duplicates, is_telling, search_near_duplicates
 from olt_generator.seeds import make_generator
 
@@ -96,7 +97,7 @@ def test_clips_with_more_candidates_than_are_compared_are_told(drives):
 def test_the_search_in_parts_finds_what_it_finds_at_once(drives, monkeypatch):
     looks = series(drives)
     found = find_near_duplicates(looks, looks).tolist()
-    monkeypatch.setattr(module, "_KEYS_AT_ONCE", 16 * 8 * 2)
+    monkeypatch.setattr(thumbnail_index, "_KEYS_AT_ONCE", 16 * 8 * 2)
     monkeypatch.setattr(module, "_PROBES_AT_ONCE", 16 * 8 * 6)
-    monkeypatch.setattr(module, "_ROWS_AT_ONCE", 3)
+    monkeypatch.setattr(thumbnail_index, "_ROWS_AT_ONCE", 3)
     assert find_near_duplicates(looks, looks).tolist() == found == [[place, place] for place in range(len(drives))]
