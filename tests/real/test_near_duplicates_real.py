@@ -47,4 +47,4 @@ def test_changed_copies_are_found(drives, kind):
 
 def test_no_drive_is_another(drives):
     alarms, pairs = count_alarms([drive.window(start, 0.5) for drive in drives for start in (0.0, 0.4)])
-    assert (alarms, pairs) == (0, 90)
+    assert (alarms, pairs) == (0, 40)

@@ -13,6 +13,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from olt_datasets.tables.near_duplicate_match import Match
 from olt_datasets.tables.thumbnail_alignment import find_likeness
 from olt_datasets.tables.thumbnail_candidates import find_candidates
 from olt_datasets.tables.thumbnail_index import Index, Thumbnails, build_indexes, is_telling, read_thumbnails
@@ -25,22 +26,6 @@ _PROBES_AT_ONCE = 1 << 19
 
 Pairs = NDArray[np.int64]
 Places = NDArray[np.int64]
-
-
-@dataclass(frozen=True)
-class Match:
-    """How alike a clip and its like clip are.
-
-    Attributes:
-        score: of the alignment (`thumbnail_alignment.Likeness.score`); 1.25 for a copy without a change.
-        lag_s: how many seconds later the second clip shows what the first shows, in the middle of what both show; times
-            are those since the first image of each.
-        mirrored: whether one is the mirror image of the other.
-    """
-
-    score: float
-    lag_s: float
-    mirrored: bool
 
 
 @dataclass(frozen=True)

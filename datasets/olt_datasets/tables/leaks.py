@@ -150,12 +150,13 @@ def _find_near_duplicates(clips: pl.LazyFrame, guarded: pl.LazyFrame, never: pl.
     search = search_near_duplicates(mine, theirs)
     comparison = _count_comparable(mine, theirs, len(search.crowded))
     here, there = (_take(frame, search.pairs[:, side]) for side, frame in enumerate((mine, theirs)))
-    alike = here.hstack(there.select(pl.all().name.suffix("_other")))
+    alike = here.hstack(there.select(pl.all().name.suffix("_other"))).with_row_index("pair")
     found = alike.filter(pl.col("split").ne_missing(pl.col("split_other")) | pl.col("never_other"))
     leaks = []
     for row in found.sort("scene_id", "clip_id", "scene_id_other", "clip_id_other").iter_rows(named=True):
-        place, other = _place(row), _place(row, "_other")
-        leaks.append(Leak("near-duplicate", place.scene_id, f"{place} looks like {other}", (place, other)))
+        place, other, match = _place(row), _place(row, "_other"), search.matches[row["pair"]]
+        detail = f"{place} looks like {other}: {match}"
+        leaks.append(Leak("near-duplicate", place.scene_id, detail, (place, other), match=match))
     return leaks, comparison
 
 

@@ -1,23 +1,26 @@
 """A quick look at many pairs of clips at once: whether they are alike enough for `thumbnail_alignment`.
 
-Each pair is laid on each other under one warp, that of the key under which it met, along the same lines in time as in
-the comparison in full. Times are rounded to a quarter of the images' spacing, so that most pairs share their lines.
+Each pair is laid on each other under the one warp that suits the two images that are most alike, along the same lines
+in time as in the comparison in full. Times are rounded to a quarter of the images' spacing, so that most pairs share
+their lines.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.tables.thumbnail_index import Places, Thumbnails
-from olt_datasets.tables.thumbnail_keys import Packed
+from olt_datasets.tables.thumbnail_warps import Warp, list_crops, stack_warps
 from olt_datasets.tables.time_lines import list_lines
 from olt_toolkit.clips.fingerprint import COLUMNS, IMAGES, ROWS, unpack_signs
 
 _LEAST_SCORE = 0.2
-"""Of pairs that are compared in full. Copies have 0.27 and more; of a hundred pairs of other places, one by day."""
+"""Of pairs that are compared in full. Copies have more; of a hundred pairs of other places by day, one has."""
 _LEAST_ALIKE, _STANDING = 0.8, 0.12
+_WARPS = (*list_crops((0.87, 1.0, 1.15), (-1.0, 0.0, 1.0)), Warp(1.0, turn=-0.04), Warp(1.0, turn=0.04))
 _PAIRS_AT_ONCE = 512
 _RATIO_STEP = 0.02
 _TINY = 1e-6
@@ -25,24 +28,66 @@ _TINY = 1e-6
 Floats = NDArray[np.float32]
 
 
-def align_roughly(
-    part: Thumbnails, index: Thumbnails, clips: Places, others: Places, looks: Packed, filled: Packed, probes: Places
-) -> NDArray[np.bool_]:
-    """Which pairs (m,) of clips of a part and others of an index are worth a comparison in full.
+@dataclass(frozen=True)
+class RoughPairs:
+    """Pairs of clips of a part and of an index, with the two images of each that are most alike.
 
-    Args:
-        clips, others: (m,).
-        looks, filled: thumbnails of the part as each probe sees them, and which cells it fills
-            (`thumbnail_keys.pack_probes`).
-        probes: (m,) the probe of each pair.
+    Attributes:
+        clips, others: (m,) of the part and of the index.
+        mirrored: (m,) whether the first is mirrored.
+        images, theirs: (m,) of the thumbnails of the part and of the index.
     """
-    passed = np.zeros(len(clips), bool)
-    for pairs, mine_at, theirs_at, lines in _group(part, index, clips, others):
-        cells = _unpack(filled[probes[pairs]])[:, None] > 0.0
-        mine = _unpack(looks[probes[pairs, None], part.starts[clips[pairs], None] + mine_at]) * cells
-        theirs = unpack_signs(index.records["signs"][index.starts[others[pairs], None] + theirs_at]) * cells
-        passed[pairs] = _is_near(mine, theirs, lines)
+
+    clips: Places
+    others: Places
+    mirrored: NDArray[np.bool_]
+    images: Places
+    theirs: Places
+
+
+def align_roughly(part: Thumbnails, index: Thumbnails, pairs: RoughPairs) -> NDArray[np.bool_]:
+    """Which pairs (m,) are worth a comparison in full."""
+    passed = np.zeros(len(pairs.clips), bool)
+    warps = np.empty(len(pairs.clips), np.int64)
+    for start in range(0, len(warps), _PAIRS_AT_ONCE):
+        some = slice(start, start + _PAIRS_AT_ONCE)
+        mine = _signs(part, pairs.images[some, None], pairs.mirrored[some])[:, 0]
+        warps[some] = _choose_warps(mine, _signs(index, pairs.theirs[some]))
+    for some, lines in _group(part, index, pairs):
+        count, other_count = lines.shape[1:]
+        mine = _signs(part, part.starts[pairs.clips[some], None] + np.arange(count), pairs.mirrored[some])
+        theirs = _signs(index, index.starts[pairs.others[some], None] + np.arange(other_count))
+        warped, filled = _warp_each(mine, warps[some])
+        passed[some] = _is_near(warped, theirs * filled[:, None], lines)
     return passed
+
+
+def _choose_warps(mine: Floats, theirs: Floats) -> Places:
+    """Under which warp (m,) images (m, cells) and (m, cells) are most alike."""
+    stacked, filled = stack_warps(_WARPS)
+    warped = (stacked @ mine.T).reshape(len(_WARPS), -1, len(mine))
+    products = np.einsum("wcm,mc->wm", warped, theirs)
+    norms = np.sqrt(np.einsum("wcm,wcm->wm", warped, warped) * filled.sum(axis=1)[:, None])
+    return (products / norms).argmax(axis=0)
+
+
+def _warp_each(images: Floats, warps: Places) -> tuple[Floats, Floats]:
+    """Images (g, k, cells), each g under its own warp (g,), and the cells (g, cells) that each fills."""
+    warped, all_filled = np.empty_like(images), stack_warps(_WARPS)[1]
+    for warp in np.unique(warps):
+        some = np.flatnonzero(warps == warp)
+        matrix, _ = stack_warps((_WARPS[warp],))
+        warped[some] = (matrix @ images[some].reshape(-1, images.shape[2]).T).T.reshape(-1, *images.shape[1:])
+    return warped, all_filled[warps]
+
+
+def _signs(thumbnails: Thumbnails, places: Places, mirrored: NDArray[np.bool_] | None = None) -> Floats:
+    """-1 or 1 (..., cells) of thumbnails at places (m, ...)."""
+    signs = unpack_signs(thumbnails.records["signs"][places])
+    if mirrored is not None:
+        images = signs[mirrored].reshape(-1, ROWS, COLUMNS)
+        signs[mirrored] = images[..., ::-1].reshape(-1, *signs.shape[1:])
+    return signs
 
 
 def measure_rough_scores(mine: Floats, theirs: Floats, lines: Floats) -> tuple[Floats, Floats, Floats]:
@@ -53,17 +98,17 @@ def measure_rough_scores(mine: Floats, theirs: Floats, lines: Floats) -> tuple[F
     """
     count, flat = lines.sum(axis=(1, 2))[:, None], lines.reshape(len(lines), -1)
     on_mine, on_theirs = lines.sum(axis=2), lines.sum(axis=1)
-    cells = np.abs(mine[:, 0]).sum(axis=1)
+    norms = [np.sqrt(np.einsum("gkc,gkc->g", each, each) / each.shape[1]) for each in (mine, theirs)]
     changes, other_changes = (each - each.mean(axis=1, keepdims=True) for each in (mine, theirs))
     energy, other_energy = (np.einsum("gkc,gkc->kg", each, each) for each in (changes, other_changes))
     alike, moving = (
         flat @ (first @ second.transpose(0, 2, 1)).reshape(len(mine), -1).T
         for first, second in ((mine, theirs), (changes, other_changes))
     )
-    alike /= count * cells
+    alike /= count * norms[0] * norms[1]
     moving /= np.sqrt((on_mine @ energy) * (on_theirs @ other_energy)) + _TINY
     scores = moving + 0.25 * alike - 0.6 / np.sqrt(count)
-    activity = np.minimum(energy.mean(axis=0), other_energy.mean(axis=0)) / cells
+    activity = np.minimum(energy.mean(axis=0) / norms[0] ** 2, other_energy.mean(axis=0) / norms[1] ** 2)
     return scores.max(axis=0), alike.max(axis=0), activity
 
 
@@ -72,19 +117,17 @@ def _is_near(mine: Floats, theirs: Floats, lines: Floats) -> NDArray[np.bool_]:
     return (scores >= _LEAST_SCORE) | ((activity < _STANDING) & (alike >= _LEAST_ALIKE))
 
 
-def _group(
-    part: Thumbnails, index: Thumbnails, clips: Places, others: Places
-) -> Iterator[tuple[Places, Places, Places, Floats]]:
-    """Pairs (g,) with as many images at like times, which images (k,), (n,), and their lines (lines, k, n)."""
-    mine, my_step = _round_times(part, clips)
-    theirs, their_step = _round_times(index, others)
+def _group(part: Thumbnails, index: Thumbnails, pairs: RoughPairs) -> Iterator[tuple[Places, Floats]]:
+    """Pairs (g,) with as many images at like times, and their lines (lines, k, n)."""
+    mine, my_step = _round_times(part, pairs.clips)
+    theirs, their_step = _round_times(index, pairs.others)
     ratio = np.round(np.log(their_step / my_step) / _RATIO_STEP).astype(np.int32)
     kinds, kind_of = np.unique(np.column_stack([mine, theirs, ratio]), axis=0, return_inverse=True)
     for number, kind in enumerate(kinds):
-        pairs = np.flatnonzero(kind_of == number)
         lines = _lines(kind[:IMAGES].tobytes(), kind[IMAGES:-1].tobytes(), int(kind[-1]))
-        for start in range(0, len(pairs), _PAIRS_AT_ONCE):
-            yield pairs[start : start + _PAIRS_AT_ONCE], *map(np.arange, lines.shape[1:]), lines
+        some = np.flatnonzero(kind_of == number)
+        for start in range(0, len(some), _PAIRS_AT_ONCE):
+            yield some[start : start + _PAIRS_AT_ONCE], lines
 
 
 def _round_times(thumbnails: Thumbnails, clips: Places) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
@@ -113,8 +156,3 @@ def _lines(mine: bytes, theirs: bytes, ratio: int) -> Floats:
 def _spread(short: NDArray[np.float64], long: NDArray[np.float64]) -> Floats:
     """Lines (lines, k, n) of 1 where the image of the longer sequence lies on that of the shorter."""
     return (list_lines(short, long)[..., None] == np.arange(len(long))).astype(np.float32)
-
-
-def _unpack(words: Packed) -> Floats:
-    """-1 or 1 (..., cells) of packed bits (..., 4)."""
-    return unpack_signs(np.ascontiguousarray(words).view(np.uint8)[..., : ROWS * COLUMNS // 8])

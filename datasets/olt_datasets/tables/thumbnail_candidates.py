@@ -9,10 +9,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 
-from olt_datasets.tables.rough_alignment import align_roughly
+from olt_datasets.tables.rough_alignment import RoughPairs, align_roughly
 from olt_datasets.tables.thumbnail_index import Index, Places, Thumbnails
 from olt_datasets.tables.thumbnail_keys import Packed, make_probes, pack, pack_probes
 
@@ -20,10 +19,11 @@ _OF_A_KEY = 8
 """Thumbnails that are taken of those that share a key."""
 _COMPARED = 8
 """Clips, the ones that share most keys, that are compared with one."""
-_MANY_KEYS = 8
-"""Shared keys; a clip that shares fewer is seldom a copy."""
+_CROWD = 4
+"""A key is crowded if so many times more thumbnails share it than are taken."""
 _LEAST_CORRELATION = 0.4
 """Of two images that share a key; those of one place have more."""
+_LIKENESS_STEPS = 250
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,9 @@ class Candidates:
         clips: (m,) of the part.
         others: (m,) of the index.
         mirrored: (m,) whether the first is mirrored.
-        crowded: (c,) clips of the part that have more candidates than are looked at: one that shares many keys is cut
-            off, or most of its keys are shared by more thumbnails than are taken.
+        crowded: (c,) clips of the part that may have more like clips than are looked at: there are more candidates than
+            are compared, most of which are roughly alike, or most keys are shared by many more thumbnails than are
+            taken.
     """
 
     clips: Places
@@ -52,40 +53,38 @@ class _Looks:
         signs: (probes, n, 4).
         filled: (probes, 4) cells that the probe fills.
         cells: (probes,) how many.
+        owners: (n,) the clip of each thumbnail.
     """
 
     signs: Packed
     filled: Packed
     cells: NDArray[np.int64]
+    owners: NDArray[np.int32]
 
 
 def find_candidates(part: Thumbnails, index: Index) -> Candidates:
     """Clips of an index that may show the drives of the clips of a part."""
     signs = part.signs()
     looks, filled = pack_probes(signs, index.effort)
-    seen = _Looks(looks, filled, np.bitwise_count(filled).sum(axis=1, dtype=np.int64))
-    owners = part.owners()
+    seen = _Looks(looks, filled, np.bitwise_count(filled).sum(axis=1, dtype=np.int64), part.owners())
     full_keys, met_keys = np.zeros(len(part.clips), np.int64), np.zeros(len(part.clips), np.int64)
-    met: list[pl.DataFrame] = []
+    hits = [np.empty((4, 0), np.int64)]
     for table, keys in zip(make_probes(signs, index.middle, index.effort), index.keys, strict=True):
         wanted = table.ravel() << np.uint64(32)
         low = np.searchsorted(keys, wanted)
         counts = np.searchsorted(keys, wanted + np.uint64(1 << 32)) - low
         probe, image = np.divmod(np.arange(table.size), table.shape[1])
-        met_keys += np.bincount(owners[image[counts > 0]], minlength=len(met_keys))
-        full_keys += np.bincount(owners[image[counts > _OF_A_KEY]], minlength=len(full_keys))
-        for places, theirs in _take_evenly(keys, low, counts):
-            met.append(_keep_alike(part, index, seen, owners, probe[places], image[places], theirs))
-    ranked = (
-        _rank(pl.concat(met)) if met else _rank(_keep_alike(part, index, seen, owners, *np.empty((3, 0), np.int64)))
-    )
-    ranks = pl.int_range(pl.len()).over("clip")
-    cut = ranked.filter((ranks >= _COMPARED) & (pl.col("len") >= _MANY_KEYS))["clip"].to_numpy()
-    taken = ranked.filter(ranks < _COMPARED)
-    clips, others, probes = (taken[name].to_numpy().astype(np.int64) for name in ("clip", "candidate", "probe"))
-    passed = align_roughly(part, index.thumbnails, clips, others, seen.signs, seen.filled, probes)
-    mostly_full = np.flatnonzero(2 * full_keys > met_keys)
-    return Candidates(clips[passed], others[passed], probes[passed] % 2 == 1, np.union1d(mostly_full, cut))
+        met_keys += np.bincount(seen.owners[image[counts > 0]], minlength=len(met_keys))
+        full_keys += np.bincount(seen.owners[image[counts > _CROWD * _OF_A_KEY]], minlength=len(full_keys))
+        hits += [
+            _keep_alike(part, index, seen, probe[places], image[places], theirs)
+            for places, theirs in _take_evenly(keys, low, counts)
+        ]
+    pairs, left_out = _choose(index, seen, np.concatenate(hits, axis=1))
+    passed = align_roughly(part, index.thumbnails, pairs)
+    compared, near = (np.bincount(each, minlength=len(part.clips)) for each in (pairs.clips, pairs.clips[passed]))
+    crowded = (2 * full_keys > met_keys) | (left_out & (2 * near >= compared))
+    return Candidates(pairs.clips[passed], pairs.others[passed], pairs.mirrored[passed], np.flatnonzero(crowded))
 
 
 def _take_evenly(keys: Packed, low: Places, counts: Places) -> Iterator[tuple[Places, Places]]:
@@ -96,31 +95,38 @@ def _take_evenly(keys: Packed, low: Places, counts: Places) -> Iterator[tuple[Pl
         yield more, (keys[step] & np.uint64(0xFFFFFFFF)).astype(np.int64)
 
 
-def _keep_alike(
-    part: Thumbnails,
-    index: Index,
-    seen: _Looks,
-    owners: NDArray[np.int32],
-    probe: Places,
-    image: Places,
-    theirs: Places,
-) -> pl.DataFrame:
-    """Of images that share a key, those that are alike and not of one scene: clip, candidate, probe, correlation."""
-    clips, others = owners[image], index.owners[theirs]
-    scenes = part.scenes[clips]
-    elsewhere = np.flatnonzero((scenes == 0) | (scenes != index.thumbnails.scenes[others]))
+def _keep_alike(part: Thumbnails, index: Index, seen: _Looks, probe: Places, image: Places, theirs: Places) -> Places:
+    """Of images that share a key, those alike and not of one scene: image, theirs, mirrored, likeness (4, n)."""
+    scenes = part.scenes[seen.owners[image]]
+    elsewhere = np.flatnonzero((scenes == 0) | (scenes != index.thumbnails.scenes[index.owners[theirs]]))
     probe, image, theirs = probe[elsewhere], image[elsewhere], theirs[elsewhere]
     different = (seen.signs[probe, image] ^ pack(index.thumbnails.records["signs"][theirs])) & seen.filled[probe]
     correlations = 1.0 - 2.0 * np.bitwise_count(different).sum(axis=1, dtype=np.int64) / seen.cells[probe]
-    alike = correlations >= _LEAST_CORRELATION
-    columns = {"clip": clips[elsewhere], "candidate": others[elsewhere], "probe": probe.astype(np.int8)}
-    return pl.DataFrame(columns | {"correlation": correlations.astype(np.float32)}).filter(pl.Series(alike))
+    likeness = np.round(_LIKENESS_STEPS * correlations).astype(np.int64)
+    return np.stack([image, theirs, probe % 2, likeness])[:, correlations >= _LEAST_CORRELATION]
 
 
-def _rank(met: pl.DataFrame) -> pl.DataFrame:
-    """Candidates by the keys they share, each with the probe under which most alike."""
-    return (
-        met.group_by("clip", "candidate", mirrored=pl.col("probe") % 2 == 1)
-        .agg(pl.len(), probe=pl.col("probe").sort_by("correlation", "probe").last())
-        .sort("clip", "len", "candidate", "probe", descending=[False, True, False, False])
+def _choose(index: Index, seen: _Looks, hits: Places) -> tuple[RoughPairs, NDArray[np.bool_]]:
+    """Of each clip's candidates those that share most keys, and which clips have more.
+
+    Args:
+        hits: image, theirs, mirrored and likeness of two thumbnails that share a key (4, n).
+    """
+    image, theirs, mirrored, likeness = hits
+    others = len(index.thumbnails.clips)
+    pair = 2 * (seen.owners[image].astype(np.int64) * others + index.owners[theirs]) + mirrored
+    order = np.argsort(pair * (_LIKENESS_STEPS + 1) + likeness, kind="stable")
+    # The last of a pair's hits is of the images that are most alike.
+    ends = np.flatnonzero(np.diff(pair[order], append=-1))
+    shared, best = np.diff(ends, prepend=-1), order[ends]
+    clips = seen.owners[image[best]].astype(np.int64)
+    ranked = np.lexsort((-shared, clips))
+    clips, best = clips[ranked], best[ranked]
+    rank = np.arange(len(clips)) - np.searchsorted(clips, clips)
+    left_out = np.zeros(int(seen.owners[-1]) + 1, bool)
+    left_out[clips[rank >= _COMPARED]] = True
+    clips, best = clips[rank < _COMPARED], best[rank < _COMPARED]
+    chosen = RoughPairs(
+        clips, index.owners[theirs[best]].astype(np.int64), mirrored[best] == 1, image[best], theirs[best]
     )
+    return chosen, left_out

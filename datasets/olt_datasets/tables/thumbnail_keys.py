@@ -19,9 +19,9 @@ from olt_generator.seeds import make_generator
 from olt_toolkit.clips.fingerprint import COLUMNS, IMAGES, ROWS
 
 WAVES_ALONG, WAVES_DOWN = 6, 4
-_FEWEST_BITS, _MOST_BITS = 18, 32
-# Bits beyond those that number all thumbnails: 1 in 64 of them meets another by chance.
-_SPARE_BITS = 6
+_FEWEST_BITS, _MOST_BITS = 10, 32
+# Bits beyond those that number all thumbnails: every other one meets another by chance, which costs little.
+_SPARE_BITS = 1
 _PROBED_SCALES = (0.85, 1.0, 1.18)
 
 _COMMON_SHARE, _FEW_CLIPS = 0.8, 100
@@ -92,8 +92,9 @@ def pack_probes(signs: Signs, effort: Effort) -> tuple[Packed, Packed]:
 
 def pack(signs: NDArray[np.uint8]) -> Packed:
     """Bits (..., cells / 8) as words (..., 4), the last ones zero."""
-    room = [(0, 0)] * (signs.ndim - 1) + [(0, -signs.shape[-1] % 8)]
-    return np.pad(signs, room).view(np.uint64)
+    words = np.zeros((*signs.shape[:-1], -(-signs.shape[-1] // 8)), np.uint64)
+    words.view(np.uint8)[..., : signs.shape[-1]] = signs
+    return words
 
 
 def _pack_with_mirrored(cells: NDArray[np.bool_]) -> Packed:

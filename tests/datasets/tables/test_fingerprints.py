@@ -10,6 +10,7 @@ from olt_datasets.benchmarks.near_duplicates import fingerprint
 from olt_datasets.tables import fingerprints as module
 from olt_datasets.tables import thumbnail_index
 from olt_datasets.tables.fingerprints import find_near_duplicates, is_telling, search_near_duplicates
+from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
 
 
@@ -41,6 +42,15 @@ def series(drives):
     return pl.Series([fingerprint(drive) for drive in drives], dtype=pl.Binary)
 
 
+def search(first, second):
+    return search_near_duplicates(
+        *(
+            pl.LazyFrame({"fingerprint": series(each)}).with_columns(scene_id=pl.lit(None, pl.String))
+            for each in (first, second)
+        )
+    )
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_changed_copy_is_found_among_other_drives(drives, kind):
     pairs = [copy_window(drive, kind, make_generator(kind, drive.name)) for drive in drives]
@@ -54,6 +64,24 @@ def test_a_changed_copy_is_found_among_other_drives(drives, kind):
 def test_other_drives_are_not_alike(drives):
     names = pl.Series([drive.name for drive in drives])
     assert find_near_duplicates(series(drives), series(drives), names, names).tolist() == []
+
+
+def test_how_alike_two_clips_are_is_told(drives):
+    """The copy starts 1.18 s later, so that what it shows comes so much later in the other."""
+    window, late = drives[0].window(0.0, 0.6), drives[0].window(0.1, 0.6)
+    mirrored = Drive("mirrored", late.frames[:, :, ::-1], late.times_us)
+    (same,) = search([window], [window]).matches
+    assert same.score == pytest.approx(1.25, abs=0.15) and (same.lag_s, same.mirrored) == (0.0, False)
+    (found,) = search([mirrored], [window]).matches
+    assert found.lag_s == pytest.approx(1.18, abs=0.4) and found.mirrored and found.score < same.score
+    (back,) = search([window], [mirrored]).matches
+    assert back.lag_s == pytest.approx(-1.18, abs=0.4) and "earlier, mirrored" in str(back)
+
+
+def test_a_fingerprint_of_another_form_is_refused(drives):
+    looks = pl.Series([fingerprint(drives[0]), b"1234567"], dtype=pl.Binary)
+    with pytest.raises(InputError, match="row 1: its fingerprint has 7 bytes"):
+        find_near_duplicates(looks, looks)
 
 
 def test_clips_of_one_scene_are_no_pair_and_those_of_unknown_scenes_are(drives):
