@@ -1,8 +1,7 @@
 """Which clips may show the drive of a clip: those with thumbnails that share keys with its own and look alike.
 
 All clips of a part are looked up at once, without a loop over clips. What shares a key is compared bit by bit; what is
-alike then is laid on each other in time, roughly (`rough_alignment`). Only what passes is worth
-a comparison in full.
+alike then is laid on each other in time, roughly (`rough_alignment`). Only what passes is worth a comparison in full.
 """
 
 from collections.abc import Iterator
@@ -24,6 +23,7 @@ _CROWD = 4
 _LEAST_CORRELATION = 0.4
 """Of two images that share a key; those of one place have more."""
 _LIKENESS_STEPS = 250
+_GOLDEN_RATIO = 0.618034
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,12 @@ def find_candidates(part: Thumbnails, index: Index) -> Candidates:
 
 def _take_evenly(keys: Packed, low: Places, counts: Places) -> Iterator[tuple[Places, Places]]:
     """Which lookups (m,) meet a thumbnail, and which one (m,): of those that share a key a few, evenly."""
+    # So that lookups which meet the same ones take others of them.
+    phase = np.arange(len(counts)) * _GOLDEN_RATIO % 1.0
     for taken in range(min(_OF_A_KEY, int(counts.max(initial=0)))):
         more = np.flatnonzero(counts > taken)
-        step = low[more] + taken * counts[more] // np.minimum(counts[more], _OF_A_KEY)
+        stride = counts[more] / np.minimum(counts[more], _OF_A_KEY)
+        step = low[more] + ((taken + phase[more]) * stride).astype(np.int64)
         yield more, (keys[step] & np.uint64(0xFFFFFFFF)).astype(np.int64)
 
 

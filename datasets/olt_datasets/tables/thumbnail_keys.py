@@ -58,7 +58,7 @@ LARGE_TABLE = 100_000
 def choose_effort(clips: int) -> Effort:
     """The effort for a search among so many clips."""
     bits = int(np.clip(np.ceil(np.log2(IMAGES * max(clips, 1))) + _SPARE_BITS, _FEWEST_BITS, _MOST_BITS))
-    return Effort(8, bits, _PROBED_SCALES) if clips <= LARGE_TABLE else Effort(4, bits, (1.0,))
+    return Effort(8, bits, _PROBED_SCALES) if clips <= LARGE_TABLE else Effort(8, bits, (1.0,))
 
 
 def measure_middle(signs: Signs, clips: int) -> Signs:
