@@ -78,7 +78,7 @@ class Likeness:
     @property
     def score(self) -> float:
         """What decides, between about 0 for other places and 1.25 for the same images; less where few are matched."""
-        return float(_rate(self.alike, self.moving, self.matched) + 0.5 * min(self.activity, 0.3))
+        return float(self.moving + 0.25 * self.alike + 0.5 * min(self.activity, 0.3) - 0.6 / np.sqrt(self.matched))
 
 
 def find_likeness(first: Sequence, second: Sequence) -> Likeness | None:
@@ -102,10 +102,6 @@ def compare(first: Sequence, second: Sequence) -> Likeness:
     return _refine(first, second, warp, line)
 
 
-def _rate(alike: Floats | float, moving: Floats | float, matched: NDArray[np.int64] | int) -> Floats | float:
-    return moving + 0.25 * alike - 0.6 / np.sqrt(matched)
-
-
 def _find_warp_and_line(short: Sequence, long: Sequence) -> tuple[float, Warp, NDArray[np.int64]]:
     """A score, the crop, and which image of the longer sequence lies on each of the shorter (k,), its length for none.
 
@@ -126,7 +122,7 @@ def _find_warp_and_line(short: Sequence, long: Sequence) -> tuple[float, Warp, N
     score = (alike + _WEIGHT_OF_CHANGES * moving) * (1.0 - _FEW_IMAGES / np.sqrt(counts))
     warp, line = np.unravel_index(score.argmax(), score.shape)
     standing = min(_activity(short), _activity(long)) < 2.0 * _STANDING
-    rough = np.inf if standing else np.max(_rate(alike, moving, counts))
+    rough = np.inf if standing else np.max(moving + 0.25 * alike - 0.6 / np.sqrt(counts))
     return float(rough), crops[kept[warp]], lines[line]
 
 
