@@ -23,7 +23,7 @@ SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 _WARPS_KEPT = 6
 # A mean over few images is high by chance more often: by this over the root of their number.
 _FEW_IMAGES = 0.35
-_LEAST_SCORE, _LEAST_SCORE_OF_DIM = 0.58, 0.8
+_LEAST_SCORE, _LEAST_SCORE_OF_DIM = 0.55, 0.8
 # What is less alike before the second is stretched, moved and turned is not so after.
 _LEAST_ROUGH_SCORE = 0.25
 _STANDING = 0.06
