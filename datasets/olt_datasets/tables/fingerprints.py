@@ -13,14 +13,13 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from olt_datasets.tables.near_duplicate_match import Match
 from olt_datasets.tables.thumbnail_alignment import find_likeness
 from olt_datasets.tables.thumbnail_candidates import find_candidates
 from olt_datasets.tables.thumbnail_index import Index, Thumbnails, build_indexes, is_telling, read_thumbnails
 from olt_datasets.tables.thumbnail_keys import choose_effort
 from olt_toolkit.clips.fingerprint import IMAGES
 
-__all__ = ["Match", "Search", "find_near_duplicates", "is_telling", "search_near_duplicates"]
+__all__ = ["Search", "find_near_duplicates", "is_telling", "search_near_duplicates"]
 
 _PROBES_AT_ONCE = 1 << 19
 
@@ -34,13 +33,14 @@ class Search:
 
     Attributes:
         pairs: places (m, 2), ascending, of clips of the first list and of a like clip of the second: one at most each.
-        matches: (m,) how alike each pair is.
+        matches: (m,) how alike each pair is: `score` (`thumbnail_alignment.Likeness`), `lag_s`, how many seconds later
+            the second shows what the first shows, and `mirrored`.
         crowded: places (c,) of clips of the first list that share many keys with more clips than are compared, and for
             which no like clip is among those compared: not compared in full.
     """
 
     pairs: Pairs
-    matches: tuple[Match, ...]
+    matches: pl.DataFrame
     crowded: Places
 
 
@@ -64,15 +64,26 @@ def search_near_duplicates(first: pl.LazyFrame, second: pl.LazyFrame) -> Search:
     """
     clips = second.select(pl.len()).collect(engine="streaming").item()
     effort = choose_effort(clips)
-    found: dict[int, tuple[int, Match]] = {}
-    crowded: set[int] = set()
+    found = _Found(first.select(pl.len()).collect(engine="streaming").item())
     for index in build_indexes(second, effort):
         for part in read_thumbnails(first, _PROBES_AT_ONCE // (IMAGES * effort.probes * effort.tables)):
-            _search_part(part, index, found, crowded)
-    ordered = sorted(found.items())
-    pairs = np.array([(place, other) for place, (other, _) in ordered], np.int64).reshape(-1, 2)
-    matches = tuple(match for _, (_, match) in ordered)
-    return Search(pairs, matches, np.array(sorted(crowded - found.keys()), np.int64))
+            _search_part(part, index, found)
+    return found.to_search()
+
+
+class _Found:
+    """What has been found for each clip of a table so far: the place of a like clip or -1, and how alike it is."""
+
+    def __init__(self, clips: int) -> None:
+        self.others = np.full(clips, -1, np.int32)
+        self.scores, self.lags_s = np.zeros(clips, np.float32), np.zeros(clips, np.float32)
+        self.mirrored, self.crowded = np.zeros(clips, bool), np.zeros(clips, bool)
+
+    def to_search(self) -> Search:
+        places = np.flatnonzero(self.others >= 0)
+        columns = {"score": self.scores[places], "lag_s": self.lags_s[places], "mirrored": self.mirrored[places]}
+        pairs = np.stack([places, self.others[places]], axis=1)
+        return Search(pairs, pl.DataFrame(columns), np.flatnonzero(self.crowded & (self.others < 0)))
 
 
 def _frame(fingerprints: pl.Series, scenes: pl.Series | None) -> pl.LazyFrame:
@@ -80,16 +91,16 @@ def _frame(fingerprints: pl.Series, scenes: pl.Series | None) -> pl.LazyFrame:
     return pl.LazyFrame({"fingerprint": fingerprints.cast(pl.Binary), "scene_id": names})
 
 
-def _search_part(part: Thumbnails, index: Index, found: dict[int, tuple[int, Match]], crowded: set[int]) -> None:
-    """Add to `found` a like clip for each of those that have none yet, and to `crowded` those not compared in full."""
+def _search_part(part: Thumbnails, index: Index, found: _Found) -> None:
+    """Add a like clip for each of those that have none yet, and mark those not compared in full."""
     candidates = find_candidates(part, index)
-    crowded.update(part.clips[candidates.crowded].tolist())
+    found.crowded[part.clips[candidates.crowded]] = True
     for clip, other, mirrored in zip(candidates.clips, candidates.others, candidates.mirrored, strict=True):
-        place = int(part.clips[clip])
-        if place in found:
+        place = part.clips[clip]
+        if found.others[place] >= 0:
             continue
         mine = part.sequence(clip)
         likeness = find_likeness(mine.mirrored if mirrored else mine, index.thumbnails.sequence(other))
         if likeness is not None:
-            match = Match(likeness.score, likeness.lag_s, bool(mirrored))
-            found[place] = int(index.thumbnails.clips[other]), match
+            found.others[place] = index.thumbnails.clips[other]
+            found.scores[place], found.lags_s[place], found.mirrored[place] = likeness.score, likeness.lag_s, mirrored

@@ -10,6 +10,7 @@ from olt_datasets.benchmarks.near_duplicates import fingerprint
 from olt_datasets.tables import fingerprints as module
 from olt_datasets.tables import thumbnail_index
 from olt_datasets.tables.fingerprints import find_near_duplicates, is_telling, search_near_duplicates
+from olt_datasets.tables.near_duplicate_match import Match
 from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
 
@@ -70,12 +71,13 @@ def test_how_alike_two_clips_are_is_told(drives):
     """The copy starts 1.18 s later, so that what it shows comes so much later in the other."""
     window, late = drives[0].window(0.0, 0.6), drives[0].window(0.1, 0.6)
     mirrored = Drive("mirrored", late.frames[:, :, ::-1], late.times_us)
-    (same,) = search([window], [window]).matches
-    assert same.score == pytest.approx(1.25, abs=0.15) and (same.lag_s, same.mirrored) == (0.0, False)
-    (found,) = search([mirrored], [window]).matches
-    assert found.lag_s == pytest.approx(1.18, abs=0.4) and found.mirrored and found.score < same.score
-    (back,) = search([window], [mirrored]).matches
-    assert back.lag_s == pytest.approx(-1.18, abs=0.4) and "earlier, mirrored" in str(back)
+    score, lag_s, turned = search([window], [window]).matches.row(0)
+    assert score == pytest.approx(1.25, abs=0.15) and (lag_s, turned) == (0.0, False)
+    less, late_s, turned = search([mirrored], [window]).matches.row(0)
+    assert late_s == pytest.approx(1.18, abs=0.4) and turned and less < score
+    _, early_s, turned = search([window], [mirrored]).matches.row(0)
+    assert early_s == pytest.approx(-1.18, abs=0.4)
+    assert str(Match(0.9, -1.2, mirrored=True)) == "score 0.90 of 1.25, 1.2 s earlier, mirrored"
 
 
 def test_a_fingerprint_of_another_form_is_refused(drives):
