@@ -82,7 +82,7 @@ class _Found:
     def to_search(self) -> Search:
         places = np.flatnonzero(self.others >= 0)
         columns = {"score": self.scores[places], "lag_s": self.lags_s[places], "mirrored": self.mirrored[places]}
-        pairs = np.stack([places, self.others[places]], axis=1)
+        pairs = np.stack([places, self.others[places].astype(np.int64)], axis=1)
         return Search(pairs, pl.DataFrame(columns), np.flatnonzero(self.crowded & (self.others < 0)))
 
 
