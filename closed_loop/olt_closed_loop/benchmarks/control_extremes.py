@@ -191,7 +191,7 @@ def control_grid() -> Grid:
     summary = [f"extreme cases of {SECONDS:g} s; tracked: within {TRACKED:g} m in the last second"]
     for vehicle, method in WAYS:
         parameters, counts, missed = VEHICLES[vehicle], Counter[str](), []
-        for case in cases(parameters.tyres.friction if parameters.tyres else np.inf):
+        for case in cases(parameters.friction):
             driven = drive(case, parameters, method)
             counts[driven.outcome] += 1
             if case.possible and driven.outcome == "off the plan":

@@ -48,7 +48,8 @@ class LinearSolver:
         self, parameters: VehicleParameters, cost: TrackingCost, horizon: int, rounds: int, limited: bool
     ) -> None:
         self._horizon, self._rounds, self._limited = horizon, rounds, limited
-        self._low, self._high = (np.tile(limit, horizon) for limit in parameters.control_limits)
+        self._limits = parameters.control_limits
+        self._low, self._high = (np.tile(limit, horizon) for limit in self._limits)
         predicted, linearised = _horizon_functions(parameters, cost, horizon)
         self._predict, self._linearise = BufferedFunction(predicted), BufferedFunction(linearised)
         self._change_scales = np.array(cost.change_scales)
@@ -101,7 +102,7 @@ class LinearSolver:
         box = (low, high) if self._limited else (np.full_like(low, -np.inf), np.full_like(high, np.inf))
         step = np.clip(minimise_in_box(hessian, gradient, *box), low, high).reshape(controls.shape)
         for length in _STEP_LENGTHS:
-            moved = controls + length * step
+            moved = np.clip(controls + length * step, *self._limits)
             if self.cost(start, moved, target) <= cost + _NEGLIGIBLE:
                 return moved
         return controls

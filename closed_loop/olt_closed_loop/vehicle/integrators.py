@@ -38,7 +38,8 @@ class VehicleStepper:
         method: how to integrate.
         substeps: of `midpoint` and `rk4`, elements of `radau`; None for what the moment asks for (`radau`: 8).
         step: seconds.
-        tolerance: metres of position error in 0.1 s that `auto`, and sub-steps that are not given, stay within.
+        tolerance: metres of position error in 0.1 s that `auto` stays within, and that sub-steps which are not given
+            are estimated for.
 
     Raises:
         InputError: an unknown method, a number that makes no sense, or vehicles of several models.

@@ -35,10 +35,10 @@ def drive_along(stepper, state, controls):
 
 
 @pytest.mark.parametrize("model", ["kinematic", pytest.param("saturating", marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("method", "substeps", "order"), [("midpoint", 64, 2), ("rk4", 16, 4)])
+@pytest.mark.parametrize(("method", "substeps", "order"), [("midpoint", 64, 2), ("rk4", 8, 4)])
 def test_methods_converge_to_the_reference_at_their_order(model, method, substeps, order):
-    # The first four manoeuvres, which are smooth.
-    coarse, fine = (position_errors(model, method, factor * substeps)[:4] for factor in (1, 2))
+    # The first three manoeuvres, which are smooth. Beyond 32 sub-steps the fourth order is at rounding.
+    coarse, fine = (position_errors(model, method, factor * substeps)[:3] for factor in (1, 2))
     np.testing.assert_allclose(np.log2(coarse / fine), order, atol=0.8)
 
 
