@@ -36,7 +36,7 @@ class StepProgram(NamedTuple):
         substeps: functions (state, control, numbers, length) -> state.
         plan: (state, control, numbers, step) -> (`PLAN_SIZE`,): index into `substeps`; how many; either 0 or a
             tolerance in metres, to which the sub-steps are doubled until twice as many change the end by less, be it
-            at once or, by its heading and speed, a step later;
+            at once or, by its heading and speeds, a step later;
             and in rising order the `KINKS` moments within the step (s) at which a sub-step ends, with sub-steps
             between them no longer than an even share of the step.
     """
@@ -148,9 +148,10 @@ class InterpretedStep(SerialStep):
         return end, plan
 
     def _difference(self, end: Array, other: Array) -> float:
-        """Metres between two ends of a step, now and, as heading and speed differ, a step later."""
-        x, y, yaw, speed = np.abs(end - other)[: STATE.steering]
-        return max(np.hypot(x, y), self._step * max(speed, abs(end[STATE.speed]) * yaw))
+        """Metres between two ends of a step, now and, as heading and speeds differ, a step later."""
+        off = np.abs(end - other)
+        speeds = off[STATE.speed], abs(end[STATE.speed]) * off[STATE.yaw], *off[STATE.lateral_speed : STATE.yaw_rate]
+        return max(np.hypot(off[STATE.x], off[STATE.y]), self._step * max(speeds))
 
     def _advance(self, state: Array, control: Array, numbers: Array, plan: Array) -> Array:
         """The state after the planned sub-steps, its position counted from the start."""
@@ -192,10 +193,11 @@ static void advance(double step, const double *state, const double *control, con
   memcpy(end, buffers[reached], sizeof(buffers[0]));
 }}
 
-/* Metres between two ends of a step, now and, as heading and speed differ, a step later. */
+/* Metres between two ends of a step, now and, as heading and speeds differ, a step later. */
 static double difference(double step, const double *end, const double *other) {{
-  double turned = fabs(end[3]) * fabs(end[2] - other[2]);
-  return fmax(hypot(end[0] - other[0], end[1] - other[1]), step * fmax(fabs(end[3] - other[3]), turned));
+  double speeds = fmax(fabs(end[3] - other[3]), fabs(end[3]) * fabs(end[2] - other[2]));
+  if ({size} > 6) speeds = fmax(speeds, fabs(end[6] - other[6]));
+  return fmax(hypot(end[0] - other[0], end[1] - other[1]), step * speeds);
 }}
 
 static void step_one(double step, const double *state, const double *control, const double *numbers, double *end,

@@ -49,7 +49,7 @@ ERROR_MODELS: dict[ExplicitMethod, ErrorModel] = {
 }
 SLIDING = 0.4
 """Share of the grip beyond which the error of the kinematic model is measured instead of estimated."""
-FIRST_SHARES: dict[Model, float] = {"kinematic": 0.4, "linear": 0.6, "saturating": 0.6}
+FIRST_SHARES: dict[Model, float] = {"kinematic": 0.4, "linear": 0.6, "saturating": 1.0}
 """Of the estimated sub-steps, those with which measuring starts: one doubling does. Where brakes fade: all."""
 
 
