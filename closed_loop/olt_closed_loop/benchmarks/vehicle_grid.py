@@ -165,10 +165,9 @@ def vehicle_grid() -> Grid:
         )
     random_steps = list(random_step_rows())
     for row in random_steps:
-        summary.append(
-            f"random steps of {1e3 * row['step']:g} ms, {row['model']}: {row['above_tolerance']} of {row['steps']} above "
-            f"the tolerance, largest error {row['largest_error_tolerances']:.2f} of it, {row['microseconds']:.1f} us"
-        )
+        told = f"random steps of {1e3 * row['step']:g} ms, {row['model']}: {row['above_tolerance']} of {row['steps']}"
+        largest, cost = row["largest_error_tolerances"], row["microseconds"]
+        summary.append(f"{told} above the tolerance, largest error {largest:.2f} of it, {cost:.1f} us a step")
     specials = [special_row(case) for case in special_cases()]
     return Grid(
         [*rows, *random_steps, *specials], [*summary, *(" | ".join(map(str, row.values())) for row in specials)]

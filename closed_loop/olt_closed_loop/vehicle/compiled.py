@@ -148,9 +148,9 @@ class InterpretedStep(SerialStep):
         return end, plan
 
     def _difference(self, end: Array, other: Array) -> float:
-        """Metres between two ends of a step, now and, as heading and speeds differ, a step later."""
+        """Metres between two ends of a step, at the rig or a metre from it, now and, as speeds differ, a step later."""
         off = np.abs(end - other)
-        speeds = off[STATE.speed], abs(end[STATE.speed]) * off[STATE.yaw], *off[STATE.lateral_speed : STATE.yaw_rate]
+        speeds = off[STATE.speed], abs(end[STATE.speed]) * off[STATE.yaw], *off[STATE.lateral_speed :]
         return max(np.hypot(off[STATE.x], off[STATE.y]), self._step * max(speeds))
 
     def _advance(self, state: Array, control: Array, numbers: Array, plan: Array) -> Array:
@@ -193,10 +193,10 @@ static void advance(double step, const double *state, const double *control, con
   memcpy(end, buffers[reached], sizeof(buffers[0]));
 }}
 
-/* Metres between two ends of a step, now and, as heading and speeds differ, a step later. */
+/* Metres between two ends of a step, at the rig or a metre from it, now and, as speeds differ, a step later. */
 static double difference(double step, const double *end, const double *other) {{
   double speeds = fmax(fabs(end[3] - other[3]), fabs(end[3]) * fabs(end[2] - other[2]));
-  if ({size} > 6) speeds = fmax(speeds, fabs(end[6] - other[6]));
+  if ({size} > 6) speeds = fmax(speeds, fmax(fabs(end[6] - other[6]), fabs(end[7] - other[7])));
   return fmax(hypot(end[0] - other[0], end[1] - other[1]), step * speeds);
 }}
 

@@ -12,7 +12,7 @@ The cheapest of the family that moves the vehicle within `tolerance` metres of t
   forms follow the leading errors; the constants bound what was measured over the grid of
   `olt_closed_loop.benchmarks.vehicle_grid`. The cheaper method is taken.
 - Tyres, and grip that is asked for a good share of what there is, have no such bound. There the drive starts with fewer
-  sub-steps and doubles them until two results agree within the tolerance. With Runge-Kutta 4 the finer one is then some
+  sub-steps and doubles them until two results agree well within the tolerance. With Runge-Kutta 4 the finer one is then some
   fifteen times closer. The first must be fine enough to see the grip run out while the wheel is turned.
 - Sub-steps end where the motion has kinks: where a ramp of the actuators ends, and where drive changes to brake. Their
   moments are known in advance (`vehicle.actuators`).
@@ -47,6 +47,8 @@ ERROR_MODELS: dict[ExplicitMethod, ErrorModel] = {
     "midpoint": ErrorModel(2, swaying=0.05, bending=0.25, pulling=0.2),
     "rk4": ErrorModel(4, swaying=0.4, bending=0.005, pulling=0.02),
 }
+AGREEMENT = 0.3
+"""Of the tolerance, within which two results have to agree: sometimes they are alike by chance."""
 SLIDING = 0.4
 """Share of the grip beyond which the error of the kinematic model is measured instead of estimated."""
 FIRST_SHARES: dict[Model, float] = {"kinematic": 0.4, "linear": 0.6, "saturating": 1.0}
@@ -87,7 +89,7 @@ def _plan_of(demands: "_Demands", model: Model, tolerance: float) -> Any:
     """How to integrate a model, as an answer of the plan: measured or, where the estimate holds, the cheaper method."""
     midpoint, rk4 = (demands.substeps(model, method, tolerance) for method in EXPLICIT_METHODS)
     first_share = ca.if_else(demands.fading, 1.0, FIRST_SHARES[model])
-    measured = ca.vertcat(1 + MODELS.index(model), ca.ceil(first_share * rk4), tolerance)
+    measured = ca.vertcat(1 + MODELS.index(model), ca.ceil(first_share * rk4), AGREEMENT * tolerance)
     if model != "kinematic":
         return measured
     cheaper = EVALUATIONS["midpoint"] * midpoint < EVALUATIONS["rk4"] * rk4
@@ -117,6 +119,8 @@ class _Demands:
         self.lowest_speed = ca.fmax(speed - self.pull * self.step, 0.0)
         self.highest_speed = speed + self.driving * self.step
         # Rolling without slip along the sharpest curve of the step: yaw rate (rad/s), lateral acceleration (m/s^2).
+        turned_through = steering * steering_command < 0.0
+        self.least_steering = ca.if_else(turned_through, 0.0, ca.fmin(ca.fabs(steering), ca.fabs(steering_command)))
         sharpest = ca.fmax(ca.fabs(steering), ca.fabs(steering_command))
         self.turning_rate = self.highest_speed * ca.tan(sharpest) / vehicle.wheelbase
         self.turning = self.highest_speed * self.turning_rate
@@ -188,9 +192,9 @@ class _Demands:
         vehicle = self.vehicle
         braking_rate = ca.if_else(self.fading, self.pull / vehicle.standing_speed, 0.0)
         if model == "kinematic":
-            saturating = (
-                2.0 * self.highest_speed**2 * self.steering_rate / (vehicle.wheelbase * vehicle.friction * GRAVITY)
-            )
+            grip = vehicle.wheelbase * vehicle.friction * GRAVITY
+            crossing = self.lowest_speed**2 * ca.tan(self.least_steering) < 3.0 * grip
+            saturating = ca.if_else(crossing, 4.0 * self.highest_speed**2 * self.steering_rate / grip, 0.0)
             return 1.0 / vehicle.steering_lag + self.gripped_rate + braking_rate + saturating
         rate = 1.0 / vehicle.steering_lag + self.turning_rate + braking_rate
         if model == "saturating":
