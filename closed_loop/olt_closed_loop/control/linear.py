@@ -81,6 +81,11 @@ class LinearSolver:
             return guesses[0]
         return min(guesses, key=lambda controls: self.cost(start, controls, target))
 
+    def foresee(self, start: Array, controls: Array) -> Array:
+        """Poses (horizon, 3) of a drive under the commands (horizon, 2), in the frame of `start`."""
+        reached, _ = self._predict(start, controls, np.zeros((self._horizon, STATE.speed)))
+        return reached[:, : STATE.speed]
+
     def cost(self, start: Array, controls: Array, target: Array) -> float:
         """What a drive under the commands (horizon, 2) costs; the other arguments as of `solve`."""
         _, errors = self._predict(start, controls, target)

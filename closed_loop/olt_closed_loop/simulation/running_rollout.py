@@ -179,9 +179,10 @@ class RunningRollout:
         plan = next(plan for plan in reversed(self._plans) if plan.timestamps_us[0] <= in_force_us)
         with self._timed("control"):
             control = self._controller.control(before, plan, now_us)
-        low, high = self._parameters.control_limits
+        low, high = self._controller.parameters.control_limits
         self.incidents["saturations"] += bool(np.any((control <= low) | (control >= high)))
         with self._timed("vehicle"):
+            self._stepper.shift(self._controller.parameters.reverse_gear)
             state = self._stepper(before, control)
         if self._agents is not None:
             x, y, yaw, speed = before[: STATE.steering]

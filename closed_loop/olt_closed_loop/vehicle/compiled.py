@@ -57,12 +57,13 @@ class BatchStep(ABC):
         ways: how many sub-step functions there are.
 
     Attributes:
+        numbers: as given; what is written into them holds from the next call on.
         plans: (n, `PLAN_SIZE`) what the last call did, in the form of `StepProgram.plan`.
         taken: (sub-step functions + 1, 2) how many steps were taken with each, and how many sub-steps.
     """
 
     def __init__(self, numbers: Array, step: float, state_size: int, ways: int) -> None:
-        self._numbers, self._step = np.ascontiguousarray(numbers, dtype=np.float64), step
+        self.numbers, self._step = np.array(numbers, dtype=np.float64), step
         self._ends = np.zeros((len(numbers), state_size))
         self.plans, self.taken = np.zeros((len(numbers), PLAN_SIZE)), np.zeros((ways + 1, 2))
 
@@ -78,7 +79,7 @@ class SerialStep(BatchStep):
         """See `BatchStep`."""
         states, controls = np.atleast_2d(states, controls)
         check_finite(states, controls)
-        for index, vehicle in enumerate(zip(states, controls, self._numbers, strict=True)):
+        for index, vehicle in enumerate(zip(states, controls, self.numbers, strict=True)):
             self._ends[index], self.plans[index] = self.step_one(*vehicle)
             self.taken[int(self.plans[index, 0])] += 1.0, self.plans[index, 1]
         return self._ends
@@ -110,7 +111,7 @@ class CompiledStep(BatchStep):
     def __init__(self, library: ctypes.CDLL, program: StepProgram, numbers: Array, step: float) -> None:
         super().__init__(numbers, step, program.plan.size1_in(0), len(program.substeps))
         self._states, self._controls = np.zeros_like(self._ends), np.zeros((len(numbers), program.plan.size1_in(1)))
-        arrays = (self._states, self._controls, self._numbers, self._ends, self.plans, self.taken)
+        arrays = (self._states, self._controls, self.numbers, self._ends, self.plans, self.taken)
         pointers = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
         self._arguments = (ctypes.c_longlong(len(numbers)), ctypes.c_double(step), *pointers)
         self._step_all = library.step_all

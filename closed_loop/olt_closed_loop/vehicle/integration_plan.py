@@ -12,8 +12,8 @@ The cheapest of the family that moves the vehicle within `tolerance` metres of t
   forms follow the leading errors; the constants bound what was measured over the grid of
   `olt_closed_loop.benchmarks.vehicle_grid`. The cheaper method is taken.
 - Tyres, and grip that is asked for a good share of what there is, have no such bound. There the drive starts with fewer
-  sub-steps and doubles them until two results agree well within the tolerance. With Runge-Kutta 4 the finer one is then some
-  fifteen times closer. The first must be fine enough to see the grip run out while the wheel is turned.
+  sub-steps and doubles them until two results agree well within the tolerance. With Runge-Kutta 4 the finer one is then
+  some fifteen times closer. The first must be fine enough to see the grip run out while the wheel is turned.
 - Sub-steps end where the motion has kinks: where a ramp of the actuators ends, and where drive changes to brake. Their
   moments are known in advance (`vehicle.actuators`).
 """

@@ -148,6 +148,15 @@ def with_rolling_tyres(states: Array, parameters: VehicleParameters) -> Array:
     return np.concatenate([states, np.zeros_like(yaw_rate)[..., None], yaw_rate[..., None]], axis=-1)
 
 
+def on_the_brake(states: Array, parameters: VehicleParameters) -> Array:
+    """States (..., s) as a shift of gear leaves them: what was set, drive or brake, is brake of the new gear."""
+    shifted = states.copy()
+    shifted[..., STATE.acceleration] = np.abs(states[..., STATE.acceleration])
+    if not parameters.reverse_gear:
+        shifted[..., STATE.acceleration] *= -1.0
+    return shifted
+
+
 def vehicle_with_tyres(dimensions: VehicleDimensions, friction: float = DRY_FRICTION) -> VehicleParameters:
     """AlpaSim's car (docs/formats/alpasim.md) scaled to a box; with infinite friction its tyres are linear.
 
