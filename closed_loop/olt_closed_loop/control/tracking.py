@@ -156,8 +156,7 @@ class TrackingController:
         if not np.isfinite(state).all():
             raise InputError(f"vehicle state at {time_us} us is not finite; nothing can be tracked from there")
         horizon_us = time_us + STEP_US * np.arange(self._settings.horizon + 1, dtype=np.int64)
-        given, smooth = _in_rig(plan.at(horizon_us), state), self._smooth(plan)
-        target = given if smooth is plan else _in_rig(smooth.at(horizon_us), state)
+        given, target = (_in_rig(each.at(horizon_us), state) for each in (plan, self._smooth(plan)))
         slow = abs(state[STATE.speed]) < STANDING_SPEED
         if slow and asks_for_reverse(target, self.parameters.reverse_gear) != self.parameters.reverse_gear:
             self._shift()
@@ -249,6 +248,8 @@ class _TimedCommands:
 
     def guess(self, time_us: int) -> Array:
         """Commands (horizon, 2) for the steps from that time on, the last one repeated."""
+        if time_us == self.time_us:
+            return self.commands
         last = len(self.commands) - 1
         index = (time_us - self.time_us) // STEP_US + np.arange(last + 1)
         return self.commands[np.minimum(index, last)]
