@@ -239,6 +239,9 @@ def _print_notes(
     for name, count in incidents.items():
         if count:
             print_line(f"{INCIDENT_WORDS[name]}: {count} times")
+    deviations = [score.plan_deviation_max for score in scores if score.plan_deviation_max is not None]
+    if deviations:
+        print_line(f"the vehicle was at most {max(deviations):.2f} m from the plan within the second ahead")
     for way, count in vehicle_steps.items():
         print_line(f"vehicle moved by {way} in {count} steps")
     for omission, count in left_out.items():

@@ -10,6 +10,8 @@ from olt_generator.poses import Array
 
 TURN_DISTANCE = 0.1
 """Metres against the gear from which a plan turns back."""
+FIRST_WAY = 1.0
+"""Metres from which a plan is sure enough to steer by before the vehicle moves."""
 
 
 def travelled(poses: Array) -> Array:
@@ -24,6 +26,13 @@ def asks_for_reverse(poses: Array, reverse: bool) -> bool:
     way = travelled(poses)
     far = np.flatnonzero(np.abs(way) > TURN_DISTANCE)
     return bool(way[far[0]] < 0.0) if len(far) else reverse
+
+
+def first_curvature(poses: Array) -> float | None:
+    """Curvature (1/m) of the first `FIRST_WAY` metres of poses (n, 3), either way; None where they go less far."""
+    way = travelled(poses)
+    far = np.flatnonzero(np.abs(way) > FIRST_WAY)
+    return float((poses[far[0], 2] - poses[0, 2]) / way[far[0]]) if len(far) else None
 
 
 def until_turn(poses: Array, reverse: bool) -> Array:

@@ -32,7 +32,7 @@ import numpy as np
 
 from olt_closed_loop.control.box_quadratic import SolveFailed
 from olt_closed_loop.control.cost import TrackingCost
-from olt_closed_loop.control.gears import asks_for_reverse, until_turn
+from olt_closed_loop.control.gears import asks_for_reverse, first_curvature, until_turn
 from olt_closed_loop.control.linear import LinearSolver
 from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.plans import WorldPlan
@@ -165,7 +165,7 @@ class TrackingController:
         if slow and np.abs(target[:, : STATE.yaw]).max() < STANDING_DISTANCE:
             self._feasible = None
             self.counts.add_deviation(np.square(given[1:, : STATE.yaw]).sum(axis=1))
-            return np.array([state[STATE.steering], self._brake])
+            return np.array([self._steering_at_rest(state, plan, time_us), self._brake])
         astray = np.hypot(*target[0, : STATE.yaw]) > ASTRAY_DISTANCE
         feasible, guesses = self._feasible, []
         if feasible is not None:
@@ -178,6 +178,13 @@ class TrackingController:
         foreseen = self._solver.foresee(start, self._feasible.guess(time_us))
         self.counts.add_deviation(np.square(foreseen - given[1:])[:, : STATE.yaw].sum(axis=1))
         return control
+
+    def _steering_at_rest(self, state: Array, plan: WorldPlan, time_us: int) -> float:
+        """Where the wheel of a standing vehicle goes: where the plan will need it, as turning it takes a while."""
+        curvature = first_curvature(plan.poses[plan.timestamps_us >= time_us])
+        if curvature is None:
+            return float(state[STATE.steering])
+        return float(np.clip(np.arctan(self.parameters.wheelbase * curvature), *self.parameters.control_limits[:, 0]))
 
     @property
     def _brake(self) -> float:

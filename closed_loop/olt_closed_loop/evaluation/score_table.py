@@ -36,6 +36,7 @@ class ScoreRow:
         collision_rate: CR, share of valid rollouts with any collision.
         collision_rate_interval: 95 % interval of CR (Wilson).
         rollout_incidents: what went wrong, counted over all rollouts (`rollouts.rollout.Incidents`).
+        plan_deviation_max: the largest of all rollouts, metres: what no car can follow shows here, beside saturations.
         km_between_incidents, km_between_incidents_at_fault: driven by valid rollouts per incident; None without one.
     """
 
@@ -49,6 +50,7 @@ class ScoreRow:
     collision_rate: float | None
     collision_rate_interval: Interval | None
     rollout_incidents: dict[str, int]
+    plan_deviation_max: float | None
     km_between_incidents: float | None
     km_between_incidents_at_fault: float | None
 
@@ -95,6 +97,7 @@ def _row(category: str, scores: Sequence[RolloutScore]) -> ScoreRow:
     rollout_incidents: Counter[str] = Counter()
     for score in scores:
         rollout_incidents.update(score.rollout_incidents or {})
+    deviations = [score.plan_deviation_max for score in scores if score.plan_deviation_max is not None]
     return ScoreRow(
         category=category,
         rollouts=len(scores),
@@ -106,6 +109,7 @@ def _row(category: str, scores: Sequence[RolloutScore]) -> ScoreRow:
         collision_rate=collided / valid if valid else None,
         collision_rate_interval=wilson_interval(collided, valid) if valid else None,
         rollout_incidents=dict(rollout_incidents),
+        plan_deviation_max=max(deviations, default=None),
         km_between_incidents=driven_km / incidents if incidents else None,
         km_between_incidents_at_fault=driven_km / at_fault if at_fault else None,
     )

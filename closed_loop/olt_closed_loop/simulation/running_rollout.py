@@ -225,6 +225,8 @@ class RunningRollout:
                 solves_late=solves.late,
                 solves_given_up=solves.given_up,
             ),
+            plan_deviation_max=solves.deviation_max if solves.calls else None,
+            plan_deviation_rms=solves.deviation_rms if solves.calls else None,
             failure=self.failure,
             rendered_images=dict.fromkeys(self._policy.cameras, self._rendered),
             left_out=(*self._left_out(), *self._stepper.left_out()),
