@@ -133,7 +133,7 @@ def cases(friction: float = np.inf) -> Iterator[Case]:
     yield Case("15 m/s to rest", to_rest(15.0, min(DECELERATION, 0.5 * grip)), 15.0)
     yield Case("standstill, then 5 m/s", lambda time: straight(min(5.0, 2.0 * grip))(np.maximum(time - 3.0, 0.0)), 0.0)
     yield Case("reversing at 3 m/s", straight(-3.0), -3.0, reverse=True)
-    yield Case("backwards from the forward gear", straight(-min(3.0, 2.0 * grip)), 0.0)
+    yield Case("backwards from the forward gear", straight(-min(3.0, grip)), 0.0)
     yield Case("forwards and back", forth_and_back(min(DECELERATION, 0.4 * grip)), 0.0)
     yield Case("the plan ends after 3 s", straight(10.0), 10.0, possible=False, plan_seconds=3.0, last_plan=0.0)
     yield Case("plans 1 s old", curve(15.0, lateral), 15.0, age=1.0)

@@ -35,8 +35,8 @@ SMOOTHINGS: dict[str, tuple[float, float]] = {
     "mean 0.3 s": (0.0, 0.3),
     "window 0.2 s, mean 0.1 s": (0.2, 0.1),
     "window 0.2 s, mean 0.2 s": (0.2, 0.2),
-    "window 0.2 s, mean 0.3 s": (0.2, 0.3),
-    "window 0.2 s, mean 0.5 s": (0.2, 0.5),
+    "window 0.2 s, mean 0.4 s": (0.2, 0.4),
+    "window 0.2 s, mean 0.6 s": (0.2, 0.6),
     "window 0.2 s, mean 0.8 s": (0.2, 0.8),
 }
 Noise = Callable[[np.random.Generator], Array]

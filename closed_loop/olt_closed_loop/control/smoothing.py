@@ -24,7 +24,7 @@ from olt_closed_loop.control.plans import TimedPoses, WorldPlan
 from olt_generator.poses import Array
 from olt_toolkit.policy.contract import STEP_US
 
-DEFAULT_WINDOW, DEFAULT_DELAY = 0.2, 0.3
+DEFAULT_WINDOW, DEFAULT_DELAY = 0.2, 0.4
 """Seconds. More than this gains little against noise and delays small changes of mind by more than a quarter second."""
 DECISIVE = 1.0
 """Metres to the side at which half of the weight of what was said before is gone; a lane is three times as wide."""
