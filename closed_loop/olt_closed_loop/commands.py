@@ -47,6 +47,12 @@ def run(
     controller: Annotated[
         Controller, typer.Option(help="What follows the plan: LQR, linear or nonlinear MPC.")
     ] = "linear",
+    smoothing_window: Annotated[
+        float, typer.Option(help="Smoothing of each plan sideways, seconds; 0 for none. It delays nothing.")
+    ] = 0.2,
+    smoothing_delay: Annotated[
+        float, typer.Option(help="Mean over successive plans sideways, time constant in seconds; 0 for none.")
+    ] = 0.4,
     integrator: Annotated[
         Integrator, typer.Option(help="How the vehicle is integrated; auto: the cheapest within 3e-7 m a step.")
     ] = "auto",
@@ -68,7 +74,7 @@ def run(
         traffic=traffic,
         vehicle=vehicle,
         integrator=integrator,
-        control=ControlSettings(method=controller),
+        control=ControlSettings(method=controller, smoothing_window=smoothing_window, smoothing_delay=smoothing_delay),
         skip=skip,
     )
     sources = find_scenes([*(scenes or []), *(scene or [])])
@@ -99,6 +105,7 @@ def run(
                 "traffic": traffic,
                 "vehicle": vehicle,
                 "controller": controller,
+                "smoothing": {"window": smoothing_window, "delay": smoothing_delay},
                 "integrator": integrator,
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_closed_loop.control.plans import WorldPlan
 from olt_closed_loop.control.tracking import ControlSettings, TrackingController
@@ -76,9 +77,10 @@ def count_reversals(angles: Array) -> int:
     return count
 
 
-def reference(times: Array) -> Array:
+def reference(times: NDArray[np.floating[Any]]) -> Array:
     """Poses (n, 3) of a road that sways."""
-    x, wave = SPEED * times, 2.0 * np.pi / SWAY_LENGTH
+    wave = 2.0 * np.pi / SWAY_LENGTH
+    x = (SPEED * times).astype(np.float64)
     return np.stack([x, SWAY * (1.0 - np.cos(wave * x)), np.arctan(SWAY * wave * np.sin(wave * x))], axis=-1)
 
 

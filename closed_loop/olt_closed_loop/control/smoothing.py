@@ -95,4 +95,4 @@ def smoothing_matrix(count: int, window: float) -> Array:
     rough = np.diff(np.eye(count), n=3, axis=0)
     system = np.eye(count) + window**6 * rough.T @ rough
     system[0] = np.eye(count)[0]
-    return np.linalg.inv(system)
+    return np.linalg.inv(system).astype(np.float64)

@@ -174,7 +174,8 @@ class TrackingController:
         if feasible is None or slow or astray:
             guesses.append(self._suggested_commands(target, state[STATE.speed]))
         start = np.concatenate([np.zeros(STATE.speed), state[STATE.speed :]])
-        control = self._solve(start, guesses, target[1:], feasible or _TimedCommands(time_us, guesses[0]), time_us)
+        feasible = feasible or _TimedCommands(time_us, guesses[0])
+        control, self._feasible = self._solve(start, guesses, target[1:], feasible, time_us)
         foreseen = self._solver.foresee(start, self._feasible.guess(time_us))
         self.counts.add_deviation(np.square(foreseen - given[1:])[:, : STATE.yaw].sum(axis=1))
         return control
@@ -211,23 +212,24 @@ class TrackingController:
 
     def _solve(
         self, start: Array, guesses: list[Array], target: Array, feasible: "_TimedCommands", time_us: int
-    ) -> Array:
-        """The first command of a new solution or, where that fails or is late, the present one of the feasible."""
+    ) -> tuple[Array, "_TimedCommands"]:
+        """The first command of a new solution or, where that fails or is late, the present one of the feasible.
+
+        And what is feasible from now on.
+        """
         held, began = feasible.at(time_us, self._brake), time.perf_counter()
         self.counts.solves += 1
-        self._feasible = feasible
         try:
             commands = self._solver.solve(start, guesses, target)
         except SolveFailed:
             self.counts.failed += 1
-            return held
+            return held, feasible
         finally:
             self.counts.given_up = sum(solver.given_up for solver in self._solvers.values())
         deadline = self._settings.deadline_seconds
         late = deadline is not None and time.perf_counter() - began > deadline
         self.counts.late += late
-        self._feasible = _TimedCommands(time_us, commands)
-        return held if late else commands[0]
+        return held if late else commands[0], _TimedCommands(time_us, commands)
 
     def _suggested_commands(self, target: Array, present_speed: float) -> Array:
         """Commands (horizon, 2) to start from: the plan's steering, and the even acceleration that covers its way."""
