@@ -49,6 +49,12 @@ def run(
     controller: Annotated[
         Controller, typer.Option(help="What follows the plan: LQR, linear or nonlinear MPC.")
     ] = "linear",
+    smoothing_window: Annotated[
+        float, typer.Option(help="Smoothing of each plan sideways, seconds; 0 for none. It delays nothing.")
+    ] = 0.2,
+    smoothing_delay: Annotated[
+        float, typer.Option(help="Mean over successive plans sideways, time constant in seconds; 0 for none.")
+    ] = 0.4,
     integrator: Annotated[
         Integrator, typer.Option(help="How the vehicle is integrated; auto: the cheapest within 3e-7 m a step.")
     ] = "auto",
@@ -80,7 +86,7 @@ def run(
         traffic=traffic,
         vehicle=vehicle,
         integrator=integrator,
-        control=ControlSettings(method=controller),
+        control=ControlSettings(method=controller, smoothing_window=smoothing_window, smoothing_delay=smoothing_delay),
         skip=skip,
     )
     sources = find_scenes([*(scenes or []), *(scene or [])])
@@ -132,6 +138,7 @@ def run(
                 "traffic": traffic,
                 "vehicle": vehicle,
                 "controller": controller,
+                "smoothing": {"window": smoothing_window, "delay": smoothing_delay},
                 "integrator": integrator,
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],
@@ -346,6 +353,9 @@ def _print_notes(
     for name, count in incidents.items():
         if count:
             print_line(f"{INCIDENT_WORDS[name]}: {count} times")
+    deviations = [score.plan_deviation_max for score in scores if score.plan_deviation_max is not None]
+    if deviations:
+        print_line(f"the vehicle was at most {max(deviations):.2f} m from the plan within the second ahead")
     for way, count in vehicle_steps.items():
         print_line(f"vehicle moved by {way} in {count} steps")
     for omission, count in left_out.items():

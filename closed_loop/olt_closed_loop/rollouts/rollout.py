@@ -59,6 +59,8 @@ class Rollout:
         plan_times_us: (m,) int64, when each accepted plan was made.
         plans: (m, 65, 3) float64 x, y, yaw in the world at the plan's time + 0, 0.1, ... 6.4 s.
         incidents: what went wrong, counted.
+        plan_deviation_max, plan_deviation_rms: how far the vehicle was foreseen to be from the plans as they were
+            given, metres (`control.tracking.SolveCounts`); None where it was not measured.
         failure: why the rollout is not valid, or None.
         rendered_images: number of images rendered for each camera; empty when none was.
         left_out: what was not computed, and why.
@@ -80,6 +82,8 @@ class Rollout:
     plan_times_us: NDArray[np.int64]
     plans: Array
     incidents: Incidents = Incidents()
+    plan_deviation_max: float | None = None
+    plan_deviation_rms: float | None = None
     failure: str | None = None
     rendered_images: dict[str, int] = field(default_factory=dict)
     left_out: tuple[Omission, ...] = ()

@@ -99,6 +99,7 @@ class RolloutScore:
         metrics: further figures by name (`driving_metrics`, or AlpaSim's metrics).
         left_out: what was not computed, and why.
         rollout_incidents: what went wrong in the rollout (`rollouts.rollout.Incidents`); None when nobody counted.
+        plan_deviation_max, plan_deviation_rms: of the rollout (`rollouts.rollout.Rollout`), metres.
     """
 
     scene: str
@@ -123,6 +124,8 @@ class RolloutScore:
     metrics: dict[str, float | None] = field(default_factory=dict)
     left_out: tuple[Omission, ...] = ()
     rollout_incidents: dict[str, int] | None = None
+    plan_deviation_max: float | None = None
+    plan_deviation_rms: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The score as JSON can hold it."""
@@ -146,7 +149,12 @@ def score_rollout(
     if rollout.scene != scene.name:
         raise InputError(f"rollout of scene {rollout.scene} cannot be scored on scene {scene.name}; give its own scene")
     unscored = RolloutScore(scene.name, scene.category, rollout.policy, rollout.seed, full_definition(definition))
-    unscored = replace(unscored, rollout_incidents=vars(rollout.incidents).copy())
+    unscored = replace(
+        unscored,
+        rollout_incidents=vars(rollout.incidents).copy(),
+        plan_deviation_max=rollout.plan_deviation_max,
+        plan_deviation_rms=rollout.plan_deviation_rms,
+    )
     finite = np.isfinite(rollout.states).all(axis=1) & np.isfinite(rollout.heights)
     if rollout.failure:
         return _failed(unscored, rollout.failure)
