@@ -7,6 +7,7 @@ import typer
 
 if TYPE_CHECKING:
     from olt_closed_loop.evaluation.score_table import ScoreTable
+    from olt_closed_loop.scoring.collisions import Collision
     from olt_closed_loop.scoring.definitions import RolloutScore
     from olt_generator.omissions import Omission
 
@@ -195,11 +196,17 @@ def score_rollout(
         strict = score_record(record)
         result = strict.to_dict()
         figures = {name: value for name, value in result.items() if name not in ("metrics", "collisions", "left_out")}
-        figures |= strict.metrics | {f"hits {c.agent_id}": f"{c.side} at {c.time_us} us" for c in strict.collisions}
+        figures |= strict.metrics | {f"hits {c.agent_id}": word_collision(c) for c in strict.collisions}
     if as_json:
         print_json(result)
     else:
         print_table(f"{file.name}, definition {definition}", ["figure", "value"], list(figures.items()))
+
+
+def word_collision(collision: "Collision") -> str:
+    """When, where, whose fault, and why."""
+    whose = "at fault" if collision.at_fault else "not at fault"
+    return f"{collision.side} at {collision.time_us} us, {whose}: {collision.rule} ({collision.reason})"
 
 
 def _print_scores(title: str, table: "ScoreTable") -> None:
