@@ -7,8 +7,8 @@ One object:
 - `agents` {id: {length, width, height, timestamps_us [n], poses [n][x, y, yaw] or [x, y, yaw, z]}}: box centres;
   without z they stand on the ground z = 0, as the ego does. Only samples at one of the ego's times count;
 - `gt` {timestamps_us [n], poses [n][x, y, yaw]}: the recorded ego, poses of the rig;
-- `map` {lanes [{id, center, left?, right?, red_us?}], road_edges [polyline], resample_m?} or null; polylines are points [x, y]
-  or [x, y, z] and get further points until none is more than `resample_m` from the next (2 m when absent, 0: none);
+- `map` {lanes [{id, center, left?, right?, red_us?}], road_edges [polyline], resample_m?} or null; polylines are points
+  [x, y] or [x, y, z] and get more until none is farther than `resample_m` from the next (2 m when absent, 0: none);
   `red_us` [[from, until]..] says when the light at the start of a lane was red ([]: never; absent: not known);
 - `plans` [{now_us, query_us?, timestamps_us [n], poses [n][x, y, yaw], samples? [[n][x, y, yaw]]}].
 """

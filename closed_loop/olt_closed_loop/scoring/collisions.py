@@ -11,11 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from olt_closed_loop.rollouts.rollout_record import LaneLines
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.contacts import TOUCH, first_contacts
-from olt_closed_loop.scoring.fault.encounter import Encounter, Side
+from olt_closed_loop.scoring.drivable import DrivableArea
+from olt_closed_loop.scoring.fault.encounter import Encounter, Side, Site
 from olt_closed_loop.scoring.fault.lanes import LaneMap
 from olt_closed_loop.scoring.fault.rules import judge
 from olt_closed_loop.scoring.moving_boxes import MovingBox, separations
@@ -23,6 +24,8 @@ from olt_generator.poses import Array
 
 _VELOCITY_US = 20_000
 _APART_US = 20_000
+NOWHERE = Site()
+"""Of a scene without lanes, drivable area and recording."""
 
 
 @dataclass(frozen=True)
@@ -56,12 +59,14 @@ class Contacts:
 
     Attributes:
         collisions: first contact with each agent, in order of time.
-        appeared: agents that were over the ego when they appeared, or at the hand-over.
+        appeared: agents that were over the ego when they appeared.
+        handed_over: agents that were over the ego at the hand-over.
         unreachable: how many agents were left out as never within reach.
     """
 
     collisions: tuple[Collision, ...]
     appeared: tuple[str, ...]
+    handed_over: tuple[str, ...]
     unreachable: int
 
 
@@ -84,7 +89,7 @@ def find_collisions(
     start_us: int,
     end_us: int,
     skip_unreachable: bool = True,
-    lanes: Sequence[LaneLines] = (),
+    site: Site = NOWHERE,
 ) -> Contacts:
     """First contact with each agent from `start_us` to `end_us`.
 
@@ -97,20 +102,27 @@ def find_collisions(
         if not skip_unreachable or within_reach(ego, box, start_us, end_us)
     ]
     contacts = first_contacts(ego, [box for _, box in tested], start_us, end_us)
-    lane_map = LaneMap(lanes, ego.poses[0, :2]) if lanes else None
     hits: dict[str, Collision] = {}
     appeared: set[str] = set()
+    handed_over: set[str] = set()
     for (agent, box), after_us in zip(tested, contacts, strict=True):
         first_us = max(start_us, int(box.timestamps_us[0]))
         if start_us + after_us <= first_us:
-            appeared.add(agent.id)
+            (appeared if int(box.timestamps_us[0]) >= start_us else handed_over).add(agent.id)
             after_us = _contact_after_apart(ego, box, first_us, end_us) - start_us
         if np.isfinite(after_us):
-            hit = _describe(ego, box, agent, start_us, start_us + int(np.ceil(after_us)), lane_map, boxes)
+            hit = _describe(ego, box, agent, start_us, start_us + int(np.ceil(after_us)), site, boxes)
             if agent.id not in hits or hit.time_us < hits[agent.id].time_us:
                 hits[agent.id] = hit
     ordered = sorted(hits.values(), key=lambda hit: (hit.time_us, hit.agent_id))
-    return Contacts(tuple(ordered), tuple(sorted(appeared)), len(agents) - len(tested))
+    return Contacts(tuple(ordered), tuple(sorted(appeared)), tuple(sorted(handed_over)), len(agents) - len(tested))
+
+
+def site_of(record: RolloutRecord, drivable: DrivableArea | None) -> Site:
+    """What a rollout tells of the place of its contacts. Only outlines say where one may drive beside the lanes."""
+    lanes = LaneMap(record.lanes, record.poses[0, :2]) if record.lanes else None
+    outlines = drivable if drivable and drivable.edges is None else None
+    return Site(lanes, outlines, record.recorded_poses)
 
 
 def _contact_after_apart(ego: MovingBox, box: MovingBox, first_us: int, end_us: int) -> float:
@@ -131,7 +143,7 @@ def _describe(
     agent: Agent,
     start_us: int,
     contact_us: int,
-    lanes: LaneMap | None,
+    site: Site,
     others: Sequence[MovingBox],
 ) -> Collision:
     """Side and fault from the axis that separated the boxes a microsecond before the contact.
@@ -150,7 +162,7 @@ def _describe(
     ahead = float(direction @ [np.cos(ego_pose[3]), np.sin(ego_pose[3])])
     side: Side = "lateral" if abs(ahead) <= np.cos(np.pi / 4) else "front" if ahead > 0.0 else "rear"
     point = _contact_point(direction, corners(ego_pose, ego.half_size), corners(other_pose, box.half_size))
-    finding = judge(Encounter(ego, box, agent.label, contact_us, start_us, side, direction, point, lanes, others))
+    finding = judge(Encounter(ego, box, agent.label, contact_us, start_us, side, direction, point, site, others))
     return Collision(
         time_us=contact_us,
         agent_id=agent.id,

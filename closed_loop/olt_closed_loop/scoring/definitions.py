@@ -39,7 +39,7 @@ from olt_closed_loop.rollouts.rollout_record import RolloutRecord, record_rollou
 from olt_closed_loop.scenes.polylines import arc_lengths
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.alpasim.scores import FULL_PROGRESS, MAX_PATH_DISTANCE, SHORT_RECORDING, score_as_alpasim
-from olt_closed_loop.scoring.collisions import Collision, find_collisions
+from olt_closed_loop.scoring.collisions import Collision, find_collisions, site_of
 from olt_closed_loop.scoring.drivable import drivable_area_of, first_departure
 from olt_closed_loop.scoring.driving_metrics import measure_driving
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box, stretches
@@ -141,7 +141,7 @@ def _score_strictly(record: RolloutRecord, skip: bool) -> dict[str, Any]:
     agents = tuple(stretches(record.agents))
     boxes = [agent_box(agent) for agent in agents]
     span = _scored_span(record)
-    found = find_collisions(ego, agents, boxes, *span, skip_unreachable=skip, lanes=record.lanes)
+    found = find_collisions(ego, agents, boxes, *span, skip_unreachable=skip, site=site_of(record, area))
     collisions = found.collisions
     offroad_us = first_departure(area, ego, *span, skip=skip) if area else None
     recorded_m = recorded_length(record)
@@ -155,6 +155,7 @@ def _score_strictly(record: RolloutRecord, skip: bool) -> dict[str, Any]:
     if found.unreachable:
         left_out.append(Omission("agents in collision tests", "never within reach", found.unreachable, len(agents)))
     left_out += [Omission(f"contact with {name}", "appeared in contact") for name in found.appeared]
+    left_out += [Omission(f"contact with {name}", "in contact at the hand-over") for name in found.handed_over]
     if not area:
         left_out.append(Omission("road test", "the scene has no drivable area, nor lanes with road edges"))
     return {

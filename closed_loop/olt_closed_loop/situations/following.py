@@ -62,7 +62,9 @@ STANDING = (
 )  # fmt: skip
 
 FOLLOWING = (
-    Situation("drives into a standing queue", True, "avoidable", _CRUISE, Motion((60.0, 0.0), speed=_STILL), lanes=_ROAD),
+    Situation(
+        "drives into a standing queue", True, "avoidable", _CRUISE, Motion((60.0, 0.0), speed=_STILL), lanes=_ROAD,
+    ),
     Situation(
         "follows 5 m behind a car that brakes hard", True, "avoidable", _CRUISE,
         Motion((9.8, 0.0), speed=((0.0, 10.0), (5.0, 10.0), (6.4, 0.0))), lanes=_ROAD,

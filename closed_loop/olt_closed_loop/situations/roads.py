@@ -1,5 +1,7 @@
 """Roads of the situations: lanes and edges about the ego, which starts at the origin and drives along x."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from olt_closed_loop.rollouts.rollout_record import LaneLines
@@ -31,15 +33,11 @@ def _line(start: tuple[float, float], end: tuple[float, float]) -> Array:
 def two_way(lanes: int = 1) -> tuple[LaneLines, ...]:
     """A road with `lanes` lanes each way; the ego's is the leftmost of its way, in sections of 60 m."""
     cuts = np.arange(-120.0, 241.0, 60.0)
-    along = [
-        _lane(_line((a, -WIDTH * lane), (b, -WIDTH * lane)))
-        for lane in range(lanes)
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
-    ]
+    along = [_lane(_line((a, -WIDTH * lane), (b, -WIDTH * lane))) for lane in range(lanes) for a, b in pairwise(cuts)]
     against = [
         _lane(_line((b, WIDTH * (1 + lane)), (a, WIDTH * (1 + lane))))
         for lane in range(lanes)
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+        for a, b in pairwise(cuts)
     ]
     return (*along, *against)
 

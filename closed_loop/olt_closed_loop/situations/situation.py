@@ -49,11 +49,7 @@ class Situation:
         agents = [self.partner.agent(PARTNER, self.label)]
         if self.away:
             here = ~((agents[0].timestamps_us > self.away[0] * 1e6) & (agents[0].timestamps_us < self.away[1] * 1e6))
-            agents = [
-                replace(agents[0], timestamps_us=agents[0].timestamps_us[here], poses=agents[0].poses[here])
-            ]
+            agents = [replace(agents[0], timestamps_us=agents[0].timestamps_us[here], poses=agents[0].poses[here])]
         agents += [motion.agent(f"other {index}", label) for index, (label, motion) in enumerate(self.others)]
         edges = tuple(np.array([[-120.0, y, 0.0], [240.0, y, 0.0]]) for y in (-40.0, 40.0)) if self.lanes else ()
-        return RolloutRecord(
-            self.name, HANDOVER_US, times, rig, EGO, tuple(agents), times, rig, self.lanes, edges
-        )
+        return RolloutRecord(self.name, HANDOVER_US, times, rig, EGO, tuple(agents), times, rig, self.lanes, edges)

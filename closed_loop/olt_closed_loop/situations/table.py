@@ -2,10 +2,9 @@
 
 from dataclasses import dataclass
 
-
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
-from olt_closed_loop.scoring.collisions import Collision, find_collisions
+from olt_closed_loop.scoring.collisions import Collision, find_collisions, site_of
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box, stretches
 from olt_closed_loop.situations.crossing import CROSSINGS, MERGING
 from olt_closed_loop.situations.following import FOLLOWING, REVERSING, STANDING
@@ -65,7 +64,7 @@ def contact_of(record: RolloutRecord) -> Collision | None:
     ego, agents = ego_box(record), tuple(stretches(record.agents))
     boxes = [agent_box(agent) for agent in agents]
     span = (record.handover_us, int(record.timestamps_us[-1]))
-    found = find_collisions(ego, agents, boxes, *span, lanes=record.lanes)
+    found = find_collisions(ego, agents, boxes, *span, site=site_of(record, None))
     return next((hit for hit in found.collisions if hit.agent_id == PARTNER), None)
 
 

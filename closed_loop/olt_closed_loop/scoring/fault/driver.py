@@ -33,6 +33,7 @@ _STEP_US = 20_000
 _AFTER_US = 5_000_000
 _MOTION_US = 500_000
 _NEAR = 0.01
+_MISSES = 3
 
 Times = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -118,11 +119,15 @@ def in_the_way_at(driver: MovingBox, other: MovingBox, times: Times) -> Flags:
 
 
 def since(flags: Flags, times: Times) -> int | None:
-    """From which of the times (n,) on a flag holds until the last; None where it does not hold at the last."""
+    """From which of the times (n,) on a flag holds until the last; None where it does not hold at the last.
+
+    Noise makes it miss now and then: up to three misses in a row count for nothing.
+    """
     if not flags[-1]:
         return None
-    gaps = np.flatnonzero(~flags)
-    return int(times[gaps[-1] + 1] if len(gaps) else times[0])
+    gaps = np.flatnonzero(np.convolve(~flags, np.ones(_MISSES + 1), "valid") > _MISSES)
+    begin = gaps[-1] + _MISSES + 1 if len(gaps) else 0
+    return int(times[begin + np.argmax(flags[begin:])])
 
 
 def visible_at(driver: MovingBox, other: MovingBox, occluders: Sequence[MovingBox], times: Times) -> Flags:
@@ -139,7 +144,9 @@ def visible_at(driver: MovingBox, other: MovingBox, occluders: Sequence[MovingBo
         if box is other or 2.0 * box.half_size[2] < EYE_HEIGHT or not there.any():
             continue
         blocks = box.at(times[there])
-        if np.any(blocks[:, :2].max(axis=0) < low - box.radius) or np.any(blocks[:, :2].min(axis=0) > high + box.radius):
+        if np.any(blocks[:, :2].max(axis=0) < low - box.radius) or np.any(
+            blocks[:, :2].min(axis=0) > high + box.radius
+        ):
             continue
         origin = eyes[there][:, None]
         sights = shapely.linestrings(np.stack([np.zeros_like(targets[there]), targets[there] - origin], axis=2))
@@ -176,6 +183,6 @@ def _extrapolate(now: Array, velocity: Array, turn_rate: Array, seconds: Array) 
 
 def _touches(own: Array, driver: MovingBox, theirs: Array, other: MovingBox, margin: tuple[float, float]) -> Flags:
     """Which boxes (n,) touch when the driver's is larger by a margin ahead and to the sides."""
-    half = driver.half_size + [*margin, 0.0]
+    half = driver.half_size + np.array([*margin, 0.0])
     gaps, _ = separations(own, half, theirs, other.half_size)
     return gaps.max(axis=1) < _NEAR

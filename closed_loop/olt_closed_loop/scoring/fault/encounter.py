@@ -6,9 +6,13 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
+import shapely
 
 from olt_closed_loop.scenes.actors import corners
+from olt_closed_loop.scenes.polylines import length_of, points_along, without_repeats
+from olt_closed_loop.scoring.drivable import DrivableArea
 from olt_closed_loop.scoring.fault.driver import (
+    WANDER,
     could_avoid,
     foreseen_at,
     in_the_way_at,
@@ -24,15 +28,52 @@ from olt_generator.poses import Array
 STANDING_US = 2_000_000
 STANDING_SPEED = 0.04
 """Metres a second between the means of the first and the second half of two seconds, up to which a box stands."""
+CROSSING = np.deg2rad(60.0)
+"""Between headings; of those who cross, lanes do not tell who goes first."""
+LEAVING = np.deg2rad(15.0)
+"""Between headings; who drifts out of its lane seldom does so at a larger angle."""
 CLOSING_M = 0.5
 CLOSING_US = 2_000_000
 SWERVES = 2.0
 """Times as much as the other that somebody must turn to have left its course."""
 _SWERVE_US = 4_000_000
+_SHORTEST_WAY = 5.0
+_FAR = 1000.0
 _STEP_US = 20_000
 
 Side = Literal["front", "rear", "lateral"]
 Who = Literal["ego", "agent"]
+
+
+@dataclass(frozen=True)
+class Site:
+    """What the scene tells of the place of a contact; None where it does not.
+
+    Attributes:
+        lanes: the lanes.
+        drivable: outlines of the drivable area.
+        recorded: the way (n, 2 or more) that was recorded, metres.
+    """
+
+    lanes: LaneMap | None = None
+    drivable: DrivableArea | None = None
+    recorded: Array | None = None
+
+    def offset(self, positions: Array) -> Array:
+        """Metres (n,) of positions (n, 2) beside the recorded way, straight on beyond its ends; 0 where none is known.
+
+        A way that is shorter than a car tells no direction.
+        """
+        way = np.zeros((1, 2)) if self.recorded is None else without_repeats(self.recorded[:, :2])
+        length = length_of(way)
+        if length < _SHORTEST_WAY:
+            return np.zeros(len(positions))
+        first, last = (
+            points_along(way, np.array(ends)) for ends in ([0.0, _SHORTEST_WAY], [length - _SHORTEST_WAY, length])
+        )
+        before, after = (_FAR / _SHORTEST_WAY * (end[1] - end[0]) for end in (first, last))
+        line = shapely.LineString(np.vstack([way[0] - before, way, way[-1] + after]) - way[0])
+        return np.asarray(shapely.distance(line, shapely.points(positions - way[0])))
 
 
 @dataclass(frozen=True)
@@ -47,7 +88,7 @@ class Encounter:
         side: the side of the ego that the contact presses on.
         direction: unit vector (2,) from the ego to the agent across the contact.
         point: where they touch (2,), metres.
-        lanes: the lanes, or None where the map has none.
+        site: what the scene tells of the place.
         others: boxes that may hide the agent.
     """
 
@@ -59,7 +100,7 @@ class Encounter:
     side: Side
     direction: Array
     point: Array
-    lanes: LaneMap | None
+    site: Site
     others: Sequence[MovingBox]
 
     @cached_property
@@ -87,9 +128,14 @@ class Encounter:
         """
         begin_us = max(self.contact_us - CLOSING_US, int(self.ego.timestamps_us[0]), int(self.agent.timestamps_us[0]))
         times = np.arange(self.contact_us, begin_us - 1, -_STEP_US, dtype=np.int64)
+        boxes = {"agent": (self.ego,), "ego": (self.agent,), None: (self.ego, self.agent)}[self.swerved]
+        return max(self._share_across(box.at(times[:1])[0, 3], times) for box in boxes)
+
+    @cached_property
+    def swerved(self) -> Who | None:
+        """Who left its course, by turning far more than the other; None where that is not clear."""
         ego, agent = (_swerve(box, self.contact_us) for box in (self.ego, self.agent))
-        keepers = [self.ego] if agent > SWERVES * ego else [self.agent] if ego > SWERVES * agent else []
-        return max(self._share_across(box.at(times[:1])[0, 3], times) for box in keepers or (self.ego, self.agent))
+        return "agent" if agent > SWERVES * ego else "ego" if ego > SWERVES * agent else None
 
     def _share_across(self, course: float, times: np.ndarray) -> float:
         across = np.array([-np.sin(course), np.cos(course)])
@@ -114,25 +160,36 @@ class Encounter:
     @cached_property
     def lane_owner(self) -> Who | None:
         """In whose own lane the contact lies; None where lanes do not tell."""
-        if self.lanes is None:
+        lanes = self.site.lanes
+        if lanes is None or CROSSING < self.turn < np.pi - CROSSING:
             return None
-        own = {who: self.lanes.own(box, self.contact_us) for who, box in self._bodies}
+        own = {who: lanes.own(box, self.contact_us) for who, box in self._bodies}
         for (who, _), (other, their_box) in (self._bodies, self._bodies[::-1]):
-            if not self.lanes.deep_in(self.point, own[who]) or self.lanes.touches(self.point, own[other]):
+            if not lanes.deep_in(self.point, own[who]) or lanes.touches(self.point, own[other]):
                 continue
-            # Who comes from where the map shows no lane may have one that is not drawn.
-            crossing = not own[other] and np.pi / 3.0 < self.turn < 2.0 * np.pi / 3.0
-            if not crossing or self.lanes.was_on_lane(their_box, self.contact_us):
+            # Who comes at an angle from where the map shows no lane may have one that is not drawn.
+            drifts = not LEAVING < self.turn < np.pi - LEAVING
+            if drifts or lanes.was_on_lane(their_box, self.contact_us):
                 return who
         return None
 
     @property
     def ego_off_lanes(self) -> bool:
-        """Whether the ego's centre and the contact are on no lane of a map that has some."""
-        if self.lanes is None:
+        """Whether the ego is off the lanes of a map that has some, with its centre and where it touches.
+
+        Where the map has outlines of the drivable area, part of it must be outside of them too.
+        """
+        lanes, drivable, pose = self.site.lanes, self.site.drivable, self.ego.at(np.array([self.contact_us]))
+        if lanes is None or lanes.at(pose[0, :2]) or lanes.at(self.point):
             return False
-        center = self.ego.at(np.array([self.contact_us]))[0, :2]
-        return not self.lanes.at(center) and not self.lanes.at(self.point)
+        return drivable is None or bool(drivable.leaves(pose, self.ego.half_size)[0])
+
+    @cached_property
+    def ego_left_its_way(self) -> bool:
+        """Whether the ego moved away from the recorded way in the last four seconds, by more than wandering."""
+        begin_us = max(self.contact_us - _SWERVE_US, int(self.ego.timestamps_us[0]))
+        start, end = self.site.offset(self.ego.at(np.array([begin_us, self.contact_us]), columns=2))
+        return bool(end - start > WANDER)
 
     @property
     def _bodies(self) -> tuple[tuple[Who, MovingBox], tuple[Who, MovingBox]]:

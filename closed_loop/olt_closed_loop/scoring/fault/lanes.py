@@ -14,11 +14,13 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from olt_closed_loop.rollouts.rollout_record import LaneLines
+from olt_closed_loop.scenes.polylines import wrap
 from olt_closed_loop.scoring.drivable import lane_area
 from olt_closed_loop.scoring.moving_boxes import MovingBox
 from olt_generator.poses import Array
 
 SAME_WAY = np.deg2rad(60.0)
+ALONG = np.deg2rad(30.0)
 MARKING = 0.2
 """Metres on both sides of a marking within which a contact is in neither lane: maps and boxes are no better."""
 _JOINT = 1.0
@@ -68,9 +70,9 @@ class LaneMap:
         )
         return float(np.arctan2(*(ahead - behind)[::-1]))
 
-    def with_way(self, pose: Array) -> list[int]:
-        """The lanes that hold the centre of a pose (4,) and run its way."""
-        return [lane for lane in self.at(pose[:2]) if angle(self.heading(lane, pose[:2]) - pose[3]) <= SAME_WAY]
+    def with_way(self, pose: Array, most: float = SAME_WAY) -> list[int]:
+        """The lanes that hold the centre of a pose (4,) and run its way, within an angle."""
+        return [lane for lane in self.at(pose[:2]) if angle(self.heading(lane, pose[:2]) - pose[3]) <= most]
 
     @cached_property
     def _ends(self) -> tuple[Array, Array]:
@@ -97,9 +99,9 @@ class LaneMap:
         return self.linked(self.with_way(body.at(np.array([time_us]))[0]))
 
     def was_on_lane(self, body: MovingBox, time_us: int) -> bool:
-        """Whether a body's centre was on a lane that runs its way at some time in the 3 s before."""
+        """Whether a body drove along a lane, within 30 degrees, at some time in the 3 s before."""
         begin_us = max(time_us - _MEMORY_US, int(body.timestamps_us[0]))
-        return any(self.with_way(pose) for pose in body.at(np.arange(time_us, begin_us - 1, -_STEP_US)))
+        return any(self.with_way(pose, ALONG) for pose in body.at(np.arange(time_us, begin_us - 1, -_STEP_US)))
 
     def deep_in(self, point: Array, lanes: set[int]) -> bool:
         """Whether a point (2,) lies in the area of some lanes together, not within 0.2 m of its border."""
@@ -121,7 +123,7 @@ class LaneMap:
 
 def angle(turn: float) -> float:
     """Size of an angle, 0 to pi."""
-    return float(abs(np.angle(np.exp(1j * turn))))
+    return float(abs(wrap(np.array(turn))))
 
 
 def entered_on_red(lanes: LaneMap, body: MovingBox, time_us: int) -> bool | None:

@@ -63,19 +63,21 @@ def lane_of_agent(hit: Encounter) -> Finding | None:
 
 def red_light(hit: Encounter) -> Finding | None:
     """A recorded light tells who may drive; who may trusts in it until the other is in the way."""
-    if hit.lanes is None:
+    if hit.site.lanes is None:
         return None
-    if entered_on_red(hit.lanes, hit.ego, hit.contact_us):
+    if entered_on_red(hit.site.lanes, hit.ego, hit.contact_us):
         return Finding(True, "red light", "the ego entered its lane while the light was red")
-    if entered_on_red(hit.lanes, hit.agent, hit.contact_us):
+    if entered_on_red(hit.site.lanes, hit.agent, hit.contact_us):
         return _against_the_agent(hit, "red light", "the agent entered its lane while the light was red")
     return None
 
 
 def rear_ended(hit: Encounter) -> Finding | None:
     """Who follows keeps its distance, unless the ego came in front of it too late for that."""
-    if hit.side != "rear" or hit.turn > SAME_WAY:
+    if hit.side != "rear" or hit.turn > SIDE_BY_SIDE:
         return None
+    if hit.swerved == "agent" and not hit.ego_left_its_way:
+        return Finding(False, "rear-ended", "the agent came over, and ran into the ego from behind")
     before = hit.seconds_before(hit.entered_us)
     if hit.lane_owner == "ego" or hit.agent_could_avoid(hit.entered_us):
         return Finding(False, "rear-ended", "the agent ran into the ego from behind, and had time to brake")
@@ -114,6 +116,8 @@ def side_by_side(hit: Encounter) -> Finding | None:
     if hit.side != "lateral" or SIDE_BY_SIDE < hit.turn < np.pi - SIDE_BY_SIDE:
         return None
     share = hit.closing_share
+    if hit.ego_left_its_way:
+        return Finding(True, "moved over", "the ego left the recorded way")
     if share <= AGENT_CLOSED:
         return _against_the_agent(hit, "moved over", f"the agent closed {1.0 - share:.0%} of the gap between the two")
     return Finding(True, "moved over", f"the ego closed {share:.0%} of the gap between the two")
