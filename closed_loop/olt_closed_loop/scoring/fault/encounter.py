@@ -212,8 +212,9 @@ class Encounter:
 
     @cached_property
     def entered_us(self) -> int | None:
-        """Since when the ego was in the agent's way."""
-        return since(in_the_way_at(self.agent, self.ego, self._times), self._times)
+        """When the ego came into the agent's way; None if it was there ever since both are known, or never."""
+        entered_us = since(in_the_way_at(self.agent, self.ego, self._times), self._times)
+        return None if entered_us == self._times[0] else entered_us
 
     def ego_could_avoid(self, aware_us: int | None) -> bool:
         """Whether the ego could have braked in time from when the risk showed."""

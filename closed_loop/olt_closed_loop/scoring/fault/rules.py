@@ -79,8 +79,10 @@ def rear_ended(hit: Encounter) -> Finding | None:
     if hit.swerved == "agent" and not hit.ego_left_its_way:
         return Finding(False, "rear-ended", "the agent came over, and ran into the ego from behind")
     before = hit.seconds_before(hit.entered_us)
-    if hit.lane_owner == "ego" or hit.agent_could_avoid(hit.entered_us):
-        return Finding(False, "rear-ended", "the agent ran into the ego from behind, and had time to brake")
+    if hit.entered_us is None or hit.lane_owner == "ego":
+        return Finding(False, "rear-ended", "the agent ran into the ego, which was ahead of it, from behind")
+    if hit.agent_could_avoid(hit.entered_us):
+        return Finding(False, "rear-ended", f"the ego came into the agent's way {before:.1f} s before, in time to brake")
     return Finding(True, "cut in", f"the ego came into the agent's way {before:.1f} s before, too late for it to brake")
 
 
