@@ -203,6 +203,54 @@ def score_rollout(
         print_table(f"{file.name}, definition {definition}", ["figure", "value"], list(figures.items()))
 
 
+@app.command()
+def faults(
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture of all situations from above: .png, .svg, .pdf.")
+    ] = None,
+    sweeps: Annotated[
+        Path | None, typer.Option(help="Picture of where verdicts change over speed, angle, gap and time.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Say of named situations whose fault they are, why, and what AlpaSim and nuPlan say."""
+    from olt_closed_loop.situations.drawing import VERDICTS, draw_situations, draw_sweeps
+    from olt_closed_loop.situations.sweeps import sweep_all
+    from olt_closed_loop.situations.table import judge_all
+    from olt_toolkit.runtime.console import print_json, print_line, print_table
+
+    for path in (picture, sweeps):
+        if path and path.suffix not in (".png", ".svg", ".pdf"):
+            raise typer.BadParameter(f"{path}: give a file ending in .png, .svg or .pdf")
+    rows = judge_all()
+    swept = sweep_all() if sweeps else ()
+    if picture:
+        draw_situations(rows, picture)
+    if sweeps:
+        draw_sweeps(swept, sweeps)
+    right = sum(row.right for row in rows)
+    if as_json:
+        situations = [{**vars(row), "right": row.right} for row in rows]
+        print_json({"right": right, "situations": situations, "sweeps": [vars(sweep).copy() for sweep in swept]})
+    else:
+        cells = [
+            (
+                row.situation,
+                VERDICTS[row.at_fault] + ("" if row.right else ", WRONG"),
+                f"{row.rule}: {row.reason}",
+                VERDICTS[row.alpasim],
+                VERDICTS[row.nuplan_at_fault] + (f" ({row.nuplan})" if row.nuplan else ""),
+                row.why,
+            )
+            for row in rows
+        ]
+        columns = ["the ego ...", "verdict", "why", "AlpaSim", "nuPlan", "why ours holds"]
+        print_table("Whose fault", columns, cells)
+        print_line(f"{right} of {len(rows)} situations right")
+    if right < len(rows):
+        raise typer.Exit(1)
+
+
 def word_collision(collision: "Collision") -> str:
     """When, where, whose fault, and why."""
     whose = "at fault" if collision.at_fault else "not at fault"

@@ -82,7 +82,9 @@ def rear_ended(hit: Encounter) -> Finding | None:
     if hit.entered_us is None or hit.lane_owner == "ego":
         return Finding(False, "rear-ended", "the agent ran into the ego, which was ahead of it, from behind")
     if hit.agent_could_avoid(hit.entered_us):
-        return Finding(False, "rear-ended", f"the ego came into the agent's way {before:.1f} s before, in time to brake")
+        return Finding(
+            False, "rear-ended", f"the ego came into the agent's way {before:.1f} s before, in time to brake"
+        )
     return Finding(True, "cut in", f"the ego came into the agent's way {before:.1f} s before, too late for it to brake")
 
 
