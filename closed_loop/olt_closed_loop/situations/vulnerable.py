@@ -32,7 +32,7 @@ VULNERABLE = (
     ),
     Situation(
         "overtakes a cyclist and drifts into it", True, "vulnerable",
-        Motion((0.0, 0.9), shifts=((4.0, 6.5, -1.2),)), Motion((27.0, -1.2), speed=((0.0, 5.0),)), "rider", lanes=_ROAD,
+        Motion((0.0, 0.9), shifts=((4.0, 6.5, -1.6),)), Motion((27.0, -1.2), speed=((0.0, 5.0),)), "rider", lanes=_ROAD,
         why="it moved over; nuPlan lets every contact aside within a lane pass",
     ),
     Situation(

@@ -99,11 +99,12 @@ def foreseen_at(driver: MovingBox, other: MovingBox, times: Times) -> Flags:
     The other is taken to keep its velocity, or its velocity and turn rate, and to need 0.375 m more than its size.
     """
     earlier, later = np.triu_indices(len(times))
-    ahead = (times[later] - times[earlier]) * 1e-6
+    ahead = 1e-6 * (times[later] - times[earlier]).astype(np.float64)
     now, velocity, turn_rate = _motion(other, times)
     places = driver.at(times)[later]
     foreseen = np.zeros(len(times), dtype=bool)
-    for turning in (np.zeros_like(turn_rate), turn_rate):
+    straight = np.zeros_like(turn_rate)
+    for turning in (straight, turn_rate) if turn_rate.any() else (straight,):
         predicted = _extrapolate(now[earlier], velocity[earlier], turning[earlier], ahead)
         foreseen[earlier[_touches(places, driver, predicted, other, (WANDER, WANDER))]] = True
     return foreseen
@@ -152,7 +153,7 @@ def visible_at(driver: MovingBox, other: MovingBox, occluders: Sequence[MovingBo
         sights = shapely.linestrings(np.stack([np.zeros_like(targets[there]), targets[there] - origin], axis=2))
         outlines = np.asarray(shapely.polygons(corners(blocks, box.half_size) - origin))
         hidden[there] |= np.asarray(shapely.intersects(sights, outlines[:, None]))
-    return ~hidden.all(axis=1)
+    return ~np.asarray(hidden.all(axis=1))
 
 
 def _motion(box: MovingBox, times: Times) -> tuple[Array, Array, Array]:
@@ -184,5 +185,8 @@ def _extrapolate(now: Array, velocity: Array, turn_rate: Array, seconds: Array) 
 def _touches(own: Array, driver: MovingBox, theirs: Array, other: MovingBox, margin: tuple[float, float]) -> Flags:
     """Which boxes (n,) touch when the driver's is larger by a margin ahead and to the sides."""
     half = driver.half_size + np.array([*margin, 0.0])
-    gaps, _ = separations(own, half, theirs, other.half_size)
-    return gaps.max(axis=1) < _NEAR
+    # Centres farther apart than both radii are not worth a look.
+    touches = np.hypot(*(theirs - own)[:, :2].T) < np.hypot(*half[:2]) + other.radius + _NEAR
+    gaps, _ = separations(own[touches], half, theirs[touches], other.half_size)
+    touches[touches] = gaps.max(axis=1) < _NEAR
+    return touches
