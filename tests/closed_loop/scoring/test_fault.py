@@ -82,13 +82,13 @@ def test_a_steady_course_is_foreseen_for_as_long_as_is_looked_back():
     assert since(in_the_way_at(driver, crossing, times), times) == 6_700_000
 
 
-def test_misses_of_up_to_three_samples_count_for_nothing():
+def test_misses_of_up_to_half_a_second_count_for_nothing():
     times = np.arange(10, dtype=np.int64)
     flags = np.ones(10, dtype=bool)
-    flags[2:5] = False
+    flags[2:7] = False
     assert since(flags, times) == 0
-    flags[5] = False
-    assert since(flags, times) == 6
+    flags[7] = False
+    assert since(flags, times) == 8
     flags[-1] = False
     assert since(flags, times) is None
 

@@ -120,3 +120,24 @@ def test_a_verdict_changes_once_along_gap_time_and_place(swept):
         assert told == sorted(told, reverse=True)
     for grid in (cut_in, steps_out, oncoming):
         assert {True, False} <= set(grid.flat)
+
+
+@pytest.mark.parametrize("step_us", [20_000, 500_000])
+def test_verdicts_do_not_depend_on_how_a_drive_was_sampled(step_us):
+    for situation in SITUATIONS:
+        hit = contact_of(situation.record(step_us))
+        assert (hit.at_fault if hit else None) == situation.at_fault, situation.name
+
+
+def noisy(poses, generator, size, turn):
+    noise = generator.normal(0.0, [size, size, 0.0, turn], (len(poses), 4))
+    return poses + noise
+
+
+def test_noise_of_the_poses_flips_no_verdict():
+    generator = np.random.default_rng(5)
+    for situation in SITUATIONS:
+        record = situation.record()
+        agents = tuple(replace(agent, poses=noisy(agent.poses, generator, 0.05, 0.0175)) for agent in record.agents)
+        hit = contact_of(replace(record, poses=noisy(record.poses, generator, 0.01, 0.0035), agents=agents))
+        assert (hit.at_fault if hit else None) == situation.at_fault, situation.name

@@ -33,7 +33,7 @@ _STEP_US = 20_000
 _AFTER_US = 5_000_000
 _MOTION_US = 500_000
 _NEAR = 0.01
-_MISSES = 3
+_MISSES = 5
 
 Times = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -106,7 +106,7 @@ def foreseen_at(driver: MovingBox, other: MovingBox, times: Times) -> Flags:
     straight = np.zeros_like(turn_rate)
     for turning in (straight, turn_rate) if turn_rate.any() else (straight,):
         predicted = _extrapolate(now[earlier], velocity[earlier], turning[earlier], ahead)
-        foreseen[earlier[_touches(places, driver, predicted, other, (WANDER, WANDER))]] = True
+        foreseen[earlier[_touches(places, driver, predicted, other)]] = True
     return foreseen
 
 
@@ -114,7 +114,7 @@ def in_the_way_at(driver: MovingBox, other: MovingBox, times: Times) -> Flags:
     """At which times (n,) the other was within 0.375 m of the strip that the driver then drove over."""
     earlier, later = np.triu_indices(len(times))
     in_the_way = np.zeros(len(times), dtype=bool)
-    touched = _touches(driver.at(times)[later], driver, other.at(times)[earlier], other, (0.0, WANDER))
+    touched = _touches(driver.at(times)[later], driver, other.at(times)[earlier], other)
     in_the_way[earlier[touched]] = True
     return in_the_way
 
@@ -122,7 +122,7 @@ def in_the_way_at(driver: MovingBox, other: MovingBox, times: Times) -> Flags:
 def since(flags: Flags, times: Times) -> int | None:
     """From which of the times (n,) on a flag holds until the last; None where it does not hold at the last.
 
-    Noise makes it miss now and then: up to three misses in a row count for nothing.
+    Noise makes it miss now and then: up to half a second of misses in a row count for nothing.
     """
     if not flags[-1]:
         return None
@@ -182,9 +182,9 @@ def _extrapolate(now: Array, velocity: Array, turn_rate: Array, seconds: Array) 
     return poses
 
 
-def _touches(own: Array, driver: MovingBox, theirs: Array, other: MovingBox, margin: tuple[float, float]) -> Flags:
-    """Which boxes (n,) touch when the driver's is larger by a margin ahead and to the sides."""
-    half = driver.half_size + np.array([*margin, 0.0])
+def _touches(own: Array, driver: MovingBox, theirs: Array, other: MovingBox) -> Flags:
+    """Which boxes (n,) touch when the driver's is 0.375 m larger on all sides."""
+    half = driver.half_size + np.array([WANDER, WANDER, 0.0])
     # Centres farther apart than both radii are not worth a look.
     touches = np.hypot(*(theirs - own)[:, :2].T) < np.hypot(*half[:2]) + other.radius + _NEAR
     gaps, _ = separations(own[touches], half, theirs[touches], other.half_size)

@@ -28,6 +28,7 @@ from olt_generator.poses import Array
 STANDING_US = 2_000_000
 STANDING_SPEED = 0.04
 """Metres a second between the means of the first and the second half of two seconds, up to which a box stands."""
+BACKED_M = 0.4
 CROSSING = np.deg2rad(60.0)
 """Between headings; of those who cross, lanes do not tell who goes first."""
 LEAVING = np.deg2rad(15.0)
@@ -149,13 +150,15 @@ class Encounter:
         at = int(far[0]) if len(far) else int(np.argmax(closed))
         return float(ways[0][at] / closed[at]) if closed[at] > 0.0 else 0.5
 
-    def backs(self, who: Who) -> bool:
-        """Whether a body moves against its heading."""
-        box = self.ego if who == "ego" else self.agent
-        begin_us = max(self.contact_us - STANDING_US // 4, int(box.timestamps_us[0]))
-        start, end = box.at(np.array([begin_us, self.contact_us]))
-        along = (end[:2] - start[:2]) @ [np.cos(end[3]), np.sin(end[3])]
-        return bool(along < -STANDING_SPEED * (self.contact_us - begin_us) * 1e-6)
+    @cached_property
+    def ego_backs(self) -> bool:
+        """Whether the ego moves against its heading, faster than who stands."""
+        return not self.ego_stands and _advance(self.ego, self.contact_us, STANDING_US // 4) < 0.0
+
+    @cached_property
+    def agent_backs(self) -> bool:
+        """Whether the agent moved against its heading by more than noise in the last second."""
+        return _advance(self.agent, self.contact_us, STANDING_US // 2) < -BACKED_M
 
     @cached_property
     def lane_owner(self) -> Who | None:
@@ -260,6 +263,12 @@ def _stands(box: MovingBox, time_us: int) -> bool:
     points = corners(box.at(times), box.half_size) - box.poses[0, :2]
     first, second = points[:21].mean(axis=0), points[21:].mean(axis=0)
     return float(np.linalg.norm(second - first, axis=-1).max()) < STANDING_SPEED * 0.5e-6 * span
+
+
+def _advance(box: MovingBox, time_us: int, span_us: int) -> float:
+    """Metres that a box moved along its heading in the time before a time."""
+    start, end = box.at(np.array([max(time_us - span_us, int(box.timestamps_us[0])), time_us]))
+    return float((end[:2] - start[:2]) @ [np.cos(end[3]), np.sin(end[3])])
 
 
 def _swerve(box: MovingBox, time_us: int) -> float:

@@ -41,15 +41,18 @@ def oncoming_lane(hit: Encounter) -> Finding | None:
 
 
 def standing(hit: Encounter) -> Finding | None:
-    """Who stands is hit."""
-    if hit.ego_stands:
-        return Finding(False, "standing", "the ego stood for two seconds")
-    return None
+    """Who stands is hit, unless it stopped in front of who crosses, too late for that one to brake."""
+    if not hit.ego_stands:
+        return None
+    crosses = SAME_WAY < hit.turn < AGAINST
+    if crosses and hit.entered_us is not None and not hit.agent_could_avoid(hit.entered_us):
+        return None
+    return Finding(False, "standing", "the ego stood for two seconds")
 
 
 def reversing(hit: Encounter) -> Finding | None:
     """Who drives backwards gives way to everybody behind."""
-    if hit.side == "rear" and hit.backs("ego"):
+    if hit.side == "rear" and hit.ego_backs:
         return Finding(True, "reversing", "the ego drove backwards into the agent")
     return None
 
@@ -110,7 +113,7 @@ def lane_of_ego(hit: Encounter) -> Finding | None:
     if hit.lane_owner == "ego":
         what = "came against the ego's lane" if hit.turn >= AGAINST else "was over the marking, in the ego's lane"
         return _against_the_agent(hit, "lane of the ego", f"the agent {what}")
-    if hit.backs("agent") and hit.side == "front" and hit.turn < SAME_WAY:
+    if hit.agent_backs and hit.side == "front" and hit.turn < SAME_WAY:
         return _against_the_agent(hit, "agent reversed", "the agent drove backwards into the ego")
     return None
 
