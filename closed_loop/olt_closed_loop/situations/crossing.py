@@ -24,8 +24,8 @@ CROSSINGS = (
     ),
     Situation(
         "stops in the way of a fast crossing car 2.2 s before", True, "avoidable",
-        Motion((0.0, 0.0), speed=((0.0, 10.0), (2.0, 10.0), (3.2, 0.0))),
-        Motion((26.0, -168.0), np.pi / 2, ((0.0, 30.0),)), lanes=_ROAD,
+        Motion((0.0, 0.0), speed=((0.0, 10.0), (3.0, 10.0), (4.2, 0.0))),
+        Motion((36.0, -198.0), np.pi / 2, ((0.0, 30.0),)), lanes=_ROAD,
         why="the car had no time to brake; nuPlan lets every contact of a standing ego pass",
     ),
     Situation(
