@@ -31,6 +31,10 @@ VULNERABLE = (
         lanes=_ROAD,
     ),
     Situation(
+        "drives at 3 m/s towards a person who walks towards it", True, "vulnerable",
+        Motion((0.0, 0.0), speed=((0.0, 3.0),)), Motion((24.0, 0.0), np.pi, ((0.0, 1.2),)), "person", lanes=_ROAD,
+    ),
+    Situation(
         "overtakes a cyclist and drifts into it", True, "vulnerable",
         Motion((0.0, 0.9), shifts=((4.0, 6.5, -1.6),)), Motion((27.0, -1.2), speed=((0.0, 5.0),)), "rider", lanes=_ROAD,
         why="it moved over; nuPlan lets every contact aside within a lane pass",

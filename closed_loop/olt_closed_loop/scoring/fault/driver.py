@@ -53,7 +53,9 @@ def speed_at(box: MovingBox, time_us: int) -> float:
     return float(np.hypot(*(end - start)) / (times[1] - times[0]) * 1e6)
 
 
-def could_avoid(body: MovingBox, other: MovingBox, aware_us: int, contact_us: int, free_us: int) -> bool:
+def could_avoid(
+    body: MovingBox, other: MovingBox, aware_us: int, contact_us: int, free_us: int, or_stand: bool = False
+) -> bool:
     """Whether `body`, aware of the risk at `aware_us`, would not have touched `other` if it had braked.
 
     Args:
@@ -62,19 +64,25 @@ def could_avoid(body: MovingBox, other: MovingBox, aware_us: int, contact_us: in
         aware_us: when the risk showed.
         contact_us: when they touched.
         free_us: before this time `body` was not in control and does not brake.
+        or_stand: whether it is enough to stand when they touch.
     """
     brake_us = max(aware_us + round((PERCEPTION + DELAY) * 1e6), free_us)
     end_us = min(contact_us + _AFTER_US, int(other.timestamps_us[-1]), int(body.timestamps_us[-1]))
     if brake_us >= contact_us:
         return False
     times = np.append(np.arange(brake_us, end_us, _STEP_US, dtype=np.int64), end_us)
-    own = body.at(_braked(body, brake_us, times))
-    gaps, _ = separations(own, body.half_size, other.at(times), other.half_size)
-    return bool((gaps.max(axis=1) >= TOUCH).all())
+    was_there, speed = _braked(body, brake_us, times)
+    gaps, _ = separations(body.at(was_there), body.half_size, other.at(times), other.half_size)
+    harmless = (gaps.max(axis=1) >= TOUCH) | (or_stand & (speed == 0.0))
+    return bool(harmless.all())
 
 
-def _braked(body: MovingBox, brake_us: int, times: Times) -> Times:
-    """When (n,) the body really was where it would be at the times (n,) if it had braked from the first on."""
+def _braked(body: MovingBox, brake_us: int, times: Times) -> tuple[Times, Array]:
+    """Where the body would be at times (n,) if it had braked from the first on.
+
+    Returns:
+        When (n,) it really was there, and its speed (n,) in m/s when it brakes.
+    """
     start = body.timestamps_us[0]
     ways = arc_lengths(body.poses[:, :2])
     driven = np.interp(times - start, body.timestamps_us - start, ways)
@@ -84,7 +92,8 @@ def _braked(body: MovingBox, brake_us: int, times: Times) -> Times:
     speed = np.maximum(speed_at(body, brake_us) - slower, 0.0)
     braked = np.minimum(driven[0] + cumulative_trapezoid(speed, seconds, initial=0.0), driven)
     # Where the body stood, several times have one place: the last of them is taken, which changes nothing.
-    return np.minimum(start + np.interp(braked, ways, body.timestamps_us - start).astype(np.int64), times)
+    was_there = start + np.interp(braked, ways, body.timestamps_us - start).astype(np.int64)
+    return np.minimum(was_there, times), speed
 
 
 def look_back(first: MovingBox, second: MovingBox, contact_us: int) -> Times:

@@ -219,9 +219,11 @@ class Encounter:
         entered_us = since(in_the_way_at(self.agent, self.ego, self._times), self._times)
         return None if entered_us == self._times[0] else entered_us
 
-    def ego_could_avoid(self, aware_us: int | None) -> bool:
-        """Whether the ego could have braked in time from when the risk showed."""
-        return aware_us is not None and could_avoid(self.ego, self.agent, aware_us, self.contact_us, self.free_us)
+    def ego_could_avoid(self, aware_us: int | None, or_stand: bool = False) -> bool:
+        """Whether the ego could have braked in time from when the risk showed, or, if that is enough, have stood."""
+        if aware_us is None:
+            return False
+        return could_avoid(self.ego, self.agent, aware_us, self.contact_us, self.free_us, or_stand)
 
     def agent_could_avoid(self, aware_us: int | None) -> bool:
         """Whether the agent could have."""

@@ -64,17 +64,6 @@ def lane_of_agent(hit: Encounter) -> Finding | None:
     return None
 
 
-def red_light(hit: Encounter) -> Finding | None:
-    """A recorded light tells who may drive; who may trusts in it until the other is in the way."""
-    if hit.site.lanes is None:
-        return None
-    if entered_on_red(hit.site.lanes, hit.ego, hit.contact_us):
-        return Finding(True, "red light", "the ego entered its lane while the light was red")
-    if entered_on_red(hit.site.lanes, hit.agent, hit.contact_us):
-        return _against_the_agent(hit, "red light", "the agent entered its lane while the light was red")
-    return None
-
-
 def rear_ended(hit: Encounter) -> Finding | None:
     """Who follows keeps its distance, unless the ego came in front of it too late for that."""
     if hit.side != "rear" or hit.turn > SIDE_BY_SIDE:
@@ -91,6 +80,17 @@ def rear_ended(hit: Encounter) -> Finding | None:
     return Finding(True, "cut in", f"the ego came into the agent's way {before:.1f} s before, too late for it to brake")
 
 
+def red_light(hit: Encounter) -> Finding | None:
+    """A recorded light tells who may drive; who may trusts in it until the other is in the way."""
+    if hit.site.lanes is None:
+        return None
+    if entered_on_red(hit.site.lanes, hit.ego, hit.contact_us):
+        return Finding(True, "red light", "the ego entered its lane while the light was red")
+    if entered_on_red(hit.site.lanes, hit.agent, hit.contact_us):
+        return _against_the_agent(hit, "red light", "the agent entered its lane while the light was red")
+    return None
+
+
 def off_lanes(hit: Encounter) -> Finding | None:
     """Who drives where no lane is has nobody's way."""
     if hit.ego_off_lanes:
@@ -99,11 +99,11 @@ def off_lanes(hit: Encounter) -> Finding | None:
 
 
 def vulnerable(hit: Encounter) -> Finding | None:
-    """A moving ego is at fault for a person, a cyclist or an animal, unless a defensive driver could not help it."""
+    """A moving ego is at fault for a person, a cyclist or an animal, unless nobody could have avoided it or stood."""
     if hit.label not in VULNERABLE:
         return None
     before = hit.seconds_before(hit.foreseen_us)
-    if hit.ego_could_avoid(hit.foreseen_us):
+    if hit.ego_could_avoid(hit.foreseen_us, or_stand=True):
         return Finding(True, "vulnerable", f"the {hit.label} showed {before:.1f} s before, in time to brake")
     return Finding(False, "unavoidable", f"the {hit.label} showed {before:.1f} s before, too late to brake")
 
@@ -158,8 +158,8 @@ RULES: tuple[Rule, ...] = (
     standing,
     reversing,
     lane_of_agent,
-    red_light,
     rear_ended,
+    red_light,
     off_lanes,
     vulnerable,
     lane_of_ego,
