@@ -10,7 +10,7 @@ from olt_closed_loop.evaluation.gate import GateResult, check_gate
 from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout import Rollout, save_rollouts
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scoring.definitions import Definition, RolloutScore, score_rollout
+from olt_closed_loop.scoring.definitions import DefinitionName, RolloutScore, score_rollout
 from olt_closed_loop.simulation.closed_loop import RolloutRequest, simulate, simulate_batch
 from olt_closed_loop.simulation.policies import make_policy
 from olt_closed_loop.simulation.settings import SimulationSettings
@@ -38,7 +38,7 @@ def run_closed_loop(
     settings: SimulationSettings | None = None,
     workers: int = 1,
     on_progress: Progress = silent,
-    definition: Definition = "strict",
+    definition: DefinitionName = "strict",
 ) -> list[Result]:
     """Drive every scene `rollouts` times and score it, provided that the gate holds on it.
 
@@ -69,7 +69,7 @@ def run_closed_loop(
 
 
 def _run_batch(
-    runs: list[tuple[SceneSource, int]], policy_spec: str, settings: SimulationSettings, definition: Definition
+    runs: list[tuple[SceneSource, int]], policy_spec: str, settings: SimulationSettings, definition: DefinitionName
 ) -> list[Result]:
     policy = _load_policy(policy_spec)
     driven = [(load_scene(source), seed) for source, seed in runs]

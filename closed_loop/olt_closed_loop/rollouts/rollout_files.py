@@ -10,7 +10,9 @@ One object:
 - `map` {lanes [{id, center, left?, right?, red_us?}], road_edges [polyline], resample_m?} or null; polylines are points
   [x, y] or [x, y, z] and get more until none is farther than `resample_m` from the next (2 m when absent, 0: none);
   `red_us` [[from, until]..] says when the light at the start of a lane was red ([]: never; absent: not known);
-- `plans` [{now_us, query_us?, timestamps_us [n], poses [n][x, y, yaw], samples? [[n][x, y, yaw]]}].
+- `plans` [{now_us, query_us?, timestamps_us [n], poses [n][x, y, yaw], samples? [[n][x, y, yaw]]}];
+- `failure`? text, why the rollout broke off; `driver_ended`? whether the driver asked for the end of the session
+  (AlpaSim's `terminate_session`).
 """
 
 from pathlib import Path
@@ -80,7 +82,17 @@ def parse_rollout(values: dict[str, Any], name: str) -> RolloutRecord:
         lanes=tuple(_lane(lane, resample_m) for lane in road.get("lanes", ())),
         road_edges=tuple(_line(edge, resample_m, "road edge") for edge in road.get("road_edges", ())),
         plans=tuple(_plan(index, plan) for index, plan in enumerate(values["plans"]) if plan["poses"]),
+        failure=_choice(values, "failure", str, None),
+        driver_ended=_choice(values, "driver_ended", bool, False),
     )
+
+
+def _choice(values: dict[str, Any], name: str, kind: type, absent: Any) -> Any:
+    """A value that may be left out."""
+    value = values.get(name, absent)
+    if value is not absent and not isinstance(value, kind):
+        raise InputError(f"{name} is {value!r}; give {kind.__name__} or leave it out")
+    return value
 
 
 def _agent(name: str, values: dict[str, Any], scored_us: NDArray[np.int64]) -> Agent | None:

@@ -12,6 +12,8 @@ from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.errors import InputError
 from olt_toolkit.policy.contract import PlannedTrajectory
 
+from ...fuzzing import SECONDS
+
 IDM = SimulationSettings(traffic="idm")
 
 
@@ -39,6 +41,23 @@ def test_rollouts_survive_a_file(straight_scene, tmp_path):
     loaded = load_rollouts(tmp_path / "rollouts.json")
     assert [one.to_dict() for one in loaded] == [one.to_dict() for one in rollouts]
     np.testing.assert_array_equal(loaded[0].states, rollouts[0].states)
+
+
+@pytest.fixture
+def rollout_file(straight_scene, moving_agent, tmp_path):
+    scene = straight_scene((moving_agent("follower", (-20.0, 0.0), (10.0, 0.0)),))
+    save_rollouts(tmp_path / "rollouts.json", [simulate(scene, StandingPolicy(), IDM)])
+    (path,) = tmp_path.iterdir()
+    return path
+
+
+def test_damaged_files_of_rollouts(fuzzer, rollout_file):
+    fuzzer.run("rollouts", rollout_file)
+
+
+@pytest.mark.slow
+def test_damaged_files_of_rollouts_for_long(fuzzer, rollout_file):
+    fuzzer.run("rollouts", rollout_file, seconds=SECONDS)
 
 
 def test_reacting_agents_survive_a_file(straight_scene, moving_agent, tmp_path):
