@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from olt_closed_loop.evaluation.comparison import Comparison
     from olt_closed_loop.evaluation.gate import GateResult
     from olt_closed_loop.evaluation.score_table import ScoreTable
+    from olt_closed_loop.scoring.collisions import Collision
     from olt_closed_loop.scoring.definitions import RolloutScore
     from olt_generator.omissions import Omission
 
@@ -299,11 +300,65 @@ def score_rollout(
         strict = score_record(record)
         result = strict.to_dict()
         figures = {name: value for name, value in result.items() if name not in ("metrics", "collisions", "left_out")}
-        figures |= strict.metrics | {f"hits {c.agent_id}": f"{c.side} at {c.time_us} us" for c in strict.collisions}
+        figures |= strict.metrics | {f"hits {c.agent_id}": word_collision(c) for c in strict.collisions}
     if as_json:
         print_json(result)
     else:
         print_table(f"{file.name}, definition {definition}", ["figure", "value"], list(figures.items()))
+
+
+@app.command()
+def faults(
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture of all situations from above: .png, .svg, .pdf.")
+    ] = None,
+    sweeps: Annotated[
+        Path | None, typer.Option(help="Picture of where verdicts change over speed, angle, gap and time.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Say of named situations whose fault they are, why, and what AlpaSim and nuPlan say."""
+    from olt_closed_loop.situations.drawing import VERDICTS, draw_situations, draw_sweeps
+    from olt_closed_loop.situations.sweeps import sweep_all
+    from olt_closed_loop.situations.table import judge_all
+    from olt_toolkit.runtime.console import print_json, print_line, print_table
+
+    for path in (picture, sweeps):
+        if path and path.suffix not in (".png", ".svg", ".pdf"):
+            raise typer.BadParameter(f"{path}: give a file ending in .png, .svg or .pdf")
+    rows = judge_all()
+    swept = sweep_all() if sweeps else ()
+    if picture:
+        draw_situations(rows, picture)
+    if sweeps:
+        draw_sweeps(swept, sweeps)
+    right = sum(row.right for row in rows)
+    if as_json:
+        situations = [{**vars(row), "right": row.right} for row in rows]
+        print_json({"right": right, "situations": situations, "sweeps": [vars(sweep).copy() for sweep in swept]})
+    else:
+        cells = [
+            (
+                row.situation,
+                VERDICTS[row.at_fault] + ("" if row.right else ", WRONG"),
+                f"{row.rule}: {row.reason}",
+                VERDICTS[row.alpasim],
+                VERDICTS[row.nuplan_at_fault] + (f" ({row.nuplan})" if row.nuplan else ""),
+                row.why,
+            )
+            for row in rows
+        ]
+        columns = ["the ego ...", "verdict", "why", "AlpaSim", "nuPlan", "why ours holds"]
+        print_table("Whose fault", columns, cells)
+        print_line(f"{right} of {len(rows)} situations right")
+    if right < len(rows):
+        raise typer.Exit(1)
+
+
+def word_collision(collision: "Collision") -> str:
+    """When, where, whose fault, and why."""
+    whose = "at fault" if collision.at_fault else "not at fault"
+    return f"{collision.side} at {collision.time_us} us, {whose}: {collision.rule} ({collision.reason})"
 
 
 def _print_scores(title: str, table: "ScoreTable") -> None:
