@@ -473,7 +473,7 @@ READERS = {
     "recipe": _check_recipe,
     "rig": _function("olt_toolkit.rigs.rig_files:read_rig"),
     "rollout": _function("olt_closed_loop.rollouts.rollout_files:read_rollout_file"),
-    "rollouts": _function("olt_closed_loop.rollouts.rollout:load_rollouts"),
+    "rollouts": _function("olt_closed_loop.rollouts.rollout_tables:load_rollouts"),
     "scenario": _function("olt_closed_loop.scenes.sources:read_recording"),
     "stage config": _function("olt_sft_recipes.training.stage_config:read_stage_config"),
     "store": _read_store,

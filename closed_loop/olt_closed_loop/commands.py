@@ -5,20 +5,31 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
+from olt_toolkit.runtime.workers import Engine
+
 if TYPE_CHECKING:
     from olt_closed_loop.evaluation.score_table import ScoreTable
     from olt_closed_loop.scoring.definitions import RolloutScore
+    from olt_closed_loop.simulation.policy_hosts import PolicyLimits
     from olt_generator.omissions import Omission
 
 INCIDENT_WORDS = {
-    "policy_errors": "the policy raised an error",
     "plans_refused": "a plan was refused and the last one held",
+    "policy_errors": "the policy raised an error",
+    "policy_exits": "the policy called for an exit",
+    "policy_deaths": "the policy's process died",
+    "policy_timeouts": "the policy gave no answer in time",
+    "wrong_answers": "the policy answered with something else than a plan",
+    "inputs_changed": "the policy changed what it was shown",
+    "globals_changed": "the policy changed global states",
+    "steps_failed": "the vehicle could not follow a plan",
     "saturations": "a command reached a limit of the vehicle",
     "solves_failed": "the controller found no command and held the last ones",
     "solves_late": "the controller was late and held the last commands",
     "solves_given_up": "fatrop gave up and Gauss-Newton was asked",
 }
-"""What the counts of `rollouts.rollout.Incidents` are called in print."""
+"""What those counts of `rollouts.rollout.Incidents` that are no good news are called in print."""
 
 app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and score them.")
 
@@ -29,6 +40,7 @@ Traffic = Literal["recorded", "idm"]  # rollouts.rollout
 Vehicle = Literal["kinematic", "tyres"]  # simulation.settings
 Controller = Literal["lqr", "linear", "nonlinear"]  # control.tracking
 Integrator = Literal["auto", "midpoint", "rk4", "radau", "cvodes"]  # vehicle.integrators
+Isolation = Literal["auto", "none", "process"]  # simulation.policy_hosts
 
 
 @app.command()
@@ -52,12 +64,28 @@ def run(
     ] = "auto",
     definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
     skip: Annotated[bool, typer.Option(help="Leave out what cannot change the result.")] = True,
-    workers: Annotated[int | None, typer.Option(help="Processes; by default one for each processor.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for rollouts.json and scores.json.")] = None,
+    isolate: Annotated[
+        Isolation,
+        typer.Option(help="Where the policy runs; auto: a process of its own for all but the toolkit's own."),
+    ] = "auto",
+    policy_timeout: Annotated[
+        float | None, typer.Option(help="Seconds for one answer in a process of its own; 30 by default.")
+    ] = None,
+    policy_memory: Annotated[
+        float | None, typer.Option(help="GiB that it may allocate there; 8 by default, 0 for any.")
+    ] = None,
+    workers: WorkersOption = None,
+    engine: EngineOption = Engine.LOCAL,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder that keeps finished rollouts, to go on from, and the results.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Drive scenes with a policy and print AS and CR by category; the gate must hold on every scene."""
-    from olt_closed_loop import ControlSettings, SimulationSettings, run_closed_loop, save_results, summarize_scores
+    """Drive scenes with a policy and print AS and CR by category.
+
+    A scene on which the gate fails, and a rollout that failed, lose themselves only; the exit status is then 1.
+    """
+    from olt_closed_loop import ControlSettings, SimulationSettings, run_closed_loop, summarize_scores
     from olt_closed_loop.evaluation.evaluation import count_left_out, count_vehicle_steps, find_scenes
     from olt_toolkit.runtime.console import make_progress, print_json
     from olt_toolkit.runtime.workers import default_workers
@@ -70,6 +98,7 @@ def run(
         integrator=integrator,
         control=ControlSettings(method=controller),
         skip=skip,
+        limits=_limits(isolate, policy_timeout, policy_memory),
     )
     sources = find_scenes([*(scenes or []), *(scene or [])])
     if not sources:
@@ -86,12 +115,12 @@ def run(
             workers=workers or default_workers(),
             on_progress=lambda share: progress.update(task, completed=round(share * total)),
             definition=definition,
+            out=out,
+            engine=engine,
         )
     scores = [score for _, score in results]
     table = summarize_scores(scores)
     left_out, vehicle_steps = count_left_out(results), count_vehicle_steps(results)
-    if out:
-        save_results(out, results)
     if as_json:
         print_json(
             {
@@ -202,6 +231,21 @@ def score_rollout(
         print_table(f"{file.name}, definition {definition}", ["figure", "value"], list(figures.items()))
 
 
+def _limits(isolate: Isolation, timeout: float | None, memory: float | None) -> "PolicyLimits":
+    """What the policy may take. Limits that are given ask for a process of its own."""
+    from olt_closed_loop import PolicyLimits
+
+    given = timeout is not None or memory is not None
+    if given and isolate == "none":
+        raise typer.BadParameter("--policy-timeout and --policy-memory hold in a process; leave out --isolate none")
+    defaults = PolicyLimits()
+    return PolicyLimits(
+        isolate="process" if given else isolate,
+        call_seconds=defaults.call_seconds if timeout is None else timeout,
+        memory_bytes=defaults.memory_bytes if memory is None else round(memory * 2**30) or None,
+    )
+
+
 def _print_scores(title: str, table: "ScoreTable") -> None:
     from olt_toolkit.runtime.console import print_table
 
@@ -237,7 +281,7 @@ def _print_notes(
     for line in sorted({f"{score.scene}: not valid: {score.reason}" for score in scores if not score.valid}):
         print_line(line)
     for name, count in incidents.items():
-        if count:
+        if count and name in INCIDENT_WORDS:
             print_line(f"{INCIDENT_WORDS[name]}: {count} times")
     for way, count in vehicle_steps.items():
         print_line(f"vehicle moved by {way} in {count} steps")

@@ -112,14 +112,20 @@ def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition:
     """
     if rollout.scene != scene.name:
         raise InputError(f"rollout of scene {rollout.scene} cannot be scored on scene {scene.name}; give its own scene")
+    if rollout.failure:
+        return score_failed(rollout, definition)
     unscored = RolloutScore(scene.name, scene.category, rollout.policy, rollout.seed, definition)
     unscored = replace(unscored, rollout_incidents=vars(rollout.incidents).copy())
     finite = np.isfinite(rollout.states).all(axis=1) & np.isfinite(rollout.heights)
-    if rollout.failure:
-        return replace(unscored, reason=rollout.failure)
     if not finite.all():
         return replace(unscored, reason=f"the state at {rollout.timestamps_us[np.argmin(finite)]} us is not finite")
     return _score(record_rollout(scene, rollout), unscored, skip)
+
+
+def score_failed(rollout: Rollout, definition: Definition = "strict") -> RolloutScore:
+    """What a rollout that failed is worth; it may have no scene at all."""
+    unscored = RolloutScore(rollout.scene, rollout.category, rollout.policy, rollout.seed, definition)
+    return replace(unscored, reason=rollout.failure, rollout_incidents=vars(rollout.incidents).copy())
 
 
 def score_record(record: RolloutRecord, definition: Definition = "strict", skip: bool = True) -> RolloutScore:

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +28,21 @@ def make_policy(spec: str) -> Policy:
     Raises:
         InputError: no package brings a policy of that name, or it does not take the argument.
     """
-    name, _, argument = spec.partition(":")
+    loader: PolicyLoader = find_policy(spec).load()
+    return loader(spec.partition(":")[2] or None)
+
+
+def find_policy(spec: str) -> EntryPoint:
+    """The entry point of the policy called NAME or NAME:ARGUMENT.
+
+    Raises:
+        InputError: no package brings a policy of that name.
+    """
+    name = spec.partition(":")[0]
     found = {entry.name: entry for entry in entry_points(group="olt.policies")}
     if name not in found:
         raise InputError(f"policy {name!r} is not known; choose from {', '.join(sorted(found))}")
-    loader: PolicyLoader = found[name].load()
-    return loader(argument or None)
+    return found[name]
 
 
 @dataclass(frozen=True)
