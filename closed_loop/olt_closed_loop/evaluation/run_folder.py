@@ -211,7 +211,7 @@ def _hash_path(path: Path) -> str | None:
     return hashed.hexdigest()
 
 
-def _hash_value(value: Any, hashed: "hashlib._Hash") -> None:
+def _hash_value(value: Any, hashed: "hashlib.blake2b") -> None:
     """Take in a value of plain types, arrays and dataclasses, with what each is."""
     hashed.update(type(value).__name__.encode())
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
@@ -242,7 +242,7 @@ def _only_writer(path: Path) -> Iterator[None]:
         lock = (path / ".lock").open("w")
     with lock:
         try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError as error:
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no process of a policy inherits it
+        except (BlockingIOError, PermissionError) as error:
             raise InputError(f"{path}: another process runs in this folder; wait until it is done") from error
         yield

@@ -92,7 +92,7 @@ def check_plans(xyz: Array, rotation: Array) -> list[Answer]:
             np.sum(first * second, axis=-1),
             np.linalg.norm(np.cross(first, second) - third, axis=-1),
         ]
-        bent = np.abs(errors).max(axis=(0, 2))
+        bent = np.max(np.abs(np.stack(errors)), axis=(0, 2))
     answers: list[Answer] = []
     for row in range(len(xyz)):
         if not finite[row]:

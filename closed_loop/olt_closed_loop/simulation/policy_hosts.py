@@ -194,7 +194,7 @@ def _guard(call: Callable[[], Any]) -> tuple[Any, PolicyFault | None]:
     except SystemExit as error:
         if error.code == _TOLD_TO_STOP:
             raise
-        return None, PolicyFault("policy_exits", f"called for an exit ({word_error(error)})")
+        return None, PolicyFault("policy_exits", "called for an exit", word_error(error))
     except BaseException as error:  # whatever a foreign policy raises ends its own rollout and no other
         return None, PolicyFault("policy_errors", f"raised {type(error).__name__}", word_error(error))
     finally:
@@ -237,7 +237,7 @@ def _numpy_state() -> tuple[Any, ...]:
 def _changed(given: object, shown: object) -> PolicyFault | None:
     """The fault of a policy that changed what it was shown, a copy of what is given."""
     for name, value in vars(given).items():
-        now = vars(shown).get(name)
+        now: Any = vars(shown).get(name)
         floats = isinstance(value, np.ndarray) and value.dtype.kind == "f"  # of which NaN fill up routes
         if now is not value and not np.array_equal(now, value, equal_nan=floats):
             return PolicyFault("inputs_changed", f"changed its observation's {name}", "let it work on a copy")

@@ -9,6 +9,7 @@ then 64 * (3 + 9) float64 for each answer that is a plan.
 """
 
 import ctypes
+import faulthandler
 import json
 import os
 import pickle
@@ -195,7 +196,7 @@ def _serve(connection: Connection, theirs: Connection, source: PolicySource, lim
     except InputError as error:
         policy, told = None, {"refused": str(error)}
     except SystemExit as error:
-        policy, told = None, {"fault": asdict(PolicyFault("policy_exits", f"called for an exit ({word_error(error)})"))}
+        policy, told = None, {"fault": asdict(PolicyFault("policy_exits", "called for an exit", word_error(error)))}
     except Exception as error:
         fault = PolicyFault("policy_errors", f"raised {type(error).__name__} when it was built", word_error(error))
         policy, told = None, {"fault": asdict(fault)}
@@ -219,6 +220,7 @@ def _set_apart() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, signal.SIG_DFL)
+    faulthandler.disable()
     nowhere = os.open(os.devnull, os.O_RDWR)
     for standard in range(3):
         os.dup2(nowhere, standard)
