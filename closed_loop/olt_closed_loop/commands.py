@@ -31,6 +31,22 @@ INCIDENT_WORDS = {
 }
 """What those counts of `rollouts.rollout.Incidents` that are no good news are called in print."""
 
+LISTED = {
+    "rollout": "rollout",
+    "scene": "scene",
+    "seed": "seed",
+    "score": "score",
+    "reason": "reason",
+    "plans_asked": "plans",
+    "plans_refused": "refused",
+    "solves": "solves",
+    "solves_failed": "failed",
+    "solves_late": "late",
+    "saturations": "saturated",
+    "largest_deviation_m": "off the plan (m)",
+}
+"""Columns of the list of rollouts."""
+
 app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and score them.")
 
 
@@ -140,6 +156,43 @@ def run(
         _print_notes(scores, table.overall.rollout_incidents, vehicle_steps, left_out)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
+
+
+@app.command()
+def show(
+    run: Annotated[Path, typer.Argument(help="Folder of `olt closed-loop run --out`.")],
+    rollout: Annotated[str | None, typer.Argument(help="Its number or SCENE:SEED; without, all are listed.")] = None,
+    draw_all: Annotated[bool, typer.Option("--all", help="Draw every rollout.")] = False,
+    video: Annotated[bool, typer.Option(help="Make an mp4 too.")] = True,
+    scene: Annotated[str | None, typer.Option(help="The scene, if the run's own is not where it was.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for pictures and videos; by default RUN/shown.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """List the finished rollouts of a run, or draw one: from above, over time, and as a video."""
+    from olt_closed_loop.evaluation.show import find_rollouts, show_rollouts, summarize_rollout
+    from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
+
+    if rollout is not None and draw_all:
+        raise typer.BadParameter("give either a rollout or --all")
+    found = find_rollouts(run, rollout)
+    shown = []
+    if rollout is not None or draw_all:
+        with make_progress() as progress:
+            task = progress.add_task("show", total=len(found))
+            for one in found:
+                shown += show_rollouts([one], out or run / "shown", scene, video)
+                progress.advance(task)
+    rows = [summarize_rollout(one) for one in found]
+    files = [str(path) for one in shown for path in (one.picture, one.video) if path]
+    if as_json:
+        print_json({"rollouts": rows, "files": files})
+        return
+    if rollout is not None:
+        print_table(f"rollout {rows[0]['rollout']}", ["figure", "value"], list(rows[0].items()))
+    else:
+        print_table(str(run), list(LISTED.values()), [[row[name] for name in LISTED] for row in rows])
+    for file in files:
+        print_line(file)
 
 
 @app.command()

@@ -67,11 +67,20 @@ class RunFolder:
         Raises:
             InputError: a file of rollouts is damaged.
         """
+        found = self.finished().items()
+        return {index: rollout for index, rollout in found if rollout.failure_event != "scene_refused"}
+
+    def finished(self) -> dict[int, Rollout]:
+        """All finished rollouts by number.
+
+        Raises:
+            InputError: a file of rollouts is damaged.
+        """
         whole = self._path / ROLLOUTS
         found = dict(enumerate(load_rollouts(whole))) if whole.exists() else {}
         for part in sorted(self.parts.glob("*.parquet")):
             (found[int(part.stem)],) = load_rollouts(part)
-        return {index: rollout for index, rollout in found.items() if rollout.failure_event != "scene_refused"}
+        return found
 
     def complete(self, results: Sequence[tuple[Rollout, RolloutScore]]) -> None:
         """Write the results in place of the parts."""
@@ -116,6 +125,46 @@ def open_run(path: Path, options: dict[str, Any]) -> Iterator[RunFolder]:
         yield RunFolder(path.resolve())
 
 
+@dataclasses.dataclass(frozen=True)
+class KeptRollout:
+    """A finished rollout in the folder of a run.
+
+    Attributes:
+        index: its number.
+        rollout: what was driven.
+        score: as `RolloutScore.to_dict` has it; None while the run is not complete.
+        scene: what was driven, as `describe_scene` has it.
+        definition: how the run is scored.
+    """
+
+    index: int
+    rollout: Rollout
+    score: dict[str, Any] | None
+    scene: dict[str, str | None]
+    definition: str
+
+
+def read_finished(path: Path) -> list[KeptRollout]:
+    """The finished rollouts of a run, in order, whether or not it is complete or at work.
+
+    Raises:
+        InputError: there is no run in the folder, or a file is damaged.
+    """
+    options = read_run(path)
+    scores = read_json(path / SCORES, "scores")["scores"] if (path / SCORES).exists() else None
+    found = RunFolder(path).finished()
+    return [
+        KeptRollout(
+            index,
+            found[index],
+            scores[index] if scores else None,
+            options["scenes"][index // options["--rollouts"]],
+            options["--definition"],
+        )
+        for index in sorted(found)
+    ]
+
+
 def read_run(path: Path) -> dict[str, Any]:
     """The options of the run in a folder.
 
@@ -143,7 +192,7 @@ def describe_run(
     """All that the results depend on, by the name of the option; scenes, and policies in files, with a hash."""
     flat = {_OPTIONS.get(name, name): value for name, value in _flatten(settings) if name != "limits.isolate"}
     return {
-        "scenes": [_describe_scene(source) for source in sources],
+        "scenes": [describe_scene(source) for source in sources],
         "--policy": _describe_policy(policy),
         "--rollouts": rollouts,
         "--seed": seed,
@@ -179,7 +228,8 @@ def _flatten(record: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
             yield f"{prefix}{field.name}", value
 
 
-def _describe_scene(source: str | Scene) -> dict[str, str | None]:
+def describe_scene(source: str | Scene) -> dict[str, str | None]:
+    """A scene by its source and a hash of what is in it; one in memory by its name and a hash."""
     if isinstance(source, str):
         return {"source": source, "hash": _hash_path(Path(source))}
     hashed = hashlib.blake2b(digest_size=16)
