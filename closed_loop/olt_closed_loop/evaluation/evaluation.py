@@ -147,8 +147,9 @@ class _Job:
         scenes: dict[int, Scene] = {}
         missing = [run for run in runs if not run.kept]
         name = self._policy_name(missing)
+        checked = {_key(run.source): _check_scene(run.source, self.settings) for run in _one_a_scene(missing)}
         for run in missing:
-            scene = _check_scene(run.source, self.settings)
+            scene = checked[_key(run.source)]
             if isinstance(scene, Scene):
                 scenes[run.index] = scene
             else:
@@ -225,6 +226,14 @@ def _not_driven(run: _Run, policy: str, event: str, reason: str) -> Rollout:
     except Exception:  # that is the reason
         name, category = str(run.source), "unknown"
     return Rollout.not_driven(name, category, policy, run.seed, event, reason)
+
+
+def _key(source: SceneSource) -> str | int:
+    return source if isinstance(source, str) else id(source)
+
+
+def _one_a_scene(runs: Sequence[_Run]) -> list[_Run]:
+    return list({_key(run.source): run for run in runs}.values())
 
 
 def _check_scene(source: SceneSource, settings: SimulationSettings) -> Scene | str:

@@ -84,15 +84,9 @@ def check_plans(xyz: Array, rotation: Array) -> list[Answer]:
     # Numbers near the largest overflow to infinity or NaN, which no comparison below lets pass.
     with np.errstate(over="ignore", invalid="ignore"):
         finite = np.isfinite(xyz).all(axis=(1, 2)) & np.isfinite(rotation).all(axis=(1, 2, 3))
-        steps = np.linalg.norm(np.diff(xyz, axis=1, prepend=0.0), axis=2).max(axis=1)
-        first, second, third = np.moveaxis(rotation, -1, 0)
-        errors = [
-            np.sum(first * first, axis=-1) - 1.0,
-            np.sum(second * second, axis=-1) - 1.0,
-            np.sum(first * second, axis=-1),
-            np.linalg.norm(np.cross(first, second) - third, axis=-1),
-        ]
-        bent = np.max(np.abs(np.stack(errors)), axis=(0, 2))
+        moves = np.diff(xyz, axis=1, prepend=0.0)
+        steps = np.sqrt(np.sum(moves * moves, axis=2).max(axis=1))
+        bent = _distance_from_rotations(rotation).max(axis=(1, 2, 3))
     answers: list[Answer] = []
     for row in range(len(xyz)):
         if not finite[row]:
@@ -106,6 +100,20 @@ def check_plans(xyz: Array, rotation: Array) -> list[Answer]:
         else:
             answers.append(PlannedTrajectory(xyz[row], rotation[row]))
     return answers
+
+
+def _distance_from_rotations(matrices: Array) -> Array:
+    """By how much the products of the columns of matrices (..., 3, 3) differ from a rotation's, (..., 2, 3).
+
+    The third column is to be the vector product of the others, and these of unit length and at right angles.
+    """
+    x, y, z = np.moveaxis(matrices, -2, 0)  # each (..., 3): the columns' x, y, z
+    first, second, third = (x[..., 0], y[..., 0], z[..., 0]), (x[..., 1], y[..., 1], z[..., 1]), matrices[..., 2]
+    product = [first[i - 2] * second[i - 1] - first[i - 1] * second[i - 2] for i in range(3)]
+    lengths = x * x + y * y + z * z
+    across = x[..., 0] * x[..., 1] + y[..., 0] * y[..., 1] + z[..., 0] * z[..., 1]
+    plane = [lengths[..., 0] - 1.0, lengths[..., 1] - 1.0, across]
+    return np.abs(np.stack([np.stack(product, axis=-1) - third, np.stack(plane, axis=-1)], axis=-2))
 
 
 def _wrong_kind(answer: object) -> str:

