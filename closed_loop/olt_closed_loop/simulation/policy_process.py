@@ -190,6 +190,8 @@ def _serve(connection: Connection, theirs: Connection, source: PolicySource, lim
     _set_apart()
     _limit_memory(limits.memory_bytes)
     use_one_thread()
+    if "torch" in sys.modules:  # whose threads are not in a fork: more than one would wait for ever
+        sys.modules["torch"].set_num_threads(1)
     try:
         policy = LocalPolicy(source)
         told = {"traits": asdict(policy.traits)}
