@@ -24,7 +24,7 @@ _MOST_LABELS = 8
 
 
 def draw_drive(view: DriveView, path: Path) -> None:
-    """Write a PNG: the drive from above, and speed, commands and deviation from the plan over time with the events."""
+    """Write a PNG: the drive from above, and speed, commands and deviation from the plan over time with the moments."""
     import matplotlib
 
     matplotlib.use("Agg")
@@ -90,14 +90,14 @@ def _draw_boxes(axes: "Axes", view: DriveView, time_us: int, strong: bool = Fals
 
 
 def _draw_contacts(axes: "Axes", view: DriveView) -> None:
-    for event in view.events:
-        if event.agent_id is None or event.agent_id not in view.agents:
+    for moment in view.moments:
+        if moment.agent_id is None or moment.agent_id not in view.agents:
             continue
-        color = BAD if event.bad else "#7d4cdb"
-        axes.plot(*outline(view.ego, event.time_us).T, color=color, lw=1.8, zorder=6)
-        axes.plot(*outline(view.agents[event.agent_id], event.time_us).T, color=color, lw=1.8, zorder=6)
-        x, y = view.ego.at(np.array([event.time_us]), 2)[0]
-        label = f"{view.seconds(event.time_us):.2f} s: {event.text}"
+        color = BAD if moment.bad else "#7d4cdb"
+        axes.plot(*outline(view.ego, moment.time_us).T, color=color, lw=1.8, zorder=6)
+        axes.plot(*outline(view.agents[moment.agent_id], moment.time_us).T, color=color, lw=1.8, zorder=6)
+        x, y = view.ego.at(np.array([moment.time_us]), 2)[0]
+        label = f"{view.seconds(moment.time_us):.2f} s: {moment.text}"
         axes.annotate(label, (x, y), (12, -18), textcoords="offset points", color=color, fontsize=8, zorder=7)
 
 
@@ -123,11 +123,11 @@ def _draw_over_time(speed: "Axes", commands: "Axes", deviation: "Axes", view: Dr
     for axes in (speed, commands, deviation):
         axes.grid(visible=True, alpha=0.3)
         axes.set_xlim(seconds[0], seconds[-1] + 0.1)
-        for event in view.events:
-            axes.axvline(view.seconds(event.time_us), color=BAD if event.bad else RECORDED, lw=0.8, ls=":")
-    for event in view.events[:_MOST_LABELS]:
-        place = view.seconds(event.time_us), speed.get_ylim()[0]
-        text = event.text if len(event.text) <= 45 else f"{event.text[:42]}..."
+        for moment in view.moments:
+            axes.axvline(view.seconds(moment.time_us), color=BAD if moment.bad else RECORDED, lw=0.8, ls=":")
+    for moment in view.moments[:_MOST_LABELS]:
+        place = view.seconds(moment.time_us), speed.get_ylim()[0]
+        text = moment.text if len(moment.text) <= 45 else f"{moment.text[:42]}..."
         speed.annotate(text, place, (2, 4), textcoords="offset points", rotation=90, fontsize=7, va="bottom")
 
 

@@ -1,4 +1,4 @@
-"""A rollout as a video: from above, around the ego, with plan, agents, contacts and events."""
+"""A rollout as a video: from above, around the ego, with plan, agents, contacts and moments."""
 
 from pathlib import Path
 
@@ -55,7 +55,7 @@ def draw_frame(view: DriveView, row: int) -> NDArray[np.uint8]:
     _line(image, scene.ego.positions, pose, _PATH)
     if len(plans := np.flatnonzero(rollout.plan_times_us <= time_us)):
         _line(image, rollout.plans[plans[-1]], pose, _PLAN, 2)
-    touched = {event.agent_id for event in view.events if 0 <= time_us - event.time_us <= _LINGER_US}
+    touched = {moment.agent_id for moment in view.moments if 0 <= time_us - moment.time_us <= _LINGER_US}
     for name, box in view.agents.items():
         if box.covers(np.array([time_us]))[0]:
             _box(image, outline(box, time_us), pose, _BAD if name in touched else _AGENT)
@@ -88,7 +88,7 @@ def _write(image: NDArray[np.uint8], view: DriveView, row: int) -> None:
     driver = "recording" if time_us < rollout.handover_us else rollout.policy
     lines = [
         f"{view.seconds(time_us):5.1f} s   {rollout.states[row, STATE.speed]:5.1f} m/s   {driver}",
-        *(event.text for event in view.events if 0 <= time_us - event.time_us <= _LINGER_US + STEP_US),
+        *(moment.text for moment in view.moments if 0 <= time_us - moment.time_us <= _LINGER_US + STEP_US),
     ]
     for number, text in enumerate(lines[:6]):
         place = (12, 26 + 22 * number)

@@ -16,7 +16,7 @@ from olt_toolkit.policy.contract import STEP_US
 
 
 @dataclass(frozen=True)
-class DriveEvent:
+class Moment:
     """A moment of a drive, in words, with the agent that it concerns, if any; `bad` where it costs the score."""
 
     time_us: int
@@ -34,7 +34,7 @@ class DriveView:
         rollout, score: what is shown.
         ego: the box of the ego.
         agents: the boxes of the agents, by id.
-        events: in order of time.
+        moments: in order of time.
     """
 
     scene: Scene
@@ -42,7 +42,7 @@ class DriveView:
     score: RolloutScore
     ego: MovingBox
     agents: dict[str, MovingBox]
-    events: tuple[DriveEvent, ...]
+    moments: tuple[Moment, ...]
 
     def seconds(self, time_us: int) -> float:
         """Time since the start of the recording."""
@@ -75,7 +75,7 @@ def view_drive(scene: Scene, rollout: Rollout, score: RolloutScore) -> DriveView
         score=score,
         ego=ego_box(record_rollout(scene, rollout)),
         agents={agent.id: agent_box(agent) for agent in driven.agents},
-        events=tuple(sorted(_list_events(rollout, score), key=lambda event: event.time_us)),
+        moments=tuple(sorted(_list_moments(rollout, score), key=lambda moment: moment.time_us)),
     )
 
 
@@ -103,23 +103,23 @@ def largest_deviation(rollout: Rollout) -> float | None:
     return None if np.isnan(deviations).all() else float(np.nanmax(deviations))
 
 
-def _list_events(rollout: Rollout, score: RolloutScore) -> list[DriveEvent]:
-    events = [DriveEvent(rollout.handover_us, "hand-over")]
+def _list_moments(rollout: Rollout, score: RolloutScore) -> list[Moment]:
+    moments = [Moment(rollout.handover_us, "hand-over")]
     for hit in score.collisions:
         fault = "at fault" if hit.at_fault else "not at fault"
-        events.append(
-            DriveEvent(
+        moments.append(
+            Moment(
                 hit.time_us, f"{hit.side} contact with {hit.label} {hit.agent_id}, {fault}", hit.at_fault, hit.agent_id
             )
         )
     if score.offroad_us is not None:
-        events.append(DriveEvent(score.offroad_us, "off the road", bad=True))
+        moments.append(Moment(score.offroad_us, "off the road", bad=True))
     if score.left_path_us is not None:
-        events.append(DriveEvent(score.left_path_us, "4 m from the recorded path"))
-    events += [DriveEvent(int(time_us), "plan refused") for time_us in _refused_us(rollout)]
+        moments.append(Moment(score.left_path_us, "4 m from the recorded path"))
+    moments += [Moment(int(time_us), "plan refused") for time_us in _refused_us(rollout)]
     if rollout.failure:
-        events.append(DriveEvent(int(rollout.timestamps_us[-1]), rollout.failure, bad=True))
-    return events
+        moments.append(Moment(int(rollout.timestamps_us[-1]), rollout.failure, bad=True))
+    return moments
 
 
 def _refused_us(rollout: Rollout) -> NDArray[np.int64]:

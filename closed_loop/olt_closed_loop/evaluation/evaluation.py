@@ -16,7 +16,7 @@ from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.definitions import Definition, RolloutScore, score_failed, score_rollout
 from olt_closed_loop.simulation.answers import PolicyFault, word_error
 from olt_closed_loop.simulation.closed_loop import drive
-from olt_closed_loop.simulation.policy_hosts import PolicyHost, PolicySource, is_of_package
+from olt_closed_loop.simulation.policy_hosts import PolicyHost, PolicyLimits, PolicySource, is_of_package
 from olt_closed_loop.simulation.policy_process import PolicyNotStarted, host_policy
 from olt_closed_loop.simulation.running_rollout import RolloutRequest
 from olt_closed_loop.simulation.settings import SimulationSettings
@@ -59,7 +59,7 @@ def run_closed_loop(
     """Drive every scene `rollouts` times and score it, provided that the gate holds on it.
 
     A scene that cannot be loaded, or on which the gate fails, loses its own rollouts only: they are not valid, with the
-    event "scene_refused" and the reason. What a policy does wrong ends its own rollout only (`simulation.closed_loop`).
+    kind "scene_refused" and the reason. What a policy does wrong ends its own rollout only (`simulation.closed_loop`).
 
     Args:
         scenes: what to drive; a folder of recorded drives stands for each of them.
@@ -126,8 +126,8 @@ def _refuse_unpicklable(policy: PolicySource, workers: int, engine: Engine) -> N
 
 
 def _refuse_if_all_scenes_fail(results: Sequence[Result]) -> None:
-    reasons = {rollout.failure: None for rollout, _ in results if rollout.failure_event == "scene_refused"}
-    if results and all(rollout.failure_event == "scene_refused" for rollout, _ in results):
+    reasons = {rollout.failure: None for rollout, _ in results if rollout.failure_kind == "scene_refused"}
+    if results and all(rollout.failure_kind == "scene_refused" for rollout, _ in results):
         raise InputError("; ".join(map(str, reasons)))
 
 
@@ -172,7 +172,7 @@ class _Job:
             for run in runs:
                 scene = scenes[run.index]
                 reason = f"the policy {host.what}{f': {host.detail}' if host.detail else ''}"
-                yield run, Rollout.not_driven(scene.name, scene.category, name, run.seed, host.event, reason)
+                yield run, Rollout.not_driven(scene.name, scene.category, name, run.seed, host.kind, reason)
         elif host.traits.cameras:  # one after another, so that one scene's textures are held at a time
             from olt_closed_loop.sensors.ray_casting import rig_sensors
 
@@ -219,13 +219,13 @@ def _name_of(policy: PolicySource) -> str:
     return named if isinstance(named, str) else getattr(policy, "__name__", type(policy).__name__)
 
 
-def _not_driven(run: _Run, policy: str, event: str, reason: str) -> Rollout:
+def _not_driven(run: _Run, policy: str, kind: str, reason: str) -> Rollout:
     try:
         scene = load_scene(run.source)
         name, category = scene.name, scene.category
     except Exception:  # that is the reason
         name, category = str(run.source), "unknown"
-    return Rollout.not_driven(name, category, policy, run.seed, event, reason)
+    return Rollout.not_driven(name, category, policy, run.seed, kind, reason)
 
 
 def _key(source: SceneSource) -> str | int:
@@ -238,9 +238,10 @@ def _one_a_scene(runs: Sequence[_Run]) -> list[_Run]:
 
 def _check_scene(source: SceneSource, settings: SimulationSettings) -> Scene | str:
     """The scene if it can be driven and the gate holds on it, or why not."""
+    trusted = replace(settings, limits=PolicyLimits(isolate="none"))  # the gate drives without a foreign policy
     try:
         scene = load_scene(source)
-        pass_gate([scene], settings)
+        pass_gate([scene], trusted)
     except InputError as error:
         return str(error)
     except Exception as error:  # whatever is wrong with one scene, the others are driven

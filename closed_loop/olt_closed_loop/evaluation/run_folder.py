@@ -68,7 +68,7 @@ class RunFolder:
             InputError: a file of rollouts is damaged.
         """
         found = self.finished().items()
-        return {index: rollout for index, rollout in found if rollout.failure_event != "scene_refused"}
+        return {index: rollout for index, rollout in found if rollout.failure_kind != "scene_refused"}
 
     def finished(self) -> dict[int, Rollout]:
         """All finished rollouts by number.

@@ -50,7 +50,7 @@ def summarize_rollout(kept: KeptRollout) -> dict[str, Any]:
         "policy": rollout.policy,
         "score": score.get("score"),
         "reason": rollout.failure or score.get("reason"),
-        "event": rollout.failure_event,
+        "failure_kind": rollout.failure_kind,
         "seconds": 1e-6 * float(rollout.timestamps_us[-1] - rollout.timestamps_us[0]) if len(rollout.states) else 0.0,
         "largest_deviation_m": largest_deviation(rollout),
         **vars(rollout.incidents),

@@ -76,7 +76,7 @@ class Rollout:
         plans: (m, 65, 3) float64 x, y, yaw in the world at the plan's time + 0, 0.1, ... 6.4 s.
         incidents: what went wrong, counted.
         failure: why the rollout is not valid, or None.
-        failure_event: what kind of failure that is: the name of a count of `Incidents`, "scene_refused" or None.
+        failure_kind: what kind of failure that is: the name of a count of `Incidents`, "scene_refused" or None.
         rendered_images: number of images rendered for each camera; empty when none was.
         left_out: what was not computed, and why.
         vehicle_steps: steps of the vehicle by model and method (`vehicle.integrators`), such as "kinematic midpoint".
@@ -98,7 +98,7 @@ class Rollout:
     plans: Array
     incidents: Incidents = Incidents()
     failure: str | None = None
-    failure_event: str | None = None
+    failure_kind: str | None = None
     rendered_images: dict[str, int] = field(default_factory=dict)
     left_out: tuple[Omission, ...] = ()
     vehicle_steps: dict[str, int] = field(default_factory=dict)
@@ -107,7 +107,7 @@ class Rollout:
     reacted: tuple[Agent, ...] = ()
 
     @classmethod
-    def not_driven(cls, scene: str, category: str, policy: str, seed: int, event: str, reason: str) -> "Rollout":
+    def not_driven(cls, scene: str, category: str, policy: str, seed: int, kind: str, reason: str) -> "Rollout":
         """The rollout that failed before its first step; it has no times and no states."""
         return cls(
             scene=scene,
@@ -121,9 +121,9 @@ class Rollout:
             controls=np.zeros((0, 2)),
             plan_times_us=np.zeros(0, dtype=np.int64),
             plans=np.zeros((0, 0, 3)),
-            incidents=Incidents(**({event: 1} if event in INCIDENTS else {})),
+            incidents=Incidents(**({kind: 1} if kind in INCIDENTS else {})),
             failure=reason,
-            failure_event=event,
+            failure_kind=kind,
         )
 
     def driven_scene(self, scene: Scene) -> Scene:

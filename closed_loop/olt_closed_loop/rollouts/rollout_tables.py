@@ -2,7 +2,7 @@
 
 | column | what |
 | --- | --- |
-| scene, category, policy, traffic, failure, failure_event | text, the last two absent where the rollout is valid |
+| scene, category, policy, traffic, failure, failure_kind | text, the last two absent where the rollout is valid |
 | seed, handover_us | int64 |
 | timestamps_us, plan_times_us | lists of int64 |
 | states, heights, controls, plans | lists of float64, the last index of the arrays in `Rollout` running first |
@@ -30,7 +30,7 @@ from olt_toolkit.clips.parquet_files import open_parquet, read_rows
 FILE_VERSION = 3
 """Of files of rollouts; those of other versions are refused. Up to 2 they were JSON."""
 
-_TEXTS = ("scene", "category", "policy", "traffic", "failure", "failure_event")
+_TEXTS = ("scene", "category", "policy", "traffic", "failure", "failure_kind")
 _NUMBERS = ("seed", "handover_us")
 _TIMES = ("timestamps_us", "plan_times_us")
 _ARRAYS = ("states", "heights", "controls", "plans")

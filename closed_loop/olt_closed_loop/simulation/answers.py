@@ -9,7 +9,7 @@ from olt_closed_loop.control.plans import MAX_PLAN_SPEED, PlanRefused
 from olt_generator.poses import Array
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, PlannedTrajectory
 
-PolicyEvent = Literal[
+FaultKind = Literal[
     "policy_errors",
     "policy_exits",
     "policy_deaths",
@@ -30,7 +30,7 @@ _MOST_CHARACTERS = 500
 class PolicyFault:
     """What a policy did that ends its rollout: the kind, and in words what "the policy" did, and more of it."""
 
-    event: PolicyEvent
+    kind: FaultKind
     what: str
     detail: str = ""
 
@@ -83,7 +83,7 @@ def check_plans(xyz: Array, rotation: Array) -> list[Answer]:
     xyz, rotation = np.array(xyz, dtype=np.float64), np.array(rotation, dtype=np.float64)
     # Numbers near the largest overflow to infinity or NaN, which no comparison below lets pass.
     with np.errstate(over="ignore", invalid="ignore"):
-        finite = np.isfinite(xyz).all(axis=(1, 2)) & np.isfinite(rotation).all(axis=(1, 2, 3))
+        finite = np.logical_and(np.isfinite(xyz).all(axis=(1, 2)), np.isfinite(rotation).all(axis=(1, 2, 3)))
         moves = np.diff(xyz, axis=1, prepend=0.0)
         steps = np.sqrt(np.sum(moves * moves, axis=2).max(axis=1))
         bent = _distance_from_rotations(rotation).max(axis=(1, 2, 3))

@@ -82,7 +82,7 @@ class RunningRollout:
         self.times = step_times(self._scene, settings)
         self.incidents: Counter[str] = Counter()
         self.failure: str | None = None
-        self._event: str | None = None
+        self._failure_kind: str | None = None
         self._refused_in_a_row = 0
         self._parameters = settings.vehicle_of(self._scene)
         self._controller = TrackingController(self._parameters, settings.control)
@@ -192,11 +192,11 @@ class RunningRollout:
             )
 
     def _end_by(self, fault: PolicyFault, step: int) -> None:
-        self.incidents[fault.event] += 1
-        self._end(fault.event, fault.at(self.times[step] * 1e-6))
+        self.incidents[fault.kind] += 1
+        self._end(fault.kind, fault.at(self.times[step] * 1e-6))
 
-    def _end(self, event: str, reason: str) -> None:
-        self._event, self.failure = event, reason
+    def _end(self, kind: str, reason: str) -> None:
+        self._failure_kind, self.failure = kind, reason
 
     def move(self, step: int) -> None:
         """Drive one step; a plan with which control or vehicle cannot go on ends the rollout."""
@@ -264,7 +264,7 @@ class RunningRollout:
                 solves_given_up=solves.given_up,
             ),
             failure=self.failure,
-            failure_event=self._event,
+            failure_kind=self._failure_kind,
             rendered_images=dict.fromkeys(self._policy.cameras, self._rendered),
             left_out=(*self._left_out(), *self._stepper.left_out()),
             vehicle_steps={way: steps for way, (steps, _) in self._stepper.taken().items()},

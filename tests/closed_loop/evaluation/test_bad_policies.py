@@ -1,4 +1,4 @@
-"""Policies that do what no policy should: each ends its own rollouts, by a named event and without a score."""
+"""Policies that do what no policy should: each ends its own rollouts, by a named count and without a score."""
 
 import os
 import random
@@ -145,7 +145,7 @@ BAD = {
     "python": (change_python, "globals_changed", "the state of random"),
     "folder": (change_folder, "globals_changed", "working folder"),
 }
-"""What ends a rollout wherever the policy runs: the answer, the event, and the words."""
+"""What ends a rollout wherever the policy runs: the answer, the count, and the words."""
 
 BAD_IN_PROCESS = {
     "interrupt": (raising(KeyboardInterrupt()), "policy_deaths", "exit code 1"),
@@ -177,11 +177,11 @@ def good(straight_scene):
     return without_timings(run_closed_loop(scenes_around(straight_scene), Steady(), 1, settings=SHORT))
 
 
-def check_only_the_bad_one_fails(results, good, event, words):
+def check_only_the_bad_one_fails(results, good, counted, words):
     (_, bad, _) = results
     rollout, score = bad
-    assert rollout.failure_event == event and getattr(rollout.incidents, event) >= 1
-    assert score.rollout_incidents[event] >= 1
+    assert rollout.failure_kind == counted and getattr(rollout.incidents, counted) >= 1
+    assert score.rollout_incidents[counted] >= 1
     assert score.score is None and not score.valid
     assert re.search(words, score.reason), score.reason
     assert without_timings([results[0], results[2]]) == [good[0], good[2]]
@@ -192,18 +192,18 @@ def check_only_the_bad_one_fails(results, good, event, words):
 @pytest.mark.parametrize("kind", BAD)
 @pytest.mark.parametrize("isolate", ["none", "process"])
 def test_what_a_bad_policy_does_ends_its_own_rollout(straight_scene, good, kind, isolate):
-    change, event, words = BAD[kind]
+    change, counted, words = BAD[kind]
     folder, state = os.getcwd(), random.getstate()
     results = drive_bad(scenes_around(straight_scene), change, replace(LIMITED, isolate=isolate))
-    check_only_the_bad_one_fails(results, good, event, words)
+    check_only_the_bad_one_fails(results, good, counted, words)
     assert os.getcwd() == folder and random.getstate() == state
 
 
 @pytest.mark.parametrize("kind", BAD_IN_PROCESS)
 def test_what_a_bad_policy_does_to_its_process_ends_its_own_rollout(straight_scene, good, kind):
-    change, event, words = BAD_IN_PROCESS[kind]
+    change, counted, words = BAD_IN_PROCESS[kind]
     limits = replace(LIMITED, call_seconds=1.5) if kind == "hang" else LIMITED
-    check_only_the_bad_one_fails(drive_bad(scenes_around(straight_scene), change, limits), good, event, words)
+    check_only_the_bad_one_fails(drive_bad(scenes_around(straight_scene), change, limits), good, counted, words)
 
 
 def test_a_policy_that_floods_its_output_is_not_heard(straight_scene, good, capfd):
@@ -230,7 +230,7 @@ def test_a_stated_share_of_refused_plans_fails_the_rollout(straight_scene):
     assert few.incidents.plans_refused == 5 and valued.score == 1.0
     ((many, unvalued),) = run_closed_loop(scenes, Refusing(9), 1)
     assert unvalued.score is None and unvalued.reason == "7 of 63 plans were refused, more than 10 %"
-    assert many.failure_event == "plans_refused"
+    assert many.failure_kind == "plans_refused"
     allowed = SimulationSettings(limits=PolicyLimits(refused_share=0.2))
     assert run_closed_loop(scenes, Refusing(9), 1, settings=allowed)[0][1].score == 1.0
 
@@ -250,7 +250,7 @@ class BadInBatch(BatchPolicy):
 
 
 @pytest.mark.parametrize(
-    ("spoil", "event"),
+    ("spoil", "kind"),
     [
         (lambda plans: None, "wrong_answers"),
         (lambda plans: PlannedTrajectory(plans.xyz[:0], plans.rotation[:0]), "wrong_answers"),
@@ -258,14 +258,14 @@ class BadInBatch(BatchPolicy):
         (lambda plans: np.random.seed(1), "globals_changed"),  # noqa: NPY002
     ],
 )
-def test_one_rollout_of_a_batch_fails_alone(straight_scene, spoil, event):
+def test_one_rollout_of_a_batch_fails_alone(straight_scene, spoil, kind):
     scenes = [
         straight_scene(),
         replace(straight_scene(speed=4.0), name="slow"),
         replace(straight_scene(), name="last"),
     ]
     (first, _), (slow, _), (last, _) = run_closed_loop(scenes, BadInBatch(spoil), 1, settings=SHORT)
-    assert (first.failure, slow.failure_event, last.failure) == (None, event, None)
+    assert (first.failure, slow.failure_kind, last.failure) == (None, kind, None)
 
 
 class Forgetful:
@@ -341,16 +341,16 @@ def build_with_error():
 
 
 @pytest.mark.parametrize(
-    ("factory", "event", "words"),
+    ("factory", "kind", "words"),
     [
         (build_badly, "policy_deaths", "ended its process with exit code 9"),
         (build_with_error, "policy_errors", "raised RuntimeError when it was built: no weights"),
         (lambda: sys.exit(2), "policy_exits", "called for an exit"),
     ],
 )
-def test_a_policy_that_cannot_be_built_fails_every_rollout(straight_scene, factory, event, words):
+def test_a_policy_that_cannot_be_built_fails_every_rollout(straight_scene, factory, kind, words):
     for rollout, score in run_closed_loop(scenes_around(straight_scene), factory, 1, settings=SHORT):
-        assert rollout.failure_event == event and getattr(rollout.incidents, event) == 1
+        assert rollout.failure_kind == kind and getattr(rollout.incidents, kind) == 1
         assert words in score.reason and score.score is None
 
 

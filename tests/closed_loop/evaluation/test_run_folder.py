@@ -178,7 +178,7 @@ def test_one_bad_scene_loses_itself_only(straight_scene, moving_agent, tmp_path)
     damaged = tmp_path / "damaged.usda"
     damaged.write_text("no scene")
     results = run_closed_loop([blocked, straight_scene(), str(damaged)], "route", 1, settings=SHORT, out=tmp_path / "o")
-    assert [(rollout.failure_event, score.score) for rollout, score in results] == [
+    assert [(rollout.failure_kind, score.score) for rollout, score in results] == [
         ("scene_refused", None),
         (None, 1.0),
         ("scene_refused", None),

@@ -45,14 +45,14 @@ def crash(straight_scene, moving_agent):
 
 
 def test_what_happened_is_told_in_order_with_its_agent(crash, straight_scene):
-    assert [event.text for event in crash.events] == ["hand-over", "front contact with automobile slow, at fault"]
-    hit = crash.events[1]
+    assert [moment.text for moment in crash.moments] == ["hand-over", "front contact with automobile slow, at fault"]
+    hit = crash.moments[1]
     assert (hit.bad, hit.agent_id, hit.time_us) == (True, "slow", crash.score.collisions[0].time_us)
     touching = outline(crash.ego, hit.time_us)[:, 0].max(), outline(crash.agents["slow"], hit.time_us)[:, 0].min()
     assert touching[0] == pytest.approx(touching[1], abs=1e-3)
     rollout = simulate(straight_scene(), Aside())
-    events = view_drive(straight_scene(), rollout, score_rollout(straight_scene(), rollout)).events
-    assert [(event.time_us, event.text) for event in events[:2]] == [
+    moments = view_drive(straight_scene(), rollout, score_rollout(straight_scene(), rollout)).moments
+    assert [(moment.time_us, moment.text) for moment in moments[:2]] == [
         (1_700_000, "hand-over"),
         (2_500_000, "plan refused"),
     ]
@@ -75,7 +75,7 @@ def test_a_frame_shows_the_ego_the_agents_and_what_touches(crash):
 
     blue, brown, red = (31, 111, 235), (154, 52, 18), (196, 33, 42)
     before = draw_frame(crash, 20)
-    row = int(np.searchsorted(crash.rollout.timestamps_us, crash.events[1].time_us)) + 1
+    row = int(np.searchsorted(crash.rollout.timestamps_us, crash.moments[1].time_us)) + 1
     during = draw_frame(crash, row)
     area = 64 * crash.scene.vehicle.length * crash.scene.vehicle.width
     assert count(before, blue) == pytest.approx(area, rel=0.1)
@@ -94,7 +94,7 @@ def test_the_command_lists_and_draws(tmp_path):
         (0, 0, 13, 13),
         (1, 0, 13, 13),
     ]
-    assert rows[0]["largest_deviation_m"] is not None and rows[0]["event"] is None
+    assert rows[0]["largest_deviation_m"] is not None and rows[0]["failure_kind"] is None
     drawn = CliRunner().invoke(app, ["show", str(run), f"{rows[1]['scene']}:0", "--json"])
     assert drawn.exit_code == 0, drawn.output
     files = json.loads(drawn.stdout)["files"]
