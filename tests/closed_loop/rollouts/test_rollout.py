@@ -93,3 +93,9 @@ def test_without_timings_equal_rollouts_give_equal_bytes(straight_scene, tmp_pat
         save_rollouts(path, [simulate(straight_scene(), StandingPolicy())], timings=False)
     assert paths[0].read_bytes() == paths[1].read_bytes()
     assert load_rollouts(paths[0])[0].timings == {}
+
+
+def test_damaged_files_of_rollouts_are_read_or_refused_in_words(fuzzer, straight_scene, tmp_path):
+    path = tmp_path / "rollouts.parquet"
+    save_rollouts(path, [simulate(straight_scene(duration=2.5), StandingPolicy())])
+    fuzzer.run("rollouts", path)
