@@ -115,12 +115,13 @@ def open_run(path: Path, options: dict[str, Any]) -> Iterator[RunFolder]:
     with _only_writer(path):
         for abandoned in [*path.glob(".*.json"), *path.glob(".*.parquet"), *path.glob("parts/.*.parquet")]:
             abandoned.unlink()  # half-written when a run was killed
-        if (path / RUN).exists():
-            _compare(path, options)
-        elif any((path / name).exists() for name in (ROLLOUTS, SCORES, "rollouts.json")):
-            raise InputError(f"{path}: holds results of something else (there is no {RUN}); give another --out")
-        else:
+        finished = [path / ROLLOUTS, path / SCORES, path / "rollouts.json", *path.glob("parts/*.parquet")]
+        if not any(file.exists() for file in finished):
             _write_json(path / RUN, {"version": RUN_VERSION, "options": options})
+        elif (path / RUN).exists():
+            _compare(path, options)
+        else:
+            raise InputError(f"{path}: holds results of something else (there is no {RUN}); give another --out")
         make_folder(path / "parts")
         yield RunFolder(path.resolve())
 

@@ -60,15 +60,23 @@ class PolicyProcess:
             PolicyNotStarted: it raised, ended, died or took too long while it was built.
         """
         self._source, self._limits = source, limits
-        self._used = False
+        self._used = self._failed = False
         self._start()
 
     def begin(self, seed: int, scene: str) -> PolicyFault | None:
-        """See `PolicyHost.begin`."""
-        if self._used and not (self.traits.resets or self.traits.answers_batches):
+        """See `PolicyHost.begin`. A process in which something went wrong serves no further rollout."""
+        if self._failed or (self._used and not (self.traits.resets or self.traits.answers_batches)):
             self.close()
-        self._used = True
+        kept = self._process is not None
+        fault = self._reset(seed, scene)
+        if fault and kept:  # by what an earlier rollout left behind
+            self.close()
+            fault = self._reset(seed, scene)
+        return fault
+
+    def _reset(self, seed: int, scene: str) -> PolicyFault | None:
         fault = self._restart()
+        self._used = True
         if fault or not self.traits.resets:
             return fault
         faults = self._ask(("begin", seed, scene), 1, self._limits.start_seconds)
@@ -90,7 +98,7 @@ class PolicyProcess:
             return
         self._ending()
         self._connection.close()
-        self._process = None
+        self._process, self._failed = None, False
 
     def _restart(self) -> PolicyFault | None:
         """Start the process again if it has ended."""
@@ -137,7 +145,9 @@ class PolicyProcess:
         except OSError:
             return [self._bury()] * count
         told = self._receive(count, seconds)
-        return [told] * count if isinstance(told, PolicyFault) else _decode(told, count)
+        answers = [told] * count if isinstance(told, PolicyFault) else _decode(told)
+        self._failed = any(isinstance(answer, PolicyFault) for answer in answers)
+        return answers
 
     def _receive(self, count: int, seconds: float) -> bytes | PolicyFault:
         try:
@@ -257,7 +267,7 @@ def _encode(answers: list[Answer]) -> bytes:
     return b"\n".join([json.dumps(entries).encode(), b"".join(plans)])
 
 
-def _decode(told: bytes, count: int) -> list[Answer]:
+def _decode(told: bytes) -> list[Answer]:
     line, _, data = told.partition(b"\n")
     values = iter(np.frombuffer(data, dtype=np.float64).copy().reshape(-1, _PLAN_VALUES))
     answers: list[Answer] = []

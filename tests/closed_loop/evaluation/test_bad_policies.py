@@ -213,6 +213,30 @@ def test_a_policy_that_floods_its_output_is_not_heard(straight_scene, good, capf
     assert capfd.readouterr() == ("", "")
 
 
+class Tearing(Steady):
+    """Leaves behind what ends its process as soon as the next rollout begins, or spoils what it then answers."""
+
+    def __init__(self, way):
+        self.way, self.torn = way, False
+
+    def reset(self, seed, scene):
+        if self.torn:
+            os._exit(1)
+        super().reset(seed, scene)
+
+    def misbehave(self, plan, observation):
+        self.torn = True
+        if self.way == "error":
+            raise ValueError("torn")
+        return plan
+
+
+@pytest.mark.parametrize(("way", "valid"), [("error", [True, False, True]), ("silence", [True, True, True])])
+def test_what_one_rollout_leaves_behind_does_not_reach_the_next(straight_scene, way, valid):
+    results = run_closed_loop(scenes_around(straight_scene), Tearing(way), 1, settings=SHORT)
+    assert [score.valid for _, score in results] == valid
+
+
 class Refusing(Steady):
     """Every so many-th plan is refused."""
 

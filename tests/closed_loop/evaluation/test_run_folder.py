@@ -161,6 +161,25 @@ def test_a_scene_file_that_changed_is_told(straight_scene, tmp_path):
         run_closed_loop([str(path)], "route", 1, settings=SHORT, out=tmp_path / "out")
 
 
+def test_a_run_of_which_nothing_is_finished_may_be_given_other_options(straight_scene, moving_agent, tmp_path):
+    blocked = straight_scene((moving_agent("in the way", (30.0, 0.0)),))
+    with pytest.raises(InputError, match="gate fails"):
+        run_closed_loop([blocked], "route", 1, settings=SHORT, out=tmp_path)
+    assert len(run_closed_loop([straight_scene()], "route", 1, settings=SHORT, out=tmp_path)) == 1
+
+
+def test_two_runs_cannot_share_a_folder(tmp_path):
+    first = run_in_another_process(tmp_path)
+    try:
+        while not (tmp_path / "run.json").exists():
+            time.sleep(0.05)
+        with pytest.raises(InputError, match="another process runs in this folder"):
+            drive_scenes(tmp_path)
+    finally:
+        first.kill()
+        first.wait()
+
+
 def test_isolation_and_workers_may_change(straight_scene, tmp_path):
     for isolate in ("none", "process"):
         settings = replace(SHORT, limits=PolicyLimits(isolate=isolate))
