@@ -145,7 +145,7 @@ class PolicyProcess:
         except OSError:
             return [self._bury()] * count
         told = self._receive(count, seconds)
-        answers = [told] * count if isinstance(told, PolicyFault) else _decode(told)
+        answers: list[Answer] = [told] * count if isinstance(told, PolicyFault) else _decode(told)
         self._failed = any(isinstance(answer, PolicyFault) for answer in answers)
         return answers
 
