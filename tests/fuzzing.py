@@ -6,6 +6,7 @@ do with a damaged file is to read it or to raise an `InputError`; everything els
 Run as a program, this file is that process: it takes lines of JSON and answers each with one.
 """
 
+import gzip
 import io
 import json
 import os
@@ -97,7 +98,9 @@ class Fuzzer:
 
         path, opened = Path(path), Path(opened or path)
         valid = path.read_bytes()
-        assert self.problem(reader, opened) is None
+        self.problem(reader, opened)  # imports what it needs, which may take longer than a file may
+        first = self.problem(reader, opened)
+        assert first is None, f"{reader}: {path.name}, which is whole: {first}"
 
         def attempt(content):
             path.write_bytes(content)
@@ -136,9 +139,12 @@ def mutations(name, valid):
         return choices[0]
     if name.endswith(".parquet"):
         choices += [retyped(valid), retyped(valid)]
+    elif name.endswith(".gz"):
+        inner = mutations(name.removesuffix(".gz"), gzip.decompress(valid))
+        choices += [inner.map(gzip.compress)] * 3
     elif name.endswith(".zip"):
         choices += [repacked(valid), repacked(valid), repacked(valid)]
-    elif name.endswith((".json", ".yaml", ".csv", ".txt")):
+    elif name.endswith((".json", ".yaml", ".csv", ".txt", ".usda")):
         choices += [reworded(valid), reworded(valid)]
     elif name.endswith(".mp4"):
         choices += [resized(valid)]
@@ -460,8 +466,17 @@ def _spin(path):
         pass
 
 
+def _read_scene(path):
+    """Read a scene, and its looks, which may be damaged where the scene is not."""
+    from olt_closed_loop.scenes.scene_file import read_looks, read_scene
+
+    for read in (read_scene, read_looks):
+        _allow_refusal(read, path)
+
+
 READERS = {
     "archive": _read_archive,
+    "checkpoint": _function("olt_sft_recipes.toy.checkpoint:read_model"),
     "clip table": _function("olt_toolkit.clips.table:read_clip_table"),
     "clip tables": _scan_tables,
     "clip video": _read_clip_video,
@@ -475,6 +490,7 @@ READERS = {
     "rollout": _function("olt_closed_loop.rollouts.rollout_files:read_rollout_file"),
     "rollouts": _function("olt_closed_loop.rollouts.rollout_tables:load_rollouts"),
     "scenario": _function("olt_closed_loop.scenes.sources:read_recording"),
+    "scene": _read_scene,
     "stage config": _function("olt_sft_recipes.training.stage_config:read_stage_config"),
     "store": _read_store,
     "fault: raise": lambda path: 1 / 0,

@@ -10,6 +10,8 @@ from olt_generator.lazy_names import lazy_names
 
 if TYPE_CHECKING:
     from olt_closed_loop.control.tracking import ControlSettings as ControlSettings
+    from olt_closed_loop.evaluation.baselines import run_baselines as run_baselines
+    from olt_closed_loop.evaluation.comparison import compare_scores as compare_scores
     from olt_closed_loop.evaluation.evaluation import count_left_out as count_left_out
     from olt_closed_loop.evaluation.evaluation import load_scene as load_scene
     from olt_closed_loop.evaluation.evaluation import pass_gate as pass_gate
@@ -42,6 +44,8 @@ __getattr__, __dir__ = lazy_names(
     __name__,
     {
         "control.tracking": ("ControlSettings",),
+        "evaluation.baselines": ("run_baselines",),
+        "evaluation.comparison": ("compare_scores",),
         "evaluation.evaluation": ("count_left_out", "load_scene", "pass_gate", "run_closed_loop"),
         "evaluation.run_folder": ("save_results",),
         "evaluation.gate": ("check_gate",),

@@ -9,6 +9,7 @@ from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.runtime.workers import Engine
 
 if TYPE_CHECKING:
+    from olt_closed_loop.evaluation.comparison import Comparison
     from olt_closed_loop.evaluation.score_table import ScoreTable
     from olt_closed_loop.scoring.definitions import RolloutScore
     from olt_closed_loop.simulation.policy_hosts import PolicyLimits
@@ -51,7 +52,7 @@ app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and 
 
 
 # What the options take, as the modules named beside them have it; those are loaded only when a command runs.
-Definition = Literal["strict", "alpasim"]  # scoring.definitions
+Definition = Literal["strict", "alpasim", "alpasim@3032e0c", "alpasim@challenge-2026-09"]  # scoring.definitions
 Traffic = Literal["recorded", "idm"]  # rollouts.rollout
 Vehicle = Literal["kinematic", "tyres"]  # simulation.settings
 Controller = Literal["lqr", "linear", "nonlinear"]  # control.tracking
@@ -79,6 +80,9 @@ def run(
         Integrator, typer.Option(help="How the vehicle is integrated; auto: the cheapest within 3e-7 m a step.")
     ] = "auto",
     definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
+    baselines: Annotated[
+        bool, typer.Option(help="Drive constant speed, go straight, stop and route beside the policy.")
+    ] = True,
     skip: Annotated[bool, typer.Option(help="Leave out what cannot change the result.")] = True,
     isolate: Annotated[
         Isolation,
@@ -97,13 +101,17 @@ def run(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Drive scenes with a policy and print AS and CR by category.
+    """Drive scenes with a policy and print AS and CR by category, and beside those of policies that know nothing.
 
     A scene on which the gate fails, and a rollout that failed, lose themselves only; the exit status is then 1.
     """
     from olt_closed_loop import ControlSettings, SimulationSettings, run_closed_loop, summarize_scores
+    from olt_closed_loop.evaluation.alpasim_summary import save_alpasim_summary
+    from olt_closed_loop.evaluation.baselines import BASELINES, run_baselines, word_warnings
+    from olt_closed_loop.evaluation.comparison import compare_scores
+    from olt_closed_loop.evaluation.comparison_report import save_comparison
     from olt_closed_loop.evaluation.evaluation import count_left_out, count_vehicle_steps, find_scenes
-    from olt_toolkit.runtime.console import make_progress, print_json
+    from olt_toolkit.runtime.console import make_progress, print_json, print_line
     from olt_toolkit.runtime.workers import default_workers
 
     settings = SimulationSettings(
@@ -134,9 +142,31 @@ def run(
             out=out,
             engine=engine,
         )
+        beside = {}
+        if baselines:
+            task = progress.add_task("baselines", total=len(sources) * len(BASELINES))
+            beside = run_baselines(
+                sources,
+                policy,
+                seed,
+                settings,
+                workers=workers or default_workers(),
+                on_progress=lambda share: progress.update(task, completed=round(share * len(sources) * len(BASELINES))),
+                definition=definition,
+                out=out / "baselines" if out else None,
+                engine=engine,
+            )
     scores = [score for _, score in results]
     table = summarize_scores(scores)
+    comparison = compare_scores(
+        {policy: scores, **{name: [score for _, score in driven] for name, driven in beside.items()}}, policy
+    )
+    warnings = word_warnings(comparison)
     left_out, vehicle_steps = count_left_out(results), count_vehicle_steps(results)
+    if out:
+        save_comparison(out, comparison, warnings)
+        if definition != "strict":
+            save_alpasim_summary(out / "results-summary.json", scores)
     if as_json:
         print_json(
             {
@@ -147,12 +177,17 @@ def run(
                 "integrator": integrator,
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],
+                "comparison": comparison.to_dict(),
+                "warnings": warnings,
                 "left_out": [{**omission.to_dict(), "rollouts": count} for omission, count in left_out.items()],
                 "vehicle_steps": vehicle_steps,
             }
         )
     else:
         _print_scores(f"{policy}, {traffic} traffic", table)
+        _print_comparison("All scenes, beside policies that know nothing" if beside else "All scenes", comparison)
+        for line in warnings:
+            print_line(f"WARNING: {line}")
         _print_notes(scores, table.overall.rollout_incidents, vehicle_steps, left_out)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
@@ -193,6 +228,31 @@ def show(
         print_table(str(run), list(LISTED.values()), [[row[name] for name in LISTED] for row in rows])
     for file in files:
         print_line(file)
+
+
+@app.command()
+def compare(
+    runs: Annotated[list[Path], typer.Argument(help="Folders that `olt closed-loop run --out` wrote, two or more.")],
+    out: Annotated[Path | None, typer.Option(help="Folder for comparison.json and comparison.png.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Compare policies on the scenes that all of them drove: differences paired by scene, with intervals."""
+    from olt_closed_loop.evaluation.comparison import compare_scores, name_runs, read_scores
+    from olt_closed_loop.evaluation.comparison_report import save_comparison
+    from olt_toolkit.runtime.console import print_json, print_line
+
+    if len(set(runs)) < 2:
+        raise typer.BadParameter("give two or more folders of runs")
+    scores = [read_scores(folder) for folder in runs]
+    comparison = compare_scores(dict(zip(name_runs(runs, scores), scores, strict=True)))
+    if out:
+        save_comparison(out, comparison)
+    if as_json:
+        print_json(comparison.to_dict())
+        return
+    _print_comparison("Scenes that all of them drove", comparison)
+    if comparison.not_compared:
+        print_line(f"not compared: {len(comparison.not_compared)} scenes that only some of them drove")
 
 
 @app.command()
@@ -266,13 +326,18 @@ def score_rollout(
     """Score one recorded rollout."""
     from olt_closed_loop import read_rollout_file, score_record
     from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
+    from olt_closed_loop.scoring.definitions import alpasim_rows, alpasim_version, full_definition
     from olt_toolkit.runtime.console import print_json, print_table
 
-    record = read_rollout_file(file)
-    if definition == "alpasim":
-        scores = score_as_alpasim(record)
-        result = {"definition": definition, **scores.to_dict()}
-        figures = {**vars(scores.scene), **scores.final}
+    record, definition = read_rollout_file(file), full_definition(definition)
+    version = alpasim_version(definition)
+    if version:
+        score = score_record(record, definition)
+        (row,) = alpasim_rows([score])
+        result = {"definition": definition, **score_as_alpasim(record, version).to_dict(), "summary_row": row}
+        if score.failed:  # whose metrics AlpaSim never looks at
+            result |= {"final": {}, "scene": {name: row[name] for name in ("score", "failure_reason", "passed")}}
+        figures = {"status": row["status"], **result["scene"], **result["final"]}
     else:
         strict = score_record(record)
         result = strict.to_dict()
@@ -319,6 +384,16 @@ def _print_scores(title: str, table: "ScoreTable") -> None:
     ]
     columns = ["category", "valid / rollouts", "AS", "95 %", "CR", "95 %", "solves failed / late"]
     print_table(f"{title}, definition {table.definition}", columns, rows)
+
+
+def _print_comparison(title: str, comparison: "Comparison") -> None:
+    from olt_closed_loop.evaluation import comparison_report as report
+    from olt_toolkit.runtime.console import print_table
+
+    print_table(f"{title}: {comparison.scenes}", report.POLICY_COLUMNS, report.policy_rows(comparison))
+    if comparison.differences:
+        rows = report.difference_rows(comparison.differences)
+        print_table("Paired by scene", report.DIFFERENCE_COLUMNS, rows)
 
 
 def _print_notes(

@@ -46,6 +46,7 @@ NAMES = (
         "replay",
         "run_closed_loop",
     ),
+    *("compare_scores", "run_baselines"),
     *("CameraEffects", "Conditions", "list_hard_clips", "make_clip"),
     *("save_results", "save_rollouts", "score_record", "score_rollout", "simulate", "summarize_scores", "write_scene"),
 )

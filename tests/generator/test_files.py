@@ -1,4 +1,7 @@
 import os
+import signal
+import subprocess
+import sys
 import zipfile
 
 import cv2
@@ -13,7 +16,7 @@ from PIL import Image
 from safetensors.torch import save_file
 
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, naming, read_bounded, write_whole, write_whole_folder
+from olt_generator.files import find_whole_folder, make_folder, naming, read_bounded, write_whole, write_whole_folder
 from olt_generator.video import write_video
 
 
@@ -48,6 +51,44 @@ def test_folder_replaces_the_old_one_whole(tmp_path):
         raise ValueError("stop")
     assert [path.name for path in target.iterdir()] == ["second"]
     assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("renames", [0, 1, 2])
+def test_a_killed_process_leaves_one_whole_folder(tmp_path, renames):
+    """Killed after so many renames: of the old folder away, and of the new one into its place."""
+    target = tmp_path / "clip"
+    with write_whole_folder(target) as temporary:
+        (temporary / "old").touch()
+    script = f"""
+import os, signal, shutil, sys
+from pathlib import Path
+from olt_generator.files import write_whole_folder
+
+rename, remove, count = Path.rename, shutil.rmtree, 0
+def kill_after():
+    if count == {renames}:
+        os.kill(os.getpid(), signal.SIGKILL)
+def rename_or_kill(path, to):
+    global count
+    kill_after()
+    count += 1
+    return rename(path, to)
+def remove_or_kill(path, **options):
+    if count:
+        kill_after()
+    return remove(path, **options)
+Path.rename, shutil.rmtree = rename_or_kill, remove_or_kill
+with write_whole_folder(Path(sys.argv[1])) as temporary:
+    (temporary / "new").touch()
+"""
+    ended = subprocess.run([sys.executable, "-c", script, str(target)], check=False)
+    assert ended.returncode == -signal.SIGKILL
+    assert [path.name for path in find_whole_folder(target).iterdir()] == ["new" if renames == 2 else "old"]
+    with write_whole_folder(target) as temporary:
+        (temporary / "later").touch()
+    assert find_whole_folder(target) == target
+    assert [path.name for path in target.iterdir()] == ["later"]
+    assert not (tmp_path / ".clip.replaced").exists()
 
 
 def test_written_files_obey_the_umask(tmp_path):

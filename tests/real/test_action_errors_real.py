@@ -38,7 +38,7 @@ def test_a_real_drive_becomes_one_that_actions_drive(shared_real):
     worst, disagreement = {}, {}
     for labels in MotionLabels:
         given = GivenMotion.take(recording.reference, shown_us, recording.accuracy, labels)
-        worst[labels] = summarize_action_errors(measure_action_errors(given.ego_motion, T0_US))["worst_m"]
+        worst[labels] = summarize_action_errors(measure_action_errors(given.ego_motion, T0_US, ()))["worst_m"]
         disagreement[labels] = np.std(accelerations(given.ego_motion) - felt)
         assert given.noise_basis == "estimated" and 0.05 < given.acceleration_noise < 0.2
     assert 0.15 < worst[MotionLabels.AS_MEASURED] < 0.3 and worst[MotionLabels.SMOOTHED] < 0.03

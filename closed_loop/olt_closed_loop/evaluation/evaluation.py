@@ -13,7 +13,7 @@ from olt_closed_loop.evaluation.gate import GateResult, check_gate
 from olt_closed_loop.evaluation.run_folder import describe_run, open_run, save_part
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scoring.definitions import Definition, RolloutScore, score_failed, score_rollout
+from olt_closed_loop.scoring.definitions import DefinitionName, RolloutScore, score_failed, score_rollout
 from olt_closed_loop.simulation.answers import PolicyFault, word_error
 from olt_closed_loop.simulation.closed_loop import drive
 from olt_closed_loop.simulation.policy_hosts import PolicyHost, PolicyLimits, PolicySource, is_of_package
@@ -52,7 +52,7 @@ def run_closed_loop(
     settings: SimulationSettings | None = None,
     workers: int = 1,
     on_progress: Progress = silent,
-    definition: Definition = "strict",
+    definition: DefinitionName = "strict",
     out: Path | None = None,
     engine: Engine = Engine.LOCAL,
 ) -> list[Result]:
@@ -138,7 +138,7 @@ class _Job:
     key: str
     policy: PolicySource
     settings: SimulationSettings
-    definition: Definition
+    definition: DefinitionName
     parts: Path | None
 
     def run_batch(self, runs: list[_Run]) -> list[Result]:

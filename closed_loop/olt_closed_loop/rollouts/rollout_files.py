@@ -9,7 +9,9 @@ One object:
 - `gt` {timestamps_us [n], poses [n][x, y, yaw]}: the recorded ego, poses of the rig;
 - `map` {lanes [{id, center, left?, right?}], road_edges [polyline], resample_m?} or null; polylines are points [x, y]
   or [x, y, z] and get further points until none is more than `resample_m` from the next (2 m when absent, 0: none);
-- `plans` [{now_us, query_us?, timestamps_us [n], poses [n][x, y, yaw], samples? [[n][x, y, yaw]]}].
+- `plans` [{now_us, query_us?, timestamps_us [n], poses [n][x, y, yaw], samples? [[n][x, y, yaw]]}];
+- `failure`? text, why the rollout broke off; `driver_ended`? whether the driver asked for the end of the session
+  (AlpaSim's `terminate_session`).
 """
 
 from pathlib import Path
@@ -79,7 +81,17 @@ def parse_rollout(values: dict[str, Any], name: str) -> RolloutRecord:
         lanes=tuple(_lane(lane, resample_m) for lane in road.get("lanes", ())),
         road_edges=tuple(_line(edge, resample_m, "road edge") for edge in road.get("road_edges", ())),
         plans=tuple(_plan(index, plan) for index, plan in enumerate(values["plans"]) if plan["poses"]),
+        failure=_choice(values, "failure", str, None),
+        driver_ended=_choice(values, "driver_ended", bool, False),
     )
+
+
+def _choice(values: dict[str, Any], name: str, kind: type, absent: Any) -> Any:
+    """A value that may be left out."""
+    value = values.get(name, absent)
+    if value is not absent and not isinstance(value, kind):
+        raise InputError(f"{name} is {value!r}; give {kind.__name__} or leave it out")
+    return value
 
 
 def _agent(name: str, values: dict[str, Any], scored_us: NDArray[np.int64]) -> Agent | None:

@@ -66,6 +66,8 @@ class RolloutRecord:
         lanes, road_edges: the map; road edges are polylines (n, 3) of either direction.
         drivable: closed outlines (n, 3) of the drivable area, where the map has them.
         plans: what the policy planned, in order of time.
+        failure: why the rollout broke off, or None.
+        driver_ended: whether the policy itself asked for the end of the drive.
     """
 
     name: str
@@ -80,6 +82,8 @@ class RolloutRecord:
     road_edges: tuple[Array, ...] = ()
     drivable: tuple[Array, ...] = ()
     plans: tuple[PlanRecord, ...] = ()
+    failure: str | None = None
+    driver_ended: bool = False
 
 
 def record_rollout(scene: Scene, rollout: Rollout) -> RolloutRecord:

@@ -19,6 +19,13 @@ from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 HALF_EGO = DEFAULT_VEHICLE.width / 2
 EGO_FRONT = DEFAULT_VEHICLE.rear_axle_to_bbox_center + DEFAULT_VEHICLE.length / 2
 
+HANDOVER = 1.7
+"""Seconds after which the policy drives, as in AlpaSim (docs/formats/alpasim.md)."""
+REACTION, BRAKING = 1.45, 0.774 * 9.81
+"""Seconds until a defensive driver has reacted and the brakes are full, and m/s2 (UN Regulation 157, annex 4)."""
+_STAYS_ON = 0.2
+"""Seconds for which a deer stays in the lane after it would have been hit."""
+
 
 @dataclass(frozen=True)
 class Approach:
@@ -138,22 +145,35 @@ def uncommon_vehicle(road: Road, approach: Approach, generator: np.random.Genera
 
 
 def animal(road: Road, approach: Approach, generator: np.random.Generator) -> Event:
-    """A deer crosses; the ego brakes until it has passed."""
+    """A deer walks into the lane, stands there and walks on; the ego brakes until it has gone.
+
+    It is still there when a car arrives that drives on as at the hand-over, and by then has stood in full view for
+    longer than a defensive driver needs to stop.
+    """
     crossing = approach.onset + generator.uniform(30.0, 45.0)
-    crawl = generator.uniform(2.5, 4.0)
+    crawl = generator.uniform(2.5, 3.5)
     speed = generator.uniform(3.0, 4.0)
+    stands = REACTION + approach.cruise / BRAKING + generator.uniform(0.5, 1.5)
     side = generator.choice([-1.0, 1.0])
 
     def place_agents(ego: EgoMotion) -> list[Agent]:
-        in_lane = ego.time_at(crossing - EGO_FRONT - 12.0)
+        meets = _unbraked_arrival(ego, crossing - EGO_FRONT)
+        far = side * (road.half_width + 5.0)
+        comes, leaves = abs(approach.center + far) / speed, abs(far - approach.center) / speed
+        stays = (meets - stands, meets + _STAYS_ON)
         times = sample_times(ego.duration_us)
-        limit = road.half_width + 5.0
-        offsets = np.clip(approach.center + side * speed * (times - in_lane), -limit, limit)
-        stations = np.full_like(times, crossing)
-        return moving("deer", "animal", road, times, stations, offsets, turn=side * np.pi / 2)
+        knots = (stays[0] - comes, *stays, stays[1] + leaves)
+        offsets = np.interp(times, knots, (-far, approach.center, approach.center, far))
+        return moving("deer", "animal", road, times, np.full_like(times, crossing), offsets, turn=side * np.pi / 2)
 
     slow_down = (crossing - EGO_FRONT - 9.0, crossing - EGO_FRONT - 4.0, crawl)
     return Event(("animal",), (), (slow_down,), place_agents)
+
+
+def _unbraked_arrival(ego: EgoMotion, station: float) -> float:
+    """Seconds at which the rig of a car would be at `station` that keeps the ego's speed at the hand-over."""
+    start, later = ego.station_at(np.array([HANDOVER, HANDOVER + 0.1]))
+    return HANDOVER + 0.1 * (station - start) / (later - start)
 
 
 EVENTS: dict[str, Callable[[Road, Approach, np.random.Generator], Event]] = {

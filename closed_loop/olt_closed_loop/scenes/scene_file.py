@@ -15,7 +15,8 @@ precision, so those are written for viewers and never read back.
 # pxr is compiled and has no type stubs: this is the one module that touches it.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -37,6 +38,7 @@ Prim: TypeAlias = Any
 
 # Time codes are microseconds, which a double holds exactly for 285 years.
 TIME_CODES_PER_SECOND = 1e6
+_LATEST_US = 2.0**53
 _TEXTS = ("name", "category", "factors", "assumptions")
 _COLORS = ("zenith", "horizon", "grass", "gravel", "asphalt", "paint")
 
@@ -171,8 +173,13 @@ def read_scene(path: Path) -> Scene:
     """Read a scene without its looks.
 
     Raises:
-        InputError: the file is not a scene file, or lacks a prim or attribute.
+        InputError: the file is not a scene file, is damaged, or lacks a prim or attribute.
     """
+    with _refusing_damage(path):
+        return _read_scene(path)
+
+
+def _read_scene(path: Path) -> Scene:
     reader = _Reader(path)
     world, ego = reader.prim("/World"), reader.prim("/World/Ego")
     sizes, of_lane = ([field.name for field in fields(kind)] for kind in (VehicleDimensions, Lane))
@@ -199,8 +206,13 @@ def read_looks(path: Path) -> Looks:
     """Read the looks of the scene at `path` by loading the payload of its scene file.
 
     Raises:
-        InputError: the file is not a scene file, or the payload is missing or lacks an attribute.
+        InputError: the file is not a scene file, or the payload is missing, damaged or lacks an attribute.
     """
+    with _refusing_damage(path):
+        return _read_looks(path)
+
+
+def _read_looks(path: Path) -> Looks:
     reader = _Reader(path, with_payloads=True)
     prim = reader.prim("/World/Looks")
 
@@ -220,6 +232,16 @@ def read_looks(path: Path) -> Looks:
         scenery=tuple(SceneryBox(*box) for box in boxes),
         **dict(zip(_COLORS, colors, strict=True)),
     )
+
+
+@contextmanager
+def _refusing_damage(path: Path) -> Iterator[None]:
+    """Turn what USD tells of a damaged file, and values of another kind than a scene has, into an `InputError`."""
+    try:
+        yield
+    except (Tf.ErrorException, AttributeError, IndexError, OverflowError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: damaged, or no scene ({reason:.300}); write the scene again") from error
 
 
 class _Reader:
@@ -263,7 +285,11 @@ class _Reader:
             Vt.DoubleArray: np.array,
             Vt.Vec3dArray: np.array,
         }
-        return [kinds[type(value)](value) if type(value) in kinds else value for value in found]
+        values = [kinds[type(value)](value) if type(value) in kinds else value for value in found]
+        for name, value in zip(names, values, strict=True):
+            if isinstance(value, np.ndarray | float) and not np.isfinite(value).all():
+                raise InputError(f"{self.path}: attribute {name} of prim {prim.GetPath()} is not finite")
+        return values
 
     def samples(self, prim: Prim, name: str) -> tuple[NDArray[np.int64], Array]:
         """Times (n,) in microseconds and values (n, ...) of an animated attribute."""
@@ -271,7 +297,14 @@ class _Reader:
         times = attribute.GetTimeSamples()
         if not times:
             raise InputError(f"{self.path}: attribute {name} of prim {prim.GetPath()} has no time samples")
-        return np.array(times, dtype=np.int64), np.array([attribute.Get(time) for time in times], dtype=np.float64)
+        if not all(-_LATEST_US <= time <= _LATEST_US and time == int(time) for time in times):
+            raise InputError(
+                f"{self.path}: attribute {name} of prim {prim.GetPath()} has times that are no microseconds"
+            )
+        values = np.array([attribute.Get(time) for time in times], dtype=np.float64)
+        if not np.isfinite(values).all():
+            raise InputError(f"{self.path}: attribute {name} of prim {prim.GetPath()} is not finite")
+        return np.array(times, dtype=np.int64), values
 
     def hills(self) -> Hills | None:
         prim = self.stage.GetPrimAtPath("/World/Hills")

@@ -1,6 +1,7 @@
-"""What a rollout is worth, by one of two definitions: `strict`, the default, and `alpasim`.
+"""What a rollout is worth, by a definition with a name: `strict`, the default, or one of AlpaSim's public versions.
 
-`alpasim` (`scoring.alpasim`) gives the values of AlpaSim's own evaluation. `strict` keeps their intent:
+`alpasim@3032e0c` (July 2026) and `alpasim@challenge-2026-09` (`scoring.alpasim`) give the values of AlpaSim's own
+evaluation; `alpasim` alone stands for the first, and results name it in full. `strict` keeps their intent:
 
 - Only what happens after the hand-over counts.
 - The score is 0 after a collision at fault or off the road, else min(progress / 0.8, 1).
@@ -26,6 +27,7 @@ Where the two differ, and the case that shows it (`tests/closed_loop/scoring/tes
 | failure | stops the summary | this rollout is not valid | a pose that is not finite |
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, get_args
 
@@ -36,7 +38,16 @@ from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord, record_rollout
 from olt_closed_loop.scenes.polylines import arc_lengths
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scoring.alpasim.scores import FULL_PROGRESS, MAX_PATH_DISTANCE, SHORT_RECORDING, score_as_alpasim
+from olt_closed_loop.scoring.alpasim.recording import MAX_PATH_DISTANCE
+from olt_closed_loop.scoring.alpasim.scores import (
+    FULL_PROGRESS,
+    SHORT_RECORDING,
+    AlpasimVersion,
+    failed_row,
+    score_as_alpasim,
+    score_scene,
+    summary_row,
+)
 from olt_closed_loop.scoring.collisions import Collision, find_collisions
 from olt_closed_loop.scoring.drivable import drivable_area_of, first_departure
 from olt_closed_loop.scoring.driving_metrics import measure_driving
@@ -44,8 +55,25 @@ from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
 
-Definition = Literal["strict", "alpasim"]
+Definition = Literal["strict", "alpasim@3032e0c", "alpasim@challenge-2026-09"]
 DEFINITIONS: tuple[Definition, ...] = get_args(Definition)
+DefinitionName = Literal["strict", "alpasim", "alpasim@3032e0c", "alpasim@challenge-2026-09"]
+"""What a user may write: a definition, or `alpasim` for the version of `ALPASIM`."""
+ALPASIM: Definition = "alpasim@3032e0c"
+_VERSIONS: dict[Definition, AlpasimVersion] = {
+    "alpasim@3032e0c": "3032e0c",
+    "alpasim@challenge-2026-09": "challenge-2026-09",
+}
+
+
+def full_definition(name: DefinitionName) -> Definition:
+    """The definition of a name."""
+    return ALPASIM if name == "alpasim" else name
+
+
+def alpasim_version(definition: Definition) -> AlpasimVersion | None:
+    """The version of AlpaSim whose values a definition gives; None for `strict`."""
+    return _VERSIONS.get(definition)
 
 
 @dataclass(frozen=True)
@@ -56,7 +84,8 @@ class RolloutScore:
         scene, category, policy, seed: which rollout; the seed is None where nobody knows it.
         definition: how the score is defined.
         valid: whether the rollout can be scored; if not, `reason` says why and what was not measured is None.
-        score: the scene score, 0 to 1.
+        failed: whether the rollout broke off, so that there is nothing to score.
+        score: the scene score, 0 to 1. `alpasim@challenge-2026-09` counts a rollout that failed as 0, valid or not.
         progress: share of the recorded path that was driven, 0 to 1.
         collided, collided_at_fault: whether the ego touched anything, and whether that was its fault.
         collisions: first contact with each agent, in order of time; () when none was found. `strict` only.
@@ -65,7 +94,8 @@ class RolloutScore:
         left_path_us: when the ego was first 4 m or more from the recorded path. `strict` only.
         distance_m: driven after the hand-over; for `alpasim` along the whole path up to the first incident.
         incidents, incidents_at_fault: number of collisions and departures from the road; for `alpasim` at most one.
-        reason: why the score is 0 by rule ("collision_at_fault", "offroad"), why there is none, or None.
+        reason: why the score is 0 by rule ("collision_at_fault", "offroad", "left_corridor_laterally"), why there is
+            none, or None.
         metrics: further figures by name (`driving_metrics`, or AlpaSim's metrics).
         left_out: what was not computed, and why.
         rollout_incidents: what went wrong in the rollout (`rollouts.rollout.Incidents`); None when nobody counted.
@@ -77,6 +107,7 @@ class RolloutScore:
     seed: int | None
     definition: Definition = "strict"
     valid: bool = False
+    failed: bool = False
     score: float | None = None
     progress: float | None = None
     collided: bool | None = None
@@ -89,7 +120,7 @@ class RolloutScore:
     incidents: int | None = None
     incidents_at_fault: int | None = None
     reason: str | None = None
-    metrics: dict[str, float | bool | None] = field(default_factory=dict)
+    metrics: dict[str, float | None] = field(default_factory=dict)
     left_out: tuple[Omission, ...] = ()
     rollout_incidents: dict[str, int] | None = None
 
@@ -102,7 +133,9 @@ class RolloutScore:
         }
 
 
-def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition: Definition = "strict") -> RolloutScore:
+def score_rollout(
+    scene: Scene, rollout: Rollout, skip: bool = True, definition: DefinitionName = "strict"
+) -> RolloutScore:
     """Score one rollout of the scene. One that failed, or whose states are not finite, is not valid.
 
     `skip` leaves out what cannot change the result; the result is the same without, only slower.
@@ -114,30 +147,65 @@ def score_rollout(scene: Scene, rollout: Rollout, skip: bool = True, definition:
         raise InputError(f"rollout of scene {rollout.scene} cannot be scored on scene {scene.name}; give its own scene")
     if rollout.failure:
         return score_failed(rollout, definition)
-    unscored = RolloutScore(scene.name, scene.category, rollout.policy, rollout.seed, definition)
+    unscored = RolloutScore(scene.name, scene.category, rollout.policy, rollout.seed, full_definition(definition))
     unscored = replace(unscored, rollout_incidents=vars(rollout.incidents).copy())
     finite = np.isfinite(rollout.states).all(axis=1) & np.isfinite(rollout.heights)
     if not finite.all():
-        return replace(unscored, reason=f"the state at {rollout.timestamps_us[np.argmin(finite)]} us is not finite")
+        return _failed(unscored, f"the state at {rollout.timestamps_us[np.argmin(finite)]} us is not finite")
     return _score(record_rollout(scene, rollout), unscored, skip)
 
 
-def score_failed(rollout: Rollout, definition: Definition = "strict") -> RolloutScore:
-    """What a rollout that failed is worth; it may have no scene at all."""
-    unscored = RolloutScore(rollout.scene, rollout.category, rollout.policy, rollout.seed, definition)
-    return replace(unscored, reason=rollout.failure, rollout_incidents=vars(rollout.incidents).copy())
+def score_failed(rollout: Rollout, definition: DefinitionName = "strict") -> RolloutScore:
+    """What a rollout that failed is worth; it may have no scene at all, which is no failure of the policy."""
+    unscored = RolloutScore(
+        rollout.scene,
+        rollout.category,
+        rollout.policy,
+        rollout.seed,
+        full_definition(definition),
+        reason=rollout.failure,
+    )
+    unscored = replace(unscored, rollout_incidents=vars(rollout.incidents).copy())
+    return unscored if rollout.failure_kind == "scene_refused" else _failed(unscored, rollout.failure or "")
 
 
-def score_record(record: RolloutRecord, definition: Definition = "strict", skip: bool = True) -> RolloutScore:
+def score_record(record: RolloutRecord, definition: DefinitionName = "strict", skip: bool = True) -> RolloutScore:
     """Score a rollout of which nothing but the record is known (`rollouts.rollout_files`)."""
-    return _score(record, RolloutScore(record.name, "unknown", "unknown", None, definition), skip)
+    return _score(record, RolloutScore(record.name, "unknown", "unknown", None, full_definition(definition)), skip)
+
+
+def alpasim_rows(scores: Sequence[RolloutScore]) -> list[dict[str, Any]]:
+    """The rows of AlpaSim's `results-summary.json` for scores by its versions, those of failed rollouts last, as there.
+
+    A failed rollout has status "fail", score 0 and no metric; one without a scene score is "unscored", as AlpaSim calls
+    what nobody scored (it writes no summary then).
+    """
+    rows = []
+    for score in sorted(scores, key=lambda score: score.failed):
+        version = _VERSIONS[score.definition]
+        if score.failed:
+            row = failed_row(score.reason or "", version)
+        else:
+            row = summary_row(score_scene(score.metrics, version), score.metrics, version)
+        rows.append({"run_name": score.policy, "clipgt_id": score.scene, "rollout_id": str(score.seed), **row})
+    return rows
+
+
+def _failed(unscored: RolloutScore, reason: str) -> RolloutScore:
+    """A rollout that broke off. The challenge counts it as 0, 3032e0c makes no summary while there is one."""
+    counted = unscored.definition == "alpasim@challenge-2026-09"
+    return replace(unscored, failed=True, reason=reason, score=0.0 if counted else None)
 
 
 def _score(record: RolloutRecord, unscored: RolloutScore, skip: bool) -> RolloutScore:
+    if record.failure:
+        return _failed(unscored, record.failure)
+    if record.driver_ended and unscored.definition == "alpasim@challenge-2026-09":
+        return _failed(unscored, "the driver ended the session")
     if int((record.timestamps_us >= record.handover_us).sum()) < 2:
         return replace(unscored, reason="the drive ends before the hand-over")
-    values = _score_strictly(record, skip) if unscored.definition == "strict" else _score_as_alpasim(record)
-    return replace(unscored, **values)
+    version = alpasim_version(unscored.definition)
+    return replace(unscored, **(_score_as_alpasim(record, version) if version else _score_strictly(record, skip)))
 
 
 def _score_strictly(record: RolloutRecord, skip: bool) -> dict[str, Any]:
@@ -177,14 +245,14 @@ def _score_strictly(record: RolloutRecord, skip: bool) -> dict[str, Any]:
     }
 
 
-def _score_as_alpasim(record: RolloutRecord) -> dict[str, Any]:
-    scores = score_as_alpasim(record)
+def _score_as_alpasim(record: RolloutRecord, version: AlpasimVersion) -> dict[str, Any]:
+    scores = score_as_alpasim(record, version)
     given: dict[str, Any] = {
         "metrics": scores.final,
         "left_out": tuple(Omission(name, reason) for name, reason in scores.missing.items()),
     }
     if scores.scene.score is None:
-        why = "; ".join(f"{name}: {reason}" for name, reason in scores.missing.items()) or "progress has no value"
+        why = "; ".join(f"{name}: {reason}" for name, reason in scores.missing.items()) or scores.scene.error
         return given | {"reason": f"AlpaSim gives no scene score ({why})"}
     final = {name: value for name, value in scores.final.items() if value is not None}
     return given | {

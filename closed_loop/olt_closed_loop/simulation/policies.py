@@ -23,7 +23,7 @@ PolicyLoader = Callable[[str | None], Policy]
 
 
 def make_policy(spec: str) -> Policy:
-    """The policy called NAME or NAME:ARGUMENT, found through the entry points `olt.policies`.
+    """The policy called NAME or NAME:ARGUMENT: found through the entry points `olt.policies` and `BUILT_IN`.
 
     Raises:
         InputError: no package brings a policy of that name, or it does not take the argument.
@@ -39,7 +39,7 @@ def find_policy(spec: str) -> EntryPoint:
         InputError: no package brings a policy of that name.
     """
     name = spec.partition(":")[0]
-    found = {entry.name: entry for entry in entry_points(group="olt.policies")}
+    found = {**{entry.name: entry for entry in entry_points(group="olt.policies")}, **BUILT_IN}
     if name not in found:
         raise InputError(f"policy {name!r} is not known; choose from {', '.join(sorted(found))}")
     return found[name]
@@ -107,6 +107,21 @@ class ConstantVelocityPolicy(BatchPolicy):
         return _straight(_speed(observations)[:, None] * FUTURE_TIMES)
 
 
+class ConstantSpeedPolicy(BatchPolicy):
+    """Holds the present speed and the present turn, as a car does whose wheel and pedals nobody moves."""
+
+    name = "constant_speed"
+
+    def plan_batch(self, observations: ObservationBatch) -> PlannedTrajectory:
+        """See `BatchPolicy.plan_batch`."""
+        distances = _speed(observations)[:, None] * FUTURE_TIMES
+        headings = _yaw_rate(observations)[:, None] * FUTURE_TIMES
+        # Chords of the circle: exact for any turn, none included.
+        chords = distances * np.sinc(headings / (2.0 * np.pi))
+        poses = planar_pose(chords * np.cos(headings / 2.0), chords * np.sin(headings / 2.0), headings)
+        return PlannedTrajectory(poses[..., :3, 3], poses[..., :3, :3])
+
+
 class StandingPolicy(BatchPolicy):
     """Brakes to a standstill and stays."""
 
@@ -157,16 +172,27 @@ def _load(make: type[BatchPolicy], argument: str | None) -> Policy:
     return make()
 
 
+load_constant_speed = partial(_load, ConstantSpeedPolicy)
 load_constant_velocity = partial(_load, ConstantVelocityPolicy)
 load_route = partial(_load, RouteFollowingPolicy)
 load_standing = partial(_load, StandingPolicy)
-"""Entry points of these policies."""
+BUILT_IN = {
+    name: EntryPoint(name, f"{__name__}:load_{name}", "olt.policies")
+    for name in ("constant_speed", "constant_velocity", "route", "standing")
+}
+"""Policies that are there whatever else is installed, by name."""
 
 
 def _speed(observations: ObservationBatch) -> Array:
     """Speed (n,) along the vehicle now, m/s: one-sided difference, exact while the acceleration is steady."""
     before, last, now = observations.history_xyz[:, -3:, 0].T
     return (3.0 * now - 4.0 * last + before) / (2.0 * STEP_SECONDS)
+
+
+def _yaw_rate(observations: ObservationBatch) -> Array:
+    """Yaw rate (n,) now, rad/s, by the same difference; the yaw now is 0."""
+    before, last = np.arctan2(*np.moveaxis(observations.history_rotation[:, -3:-1, [1, 0], [0, 0]], -1, 0)).T
+    return (before - 4.0 * last) / (2.0 * STEP_SECONDS)
 
 
 def _straight(distances: Array) -> PlannedTrajectory:

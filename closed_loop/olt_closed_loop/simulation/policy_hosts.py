@@ -249,6 +249,8 @@ def _changed(given: object, shown: object) -> PolicyFault | None:
 
 def is_of_package(policy: PolicySource) -> bool:
     """Whether a policy is one of this package's own, which are trusted to end and to hurt nothing."""
-    kind = policy if isinstance(policy, type) else type(policy)
-    module = find_policy(policy).module if isinstance(policy, str) else kind.__module__
+    if isinstance(policy, str):
+        module = getattr(find_policy(policy), "module", "")  # what only loads, and says not whence, is foreign
+    else:
+        module = (policy if isinstance(policy, type) else type(policy)).__module__
     return module.partition(".")[0] == __name__.partition(".")[0]

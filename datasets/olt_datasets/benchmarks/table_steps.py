@@ -10,13 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
+import pyarrow as pa
 
 from olt_datasets import check_recipe, compose_mixture, scan_clip_tables
 from olt_datasets.mixtures.recipe import parse_recipe
 from olt_datasets.tables.choices import SplitRule
+from olt_datasets.tables.clip_frame import replace_column, rewrite_rows
 from olt_datasets.tables.cutting import Cutting
 from olt_datasets.tables.fake_table import write_fake_table
 from olt_datasets.tables.indexing import index_dataset
+from olt_datasets.tables.leaks import find_table_leaks
 from olt_datasets.tables.splits import Splitting, split_table
 from olt_generator.progress import Progress, silent
 from olt_toolkit import DatasetPlace
@@ -82,7 +86,7 @@ class InventedPlace(DatasetPlace):
 
 
 def measure_steps(rows: int, index_rows: int, on_progress: Progress = silent) -> list[dict[str, Any]]:
-    """Steps on a table of `rows` clips, and indexing of `index_rows` on one worker; no images are looked at.
+    """Steps on a table of `rows` clips, and indexing of `index_rows` on one worker; no fingerprints are compared.
 
     Returns:
         A JSON-able object for each step: its name, rows, seconds, processor seconds, rows by processor second, and the
@@ -90,16 +94,20 @@ def measure_steps(rows: int, index_rows: int, on_progress: Progress = silent) ->
     """
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        table, out = folder / "clips.parquet", folder / "out.parquet"
+        table, leaking, out = (folder / f"{name}.parquet" for name in ("clips", "leaking", "out"))
         steps: dict[str, tuple[int, Callable[[], object]]] = {
             "index": (index_rows, partial(_index, index_rows, folder / "indexed.parquet")),
             "index again": (index_rows, partial(_index, index_rows, folder / "indexed.parquet")),
+            "read": (rows, partial(scan_clip_tables, [table])),
             "split seen": (rows, partial(split_table, table, Splitting(SplitRule.SEEN), out)),
             "split unseen": (rows, partial(split_table, table, Splitting(SplitRule.UNSEEN), out)),
+            "check": (rows, partial(_find_leaks, table)),
+            "check, all scenes leak": (rows, partial(_find_leaks, leaking)),
             "mix check": (rows, partial(_check, table)),
             "mix compose": (rows, partial(_compose, table)),
         }
-        write_fake_table(table, rows)
+        write_fake_table(table, rows, with_fingerprints=False)
+        rewrite_rows(table, leaking, _split_scenes)
         results = []
         for place, (step, (count, work)) in enumerate(steps.items()):
             if count:
@@ -129,6 +137,16 @@ def _measure(work: Callable[[], object], rows: int) -> dict[str, Any]:
 def _index(rows: int, table: Path) -> None:
     place = InventedPlace(Path(str(rows // WINDOWS_OF_A_DRIVE)), source="invented")
     index_dataset(place, table, Cutting(), workers=1, with_fingerprints=False)
+
+
+def _split_scenes(rows: pa.Table, start: int) -> pa.Table:
+    """Rows of which every other is of split test, so that each scene is of two splits."""
+    splits = pl.select(pl.when(pl.int_range(len(rows)) % 2 == 0).then(pl.lit("train")).otherwise(pl.lit("test")))
+    return replace_column(rows, "split", splits.to_series())
+
+
+def _find_leaks(table: Path) -> None:
+    find_table_leaks(scan_clip_tables([table]), out=table.with_name("leaks.parquet"))
 
 
 def _check(table: Path) -> None:

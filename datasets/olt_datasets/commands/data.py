@@ -179,28 +179,34 @@ def check(
     external: Annotated[
         list[str] | None, typer.Option(help="A source that is not trained on; repeat for more than one.")
     ] = None,
+    leaks: Annotated[Path | None, typer.Option(help="Where to write all leaks (.parquet), however many.")] = None,
     allow_uncompared: AllowUncomparedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """List everything that leaks from one split into another, and say what was compared to find it.
 
     GT and Syn clips of the same moments, windows of a scene that overlap, clips of other scenes that look alike,
-    held-out scenes and external sources in training. Exit status 1 if anything leaks, if there is nothing to compare,
-    or if clips could not be compared.
+    held-out scenes and external sources in training. All leaks are counted, and the first of each rule told; --leaks
+    writes all. Exit status 1 if anything leaks, if there is nothing to compare, or if clips could not be compared.
     """
-    from olt_datasets.tables.clip_frame import scan_clip_tables
+    from olt_datasets.tables.clip_frame import check_table_name, scan_clip_tables
     from olt_datasets.tables.leak_report import word_report
     from olt_datasets.tables.leaks import find_table_leaks
     from olt_datasets.tables.scenes import refuse_unknown_scenes
+    from olt_generator.errors import InputError
     from olt_toolkit.runtime.console import print_json, print_line
 
+    if leaks is not None:
+        check_table_name(leaks)
+        if leaks.resolve() in [each.resolve() for each in tables]:
+            raise InputError(f"{leaks}: is a table that is checked; give --leaks another name")
     table = scan_clip_tables(tables)
     refuse_unknown_scenes(table, held_out or (), "--held-out")
-    report = find_table_leaks(table, held_out or (), external or ())
+    report = find_table_leaks(table, held_out or (), external or (), leaks)
     if as_json:
-        print_json(report.to_dict())
+        print_json(report.to_dict() | {"table": None if leaks is None else str(leaks)})
     else:
-        for line in word_report(report, _SHOWN):
+        for line in word_report(report, _SHOWN, "--leaks FILE (.parquet)" if leaks is None else str(leaks)):
             print_line(line)
     if report.leaks or not (report.is_complete or allow_uncompared):
         raise typer.Exit(1)

@@ -249,8 +249,7 @@ def compose_and_check(
     )
     if report.leaks:
         raise InputError(
-            f"recipe {recipe.name} leaks: {summarize_leaks(report.leaks)}; add these scenes to the recipe's "
-            "held_out_scenes"
+            f"recipe {recipe.name} leaks: {summarize_leaks(report)}; add these scenes to the recipe's held_out_scenes"
         )
     if report.not_compared and not allow_uncompared:
         raise InputError(
@@ -297,7 +296,7 @@ def _find_leaks(
     clips: Sequence[pl.LazyFrame], table: ClipTable, recipe: Recipe, held_out_scenes: Collection[str]
 ) -> LeakReport:
     if not clips:
-        return LeakReport((), (), count_splits(table.lazy()), "the recipe takes no clip")
+        return LeakReport((), {}, (), count_splits(table.lazy()), "the recipe takes no clip")
     used = pl.concat([part.select(LEAK_COLUMNS) for part in clips])
     return find_leaks(used, table, recipe.split, [*recipe.held_out_scenes, *held_out_scenes])
 

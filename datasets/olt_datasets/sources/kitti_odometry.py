@@ -40,6 +40,10 @@ RAW_DRIVES = {
 }
 
 
+# Of the products of rows, of which four digits are sure.
+_ROTATION_ERROR = 1e-3
+
+
 class KittiOdometrySequence:
     """A sequence folder; see `KittiDrive`."""
 
@@ -60,6 +64,7 @@ class KittiOdometrySequence:
             rows = _read_rows(poses, 12).reshape(-1, 3, 4)
             if len(rows) != len(self.images):
                 raise InputError(f"{poses}: {len(rows)} poses for {len(self.images)} images; copy the sequence again")
+            _check_rotations(rows[..., :3], poses)
             self._T_start_camera = make_pose(rows[..., :3], rows[..., 3])
         self.has_motion = self._T_start_camera is not None
         level = camera_pose_in_rig(CAMERA_POSITION, 0.0, 0.0, 0.0)
@@ -108,6 +113,13 @@ class KittiOdometrySequence:
             assumptions=self._assumptions,
             reference=reference,
         )
+
+
+def _check_rotations(matrices: Array, path: Path) -> None:
+    off = np.abs(matrices @ np.swapaxes(matrices, 1, 2) - np.eye(3)).max(axis=(1, 2))
+    wrong = (off > _ROTATION_ERROR) | (np.linalg.det(matrices) < 0.0)
+    if wrong.any():
+        raise InputError(f"{path}, line {np.argmax(wrong) + 1}: holds no rotation beside its position; copy it again")
 
 
 def _read_times(path: Path, count: int) -> tuple[NDArray[np.int64], tuple[str, ...]]:

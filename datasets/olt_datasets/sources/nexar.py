@@ -67,6 +67,9 @@ class _Video:
         return f"{self.split}/{self.path.stem}"
 
 
+_LONGEST_NAME = 512
+
+
 class Nexar:
     """The data set at a folder; see `Dataset`."""
 
@@ -154,7 +157,7 @@ def _read_rows(table: Path) -> list[dict[str, str]]:
 def _read_video(row: dict[str, str], folder: Path, split: Split, where: str) -> _Video:
     name = row.get("file_name") or (f"{row['id']}.mp4" if row.get("id") else "")
     path = folder / name
-    if not name or not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder)):
+    if not name or len(name) > _LONGEST_NAME or not _is_inside(path, folder):
         raise InputError(
             f"{where}: neither 'id' nor 'file_name' names a video in {folder.name}; download the table again"
         )
@@ -162,7 +165,7 @@ def _read_video(row: dict[str, str], folder: Path, split: Split, where: str) -> 
     ends_badly = True if event is not None else None
     if target := row.get("target"):
         if target not in ("0", "1"):
-            raise InputError(f"{where}: target {target!r} is neither 0 nor 1")
+            raise InputError(f"{where}: target {target!r:.80} is neither 0 nor 1")
         ends_badly = target == "1"
     elif path.parent.name in (_POSITIVE, _NEGATIVE):
         ends_badly = path.parent.name == _POSITIVE
@@ -172,6 +175,13 @@ def _read_video(row: dict[str, str], folder: Path, split: Split, where: str) -> 
         if row.get(column)
     )
     return _Video(path, split, ends_badly, event, alert, factors)
+
+
+def _is_inside(path: Path, folder: Path) -> bool:
+    try:
+        return Path(os.path.realpath(path)).is_relative_to(os.path.realpath(folder))
+    except ValueError:  # a zero byte is in no path
+        return False
 
 
 def _seconds(row: dict[str, str], column: str, where: str) -> float | None:

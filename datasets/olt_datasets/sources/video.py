@@ -5,11 +5,10 @@ the beginning of the video, and kept in the cache.
 """
 
 import hashlib
-import json
 import math
 from collections import Counter
 from collections.abc import Iterable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +17,10 @@ from numpy.typing import NDArray
 from olt_datasets.sources.video_files import (
     find_video_files,
     has_video_suffix,
+    holds_video,
     leave_out_elsewhere,
+    leave_out_links,
     looks_elsewhere,
-    why_no_video,
 )
 from olt_datasets.sources.video_lens import (
     CAMERA,
@@ -38,7 +38,6 @@ from olt_generator.decoding.orientation import turned
 from olt_generator.decoding.repeated_frames import find_repeated_frames
 from olt_generator.decoding.sky import find_sky_side
 from olt_generator.doubts import Doubt
-from olt_generator.files import write_whole
 from olt_generator.motion.odometry import MAX_STEP_SECONDS
 from olt_generator.omissions import Omission
 from olt_generator.video import (
@@ -87,9 +86,8 @@ class Videos:
             found, elsewhere = leave_out_elsewhere(videos)
             reasons = Counter({**others, **elsewhere}.values())
             total = len(videos) + len(others)
-            self.left_out = tuple(
-                Omission("files called videos", why, count, total) for why, count in sorted(reasons.items())
-            )
+            passed_over = (Omission("files called videos", why, count, total) for why, count in sorted(reasons.items()))
+            self.left_out = (*passed_over, *leave_out_links(path))
         self._videos = {each.relative_to(path).as_posix(): each for each in found}
 
     def keys(self) -> list[str]:
@@ -279,7 +277,7 @@ def _find_lens(
     words = f"{path.name}\x1f{state.st_size}\x1f{state.st_mtime_ns}\x1f{opened}"
     kept = cache / f"lens-{hashlib.blake2b(words.encode(), digest_size=16).hexdigest()}.json"
     if kept.is_file():
-        return AssumedLens.from_dict(json.loads(kept.read_text()))
+        return AssumedLens.read(kept)
     if beginning is None:
         orientation = turned(options.rotate, options.mirror)
         beginning = read_video(path, options.width, beginning_us / 1e6, orientation)
@@ -289,14 +287,13 @@ def _find_lens(
         lens = find_field_of_view(beginning.frames, beginning.timestamps_us)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
-    with write_whole(kept) as temporary:
-        temporary.write_text(json.dumps(asdict(lens)))
+    lens.write(kept)
     return lens
 
 
 def _is_video_or_folder(path: Path) -> bool:
     if path.is_dir():
-        return any(has_video_suffix(each) and why_no_video(each) is None for each in path.iterdir())
+        return holds_video(path)
     return has_video_suffix(path)
 
 

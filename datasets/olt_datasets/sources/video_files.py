@@ -4,14 +4,18 @@ Dash cameras with several lenses write a file for each, and tell them by a mark 
 lists the rules with examples.
 """
 
+import os
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from olt_generator.files import walk_files
+from olt_generator.omissions import Omission
 
 SUFFIXES = frozenset({".mp4", ".mov", ".m4v", ".mkv", ".avi", ".webm", ".ts", ".mpg", ".mpeg"})
+DEPTH = 4
+"""Folders below one, within which a video must lie for it to be taken for a folder of videos."""
 
 # First bytes of what lies beside videos under their names.
 _NO_VIDEO = {
@@ -135,12 +139,35 @@ def why_no_video(path: Path) -> str | None:
     return next((what for magic, what in _NO_VIDEO.items() if start.startswith(magic)), None)
 
 
+def holds_video(folder: Path) -> bool:
+    """Whether a video lies in a folder or up to `DEPTH` folders below it; links to folders are not followed."""
+    for parent, below, names in os.walk(folder):
+        here = Path(parent)
+        if any(has_video_suffix(here / name) and why_no_video(here / name) is None for name in names):
+            return True
+        is_deep = len(here.relative_to(folder).parts) == DEPTH
+        below[:] = [] if is_deep else sorted(name for name in below if not _is_of_system(name))
+    return False
+
+
+def leave_out_links(folder: Path) -> tuple[Omission, ...]:
+    """The links to folders in a folder and below, which are not followed: they may lead round, or to a video again."""
+    folders = [Path(parent) / name for parent, below, _ in os.walk(folder) for name in below]
+    links = sum(each.is_symlink() for each in folders)
+    why = "they are links, which are not followed; give what they lead to"
+    return (Omission("folders", why, links, len(folders)),) if links else ()
+
+
+def _is_of_system(name: str) -> bool:
+    return name.startswith(".") or name.lower() in _FOLDERS_OF_SYSTEMS
+
+
 def find_video_files(folder: Path) -> tuple[list[Path], dict[Path, str]]:
     """The videos in a folder and below, sorted, and what else is called a video and why it is none."""
     videos, others = [], {}
     for path in filter(has_video_suffix, walk_files(folder)):
         parents = path.relative_to(folder).parts[:-1]
-        if any(part.startswith(".") or part.lower() in _FOLDERS_OF_SYSTEMS for part in parents):
+        if any(map(_is_of_system, parents)):
             others[path] = "files in folders of the system"
         elif (what := why_no_video(path)) is not None:
             others[path] = what

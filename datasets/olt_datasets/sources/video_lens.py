@@ -1,15 +1,19 @@
 """Lenses of cameras of which nothing is known: given by the user, told by the turns in the video, or assumed."""
 
+import json
 import math
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator import Camera, FthetaCamera, InputError, PinholeCamera, estimate_field_of_view
 from olt_generator.camera_spread import Origin, Spread
+from olt_generator.files import write_whole
 from olt_toolkit import load_rig
+from olt_toolkit.runtime.json_files import read_json
 
 # The rig in which an unknown camera is taken to be, and its only camera.
 RIG, CAMERA = "dashcam", "front"
@@ -23,6 +27,7 @@ ASSUMED_SPREAD = Spread(0.3, "assumed")
 GIVEN_SPREAD = Spread(0.03, "given")
 # Standard deviations from the 5th to the 95th percentile of a normal distribution.
 _SIGMAS_IN_INTERVAL = 2.0 * 1.645
+_MOST_BYTES = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -34,9 +39,25 @@ class AssumedLens:
     spread: Spread = ASSUMED_SPREAD
 
     @classmethod
-    def from_dict(cls, kept: dict[str, Any]) -> "AssumedLens":
-        """The lens of what `dataclasses.asdict` made of one."""
-        return cls(kept["field_of_view"], kept["sentence"], Spread(**kept["spread"]))
+    def read(cls, path: Path) -> "AssumedLens":
+        """The lens that `write` kept; an `InputError` where the file holds none."""
+        kept = read_json(path, "lens of a video", _MOST_BYTES)
+        match kept:
+            case {
+                "field_of_view": float(angle),
+                "sentence": str(sentence),
+                "spread": {"relative": float(relative)} as spread,
+            }:
+                origin = next((each for each in get_args(Origin) if each == spread.get("origin")), None)
+                in_range = FIELD_OF_VIEW_RANGE[0] <= angle <= FIELD_OF_VIEW_RANGE[1] and 0.0 <= relative < math.inf
+                if in_range and origin is not None:
+                    return cls(angle, sentence, Spread(relative, origin))
+        raise InputError(f"{path}: holds no lens of a video; remove the file, and the lens is looked for again")
+
+    def write(self, path: Path) -> None:
+        """Keep the lens in a file, which appears whole."""
+        with write_whole(path) as temporary:
+            temporary.write_text(json.dumps(asdict(self)))
 
 
 def find_field_of_view(frames: NDArray[np.uint8], timestamps_us: NDArray[np.int64]) -> AssumedLens:

@@ -10,18 +10,17 @@ from collections.abc import Callable, Sequence
 from functools import partial, reduce
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from olt_datasets.tables.table_check import check_table_file
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
-from olt_toolkit.clips.clip import check_clip_id
+from olt_toolkit.clips.parquet_files import open_parquet
 from olt_toolkit.clips.table import CLIP_TABLE, VERSION_KEY, check_table_version
 from olt_toolkit.clips.table import SCHEMA as STORED_SCHEMA
-from olt_toolkit.clips.table_values import check_file
 
 _STORED = pl.DataFrame(STORED_SCHEMA.empty_table()).schema
 # Checksums of files and the provenance of views stay in the store; of the latter here are the shares of pixels over all
@@ -60,9 +59,9 @@ def read_clip_tables(paths: Sequence[Path]) -> pl.DataFrame:
 
 
 def check_table_name(path: Path) -> None:
-    """InputError unless a path is that of a table of indexed clips."""
+    """InputError unless a path can be that of a table, of indexed clips or of leaks."""
     if path.suffix != TABLE_SUFFIX:
-        raise InputError(f"{path}: a table of clips is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
+        raise InputError(f"{path}: a table is written as Parquet; give a name that ends in {TABLE_SUFFIX}")
 
 
 def rewrite_rows(table: Path, out: Path, change: Callable[[pa.Table, int], pa.Table]) -> None:
@@ -72,7 +71,7 @@ def rewrite_rows(table: Path, out: Path, change: Callable[[pa.Table, int], pa.Ta
     the same columns.
     """
     with (
-        pq.ParquetFile(table) as file,
+        open_parquet(table, str(table)) as file,
         write_whole(out) as temporary,
         pq.ParquetWriter(temporary, file.schema_arrow, compression="zstd") as writer,
     ):
@@ -109,31 +108,9 @@ def _scan_clip_table(path: Path) -> pl.LazyFrame:
             *(each.alias(name) for each, name in zip(shares, SHARES, strict=True))
         )
         table = table.select(SCHEMA.names())
-        check_file(file)
-        # What Arrow reads and Polars does not shows here, and not in the middle of later work.
-        pl.scan_parquet(file).select(pl.all().null_count()).collect(engine="streaming")
-        is_sorted = _check_ids(table, file)
+        is_sorted = check_table_file(file)
     except (pl.exceptions.PolarsError, pl.exceptions.PanicException, OSError) as error:
         reason = str(error).partition("\n")[0]
         raise InputError(f"{file}: not a readable Parquet file ({reason}); build or index the clips again") from error
     ordered = table.set_sorted("clip_id") if is_sorted else table.sort("clip_id")
     return ordered.with_columns(store=pl.lit(str(path)))
-
-
-def _check_ids(table: pl.LazyFrame, file: Path) -> bool:
-    """Check that every id is there once and is that of a clip; returns whether the rows are sorted by them."""
-    clip_id = pl.col("clip_id")
-    is_sorted = _tell(table, (clip_id > clip_id.shift(1)).all())
-    if not is_sorted:
-        clip_ids = table.select("clip_id").collect()["clip_id"].sort()
-        repeated = clip_ids.filter(clip_ids == clip_ids.shift(1))
-        if len(repeated):
-            raise InputError(f"{file}: column clip_id has {repeated[0]!r} more than once; each clip needs one row")
-    wrong = _tell(table, clip_id.filter(~clip_id.str.contains(_UUID)).min())
-    if wrong is not None:
-        check_clip_id(wrong, f"{file}: column clip_id")
-    return is_sorted
-
-
-def _tell(table: pl.LazyFrame, question: pl.Expr) -> Any:
-    return table.select(question).collect(engine="streaming").item()

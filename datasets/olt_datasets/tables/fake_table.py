@@ -18,15 +18,15 @@ LONG_TAIL = ("cyclists", "work_zone", "uncommon_vehicle", "animal")
 SAMPLE_TIMES_US = (1_700_000, 5_100_000, 8_500_000, 11_900_000)
 
 
-def write_fake_table(path: Path, clips: int) -> None:
+def write_fake_table(path: Path, clips: int, with_fingerprints: bool = True) -> None:
     """A table of indexed clips in order of their ids: two kinds, four long-tail categories, four times t0 a clip.
 
-    Fingerprints are drawn by chance, so that no clip looks like another.
+    Fingerprints are drawn by chance, so that no clip looks like another; or there are none.
     """
     check_table_name(path)
     with write_whole(path) as temporary, pq.ParquetWriter(temporary, SCHEMA) as writer:
         for start in range(0, clips, ROWS_AT_ONCE):
-            writer.write_table(_rows(start, min(ROWS_AT_ONCE, clips - start)))
+            writer.write_table(_rows(start, min(ROWS_AT_ONCE, clips - start), with_fingerprints))
 
 
 def _draw_fingerprints(random: np.random.Generator, count: int) -> pa.Array:
@@ -36,7 +36,7 @@ def _draw_fingerprints(random: np.random.Generator, count: int) -> pa.Array:
     return pa.FixedSizeBinaryArray.from_buffers(pa.binary(RECORD.itemsize), count, [None, pa.py_buffer(images)])
 
 
-def _rows(start: int, count: int) -> pa.Table:
+def _rows(start: int, count: int, with_fingerprints: bool) -> pa.Table:
     random = make_generator("made-up clip table", start)
     number = pl.int_range(start, start + count, dtype=pl.Int64)
 
@@ -69,7 +69,8 @@ def _rows(start: int, count: int) -> pa.Table:
         checksum=digits(18) + digits(14),
     )
     columns = {name: frame[name].to_arrow() for name in frame.columns}
-    columns["fingerprint"] = _draw_fingerprints(random, count)
+    if with_fingerprints:
+        columns["fingerprint"] = _draw_fingerprints(random, count)
     columns["views"] = pa.ListArray.from_arrays(
         np.zeros(count + 1, np.int32), pa.array([], SCHEMA.field("views").type.value_type)
     )

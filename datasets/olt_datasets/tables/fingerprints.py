@@ -77,13 +77,13 @@ def search_near_duplicates(first: pl.LazyFrame, second: pl.LazyFrame) -> Search:
     """
     clips = second.select(pl.len()).collect(engine="streaming").item()
     effort = choose_effort(clips)
-    found: dict[int, int] = {}
-    crowded: set[int] = set()
+    found = np.full(first.select(pl.len()).collect(engine="streaming").item(), -1)
+    crowded = np.zeros(len(found), bool)
     for index in _build_indexes(second, effort):
         for part in _read_parts(first, _PROBES_AT_ONCE // (IMAGES * effort.probes * effort.tables)):
             _search_part(part, index, found, crowded)
-    pairs = np.array(sorted(found.items()), np.int64).reshape(-1, 2)
-    return Search(pairs, np.array(sorted(crowded - found.keys()), np.int64))
+    places = np.flatnonzero(found >= 0)
+    return Search(np.stack([places, found[places]], axis=1), np.flatnonzero(crowded & (found < 0)))
 
 
 @dataclass(frozen=True)
@@ -193,17 +193,17 @@ def _index(block: _Thumbnails, effort: Effort) -> _Index:
     return _Index(block, block.owners(), keys, effort)
 
 
-def _search_part(part: _Thumbnails, index: _Index, found: dict[int, int], crowded: set[int]) -> None:
-    """Add to `found` a like clip for each of those that have none yet, and to `crowded` those not compared in full."""
+def _search_part(part: _Thumbnails, index: _Index, found: Places, crowded: NDArray[np.bool_]) -> None:
+    """Write to `found` a like clip for each of those that have none (-1), and mark in `crowded` those not compared."""
     candidates, left_out = _find_candidates(part, index)
-    crowded.update(part.clips[left_out].tolist())
+    crowded[part.clips[left_out]] = True
     for clip, candidate, mirrored in candidates.iter_rows():
-        place = int(part.clips[clip])
-        if place in found:
+        place = part.clips[clip]
+        if found[place] >= 0:
             continue
         mine = part.sequence(clip)
         if is_alike(mine.mirrored if mirrored else mine, index.thumbnails.sequence(candidate)):
-            found[place] = int(index.thumbnails.clips[candidate])
+            found[place] = index.thumbnails.clips[candidate]
 
 
 def _find_candidates(part: _Thumbnails, index: _Index) -> tuple[pl.DataFrame, Places]:

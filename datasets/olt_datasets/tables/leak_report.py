@@ -1,7 +1,7 @@
 """What a check for leaks says: every leak, and for each rule how much was compared, how much was not, and why."""
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -75,13 +75,15 @@ class LeakReport:
     """All leaks, what was compared, and why nothing was where nothing could be.
 
     Attributes:
-        leaks: sorted by rule and scene.
+        leaks: by rule and scene; the first of each rule where there are many.
+        counts: number of all leaks by rule.
         comparisons: one for each rule, or two rules that look at the same.
         splits: number of clips in each split; those in none, under "none", were compared with nothing.
         empty: why there was nothing to compare, None where there was.
     """
 
     leaks: tuple[Leak, ...]
+    counts: dict[str, int]
     comparisons: tuple[Comparison, ...]
     splits: dict[str, int]
     empty: str | None
@@ -103,31 +105,33 @@ class LeakReport:
             "complete": self.is_complete,
             "empty": self.empty,
             "splits": self.splits,
+            "leak_counts": self.counts,
             "comparisons": [asdict(each) for each in self.comparisons],
             "leaks": [asdict(each) for each in self.leaks],
         }
 
 
-def word_report(report: LeakReport, shown: int) -> list[str]:
-    """Lines for people: the leaks, of which so many are shown, and what was compared."""
-    counts = Counter(leak.rule for leak in report.leaks)
+def word_report(report: LeakReport, shown: int, rest: str = "olt data check --leaks FILE") -> list[str]:
+    """Lines for people: the leaks, of which so many are shown, where the `rest` is, and what was compared."""
+    total = sum(report.counts.values())
     if report.leaks:
-        lines = [f"{len(report.leaks)} leaks: {', '.join(f'{count} {rule}' for rule, count in counts.items())}"]
+        lines = [f"{total:,} leaks: {', '.join(f'{count:,} {rule}' for rule, count in report.counts.items())}"]
     elif report.empty is not None:
         lines = [f"nothing was compared: {report.empty}"]
     else:
         lines = ["no leaks in what was compared"]
-    lines += [f"  {leak.rule}: {leak}" for leak in report.leaks[:shown]]
-    if len(report.leaks) > shown:
-        lines.append(f"  and {len(report.leaks) - shown} more; --json lists all")
+    told = report.leaks[:shown]
+    lines += [f"  {leak.rule}: {leak}" for leak in told]
+    if total > len(told):
+        lines.append(f"  and {total - len(told):,} more; {rest} lists them")
     held = ", ".join(f"{count:,} {split}" for split, count in report.splits.items())
     return [*lines, f"clips by split: {held or 'none'}", *map(str, report.comparisons)]
 
 
-def summarize_leaks(leaks: Sequence[Leak]) -> str:
+def summarize_leaks(report: LeakReport) -> str:
     """One line that names the first few leaks and counts the rest."""
-    shown = "; ".join(map(str, leaks[:SHOWN]))
-    return shown if len(leaks) <= SHOWN else f"{shown}; and {len(leaks) - SHOWN} more"
+    shown, total = "; ".join(map(str, report.leaks[:SHOWN])), sum(report.counts.values())
+    return shown if total <= SHOWN else f"{shown}; and {total - SHOWN} more"
 
 
 def join_reports(reports: Iterable[LeakReport], splits: dict[str, int], empty: str | None) -> LeakReport:
@@ -145,7 +149,8 @@ def join_reports(reports: Iterable[LeakReport], splits: dict[str, int], empty: s
             {why: max(before.clips.get(why, 0), count) for why, count in (before.clips | each.clips).items()},
         )
     leaks = tuple(leak for report in reports for leak in report.leaks)
-    return LeakReport(leaks, tuple(comparisons.values()), splits, empty)
+    counts = sum((Counter(report.counts) for report in reports), Counter())
+    return LeakReport(leaks, dict(counts), tuple(comparisons.values()), splits, empty)
 
 
 def _add(first: dict[str, int], second: dict[str, int]) -> dict[str, int]:

@@ -1,28 +1,27 @@
 """What must never be trained on: other splits, scenes and sources that are held out, and what another split shows."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import replace
-from typing import Any
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
 from olt_datasets.tables.fingerprints import is_telling, search_near_duplicates
+from olt_datasets.tables.leak_listing import PLACE, LeakListing, Write, write_leaks
 from olt_datasets.tables.leak_report import (
     NO_FINGERPRINT,
     NOTHING_TO_SEE,
     TOO_MANY_ALIKE,
-    ClipPlace,
     Comparison,
-    Leak,
     LeakReport,
     join_reports,
 )
 from olt_datasets.tables.shared_moments import find_shared_moments
 
-_PLACE = ("clip_id", "scene_id", "split", "store")
 _ROWS_AT_ONCE = 100_000
+_PAIRS_AT_ONCE = 1_000_000
 
 
 def find_leaks(
@@ -31,6 +30,7 @@ def find_leaks(
     split: str = "train",
     held_out_scenes: Collection[str] = (),
     external_sources: Collection[str] = (),
+    write: Write | None = None,
 ) -> LeakReport:
     """All leaks of a mixture, by rule and scene, and what was compared for each rule.
 
@@ -45,7 +45,8 @@ def find_leaks(
       little, cannot be compared, which the report says.
 
     Chosen are the rows that the mixture uses; the whole clip table is only scanned. Clips in no split are compared with
-    nothing, but for those of held-out scenes and external sources.
+    nothing, but for those of held-out scenes and external sources. All leaks are counted and the first of each rule
+    told; `write` is given all of them.
     """
     clips, everything = chosen.lazy(), table.lazy()
     others = everything.filter(pl.col("split") != split)
@@ -53,35 +54,42 @@ def find_leaks(
     guarded = everything.filter((pl.col("split") != split) | never)
     splits = count_splits(everything)
     mine, theirs = _count(clips), _count(others)
-    shared = find_shared_moments(clips, others)
-    alike, near_duplicates = _find_near_duplicates(clips, guarded, never)
-    leaks = [
-        *_find_clips(clips.filter(pl.col("split").ne_missing(split)), "split", split),
-        *_find_clips(clips.filter(pl.col("scene_id").is_in(list(held_out_scenes))), "held out", split),
-        *_find_sources(clips.filter(pl.col("source").is_in(list(external_sources)))),
-        *map(_word_shared, shared.iter_rows(named=True)),
-        *alike,
-    ]
+    listing = LeakListing(split, write)
+    listing.add(_find_clips(clips.filter(pl.col("split").ne_missing(split))), "split")
+    listing.add(_find_clips(clips.filter(pl.col("scene_id").is_in(list(held_out_scenes)))), "held out")
+    listing.add([_find_sources(clips.filter(pl.col("source").is_in(list(external_sources))))], "external")
+    rule = pl.when(pl.col("kind") == pl.col("kind_other")).then(pl.lit("overlap")).otherwise(pl.lit("twin"))
+    listing.add(find_shared_moments(clips, others), rule)
+    seen, guard = (frame.select(*PLACE, "fingerprint", never=never) for frame in (clips, guarded))
+    search = search_near_duplicates(seen, guard)
+    listing.add(_find_near_duplicates(seen, guard, search.pairs), "near-duplicate")
     comparisons = [
         Comparison("split", "clips with the split of the mixture", mine),
         _compare_names("held out", "clips with the {} held-out scenes", mine, held_out_scenes),
         _compare_names("external", "clips with the {} external sources", mine, external_sources),
         Comparison("twin and overlap", "pairs of clips of different splits", mine * theirs),
-        near_duplicates,
+        _count_comparable(seen, guard, len(search.crowded)),
     ]
     empty = None if theirs else f"no clip is in another split than {split}"
-    return LeakReport(tuple(leaks), tuple(comparisons), splits, empty)
+    return LeakReport(listing.leaks(), dict(listing.counts), tuple(comparisons), splits, empty)
 
 
 def find_table_leaks(
-    table: pl.LazyFrame, held_out_scenes: Collection[str] = (), external_sources: Collection[str] = ()
+    table: pl.LazyFrame,
+    held_out_scenes: Collection[str] = (),
+    external_sources: Collection[str] = (),
+    out: Path | None = None,
 ) -> LeakReport:
-    """All leaks between the splits of a table; only training may use neither held-out scenes nor external sources."""
+    """All leaks between the splits of a table; only training may use neither held-out scenes nor external sources.
+
+    They are written to the Parquet file `out`, if it is given.
+    """
     split, splits = pl.col("split"), count_splits(table)
-    reports = [
-        find_leaks(table.filter(split == "train"), table, "train", held_out_scenes, external_sources),
-        find_leaks(table.filter(split == "val"), table.filter(split.is_in(["val", "test"])), "val"),
-    ]
+    with write_leaks(out) as write:
+        reports = [
+            find_leaks(table.filter(split == "train"), table, "train", held_out_scenes, external_sources, write),
+            find_leaks(table.filter(split == "val"), table.filter(split.is_in(["val", "test"])), "val", write=write),
+        ]
     used = [name for name in splits if name != "none"]
     empty = None
     if len(used) < 2:
@@ -102,61 +110,25 @@ def _compare_names(rule: str, what: str, clips: int, names: Collection[str]) -> 
     return Comparison(rule, what.format(len(names)) if names else None, clips if names else 0)
 
 
-def _find_clips(wrong: pl.LazyFrame, rule: str, split: str) -> list[Leak]:
+def _find_clips(wrong: pl.LazyFrame) -> Iterator[pl.DataFrame]:
     """Chosen clips that may not be chosen."""
-    return [
-        Leak(
-            rule,
-            place.scene_id,
-            f"clip {place.clip_id} is of split {place.split or 'none'}, the mixture of split {split}"
-            if rule == "split"
-            else f"clip {place.clip_id} shows a held-out scene",
-            (place,),
-        )
-        for place in _places(wrong)
-    ]
+    return wrong.select(PLACE).collect_batches(chunk_size=_ROWS_AT_ONCE, maintain_order=True, engine="streaming")
 
 
-def _find_sources(wrong: pl.LazyFrame) -> list[Leak]:
-    """One leak for each scene and source."""
-    groups = wrong.group_by("scene_id", "source").agg(pl.len(), pl.struct(_PLACE).min_by("clip_id"))
-    found = groups.collect(engine="streaming").sort("scene_id", "source").iter_rows(named=True)
-    return [
-        Leak(
-            "external",
-            row["scene_id"],
-            f"source {row['source']} is external: it is never trained on",
-            (ClipPlace(**row["clip_id"]),),
-            row["len"],
-        )
-        for row in found
-    ]
+def _find_sources(wrong: pl.LazyFrame) -> pl.DataFrame:
+    """One leak for each scene and source, with its first clip."""
+    first = pl.struct("clip_id", "split", "store").min_by("clip_id").alias("first")
+    groups = wrong.group_by("scene_id", "source").agg(pl.len().alias("pairs"), first)
+    return groups.collect(engine="streaming").unnest("first").sort("scene_id", "source")
 
 
-def _word_shared(row: dict[str, Any]) -> Leak:
-    kind, other_kind = row["kind"], row["kind_other"]
-    return Leak(
-        "overlap" if kind == other_kind else "twin",
-        row["scene_id"],
-        f"its {kind} clips in split {row['split']} and its {other_kind} clips in {row['split_other']} both show "
-        f"moments from {row['from_us'] / 1e6:.6g} to {row['to_us'] / 1e6:.6g} s",
-        (_place(row), _place(row | {"scene_id_other": row["scene_id"]}, "_other")),
-        row["pairs"],
-    )
-
-
-def _find_near_duplicates(clips: pl.LazyFrame, guarded: pl.LazyFrame, never: pl.Expr) -> tuple[list[Leak], Comparison]:
-    mine, theirs = (frame.select(*_PLACE, "fingerprint", never=never) for frame in (clips, guarded))
-    search = search_near_duplicates(mine, theirs)
-    comparison = _count_comparable(mine, theirs, len(search.crowded))
-    here, there = (_take(frame, search.pairs[:, side]) for side, frame in enumerate((mine, theirs)))
-    alike = here.hstack(there.select(pl.all().name.suffix("_other")))
-    found = alike.filter(pl.col("split").ne_missing(pl.col("split_other")) | pl.col("never_other"))
-    leaks = []
-    for row in found.sort("scene_id", "clip_id", "scene_id_other", "clip_id_other").iter_rows(named=True):
-        place, other = _place(row), _place(row, "_other")
-        leaks.append(Leak("near-duplicate", place.scene_id, f"{place} looks like {other}", (place, other)))
-    return leaks, comparison
+def _find_near_duplicates(mine: pl.LazyFrame, theirs: pl.LazyFrame, pairs: NDArray[np.int64]) -> Iterator[pl.DataFrame]:
+    """Pairs of clips that look alike and may not, of those at places (m, 2) of two tables."""
+    for start in range(0, len(pairs), _PAIRS_AT_ONCE):
+        part = pairs[start : start + _PAIRS_AT_ONCE]
+        here, there = (_take(frame, part[:, side]) for side, frame in enumerate((mine, theirs)))
+        alike = here.hstack(there.select(pl.all().name.suffix("_other")))
+        yield alike.filter(pl.col("split").ne_missing(pl.col("split_other")) | pl.col("never_other"))
 
 
 def _take(frame: pl.LazyFrame, places: NDArray[np.int64]) -> pl.DataFrame:
@@ -193,12 +165,3 @@ def _count_fingerprints(frame: pl.LazyFrame) -> tuple[int, int, int]:
 
 def _count(frame: pl.LazyFrame) -> int:
     return frame.select(pl.len()).collect(engine="streaming").item()
-
-
-def _places(frame: pl.LazyFrame) -> list[ClipPlace]:
-    rows = frame.select(_PLACE).collect(engine="streaming").sort("scene_id", "clip_id", "store")
-    return [ClipPlace(**row) for row in rows.iter_rows(named=True)]
-
-
-def _place(row: dict[str, Any], suffix: str = "") -> ClipPlace:
-    return ClipPlace(**{name: row[name + suffix] for name in _PLACE})

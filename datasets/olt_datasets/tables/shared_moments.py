@@ -5,6 +5,7 @@ those that begin before a window ends, the ones that have ended before it begins
 million rows is looked at some scenes at a time.
 """
 
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
@@ -18,36 +19,32 @@ _GROUP = ("scene_id", "kind", "split", "kind_other", "split_other")
 Numbers = NDArray[np.int64]
 
 
-def find_shared_moments(clips: pl.LazyFrame, others: pl.LazyFrame) -> pl.DataFrame:
-    """Where clips and others of the same scene and of different splits show the same moments.
+def find_shared_moments(clips: pl.LazyFrame, others: pl.LazyFrame) -> Iterator[pl.DataFrame]:
+    """Where clips and others of the same scene and of different splits show the same moments, some scenes at a time.
 
     Both have the columns `COLUMNS`.
 
-    Returns:
-        A row for each scene, pair of kinds and pair of splits, sorted: those columns (`_other` after those of the other
-        clip), `pairs`, the number of pairs of clips, and of the first pair `clip_id`, `store` and `from_us` to `to_us`,
-        the moments that both show.
+    Yields:
+        A row for each scene, pair of kinds and pair of splits: those columns (`_other` after those of the other clip),
+        `pairs`, the number of pairs of clips, and of the first pair `clip_id`, `store` and `from_us` to `to_us`, the
+        moments that both show.
     """
     rows = sum(frame.select(pl.len()).collect(engine="streaming").item() for frame in (clips, others))
     parts = -(-rows // _ROWS_AT_ONCE)
-    found = []
     for part in range(parts):
         in_part = pl.col("scene_id").hash() % parts == part
         mine = clips.filter(in_part).select(COLUMNS).collect(engine="streaming")
         scenes = mine.lazy().select("scene_id").unique()
         theirs = others.filter(in_part).select(COLUMNS).join(scenes, on="scene_id", how="semi")
-        found += _compare_kinds(mine, theirs.collect(engine="streaming"))
-    return pl.concat(found).sort(_GROUP) if found else pl.DataFrame()
+        yield from _compare_kinds(mine, theirs.collect(engine="streaming"))
 
 
-def _compare_kinds(mine: pl.DataFrame, theirs: pl.DataFrame) -> list[pl.DataFrame]:
+def _compare_kinds(mine: pl.DataFrame, theirs: pl.DataFrame) -> Iterator[pl.DataFrame]:
     """The rows for some scenes, one frame for each kind and split of the others."""
-    found = []
     for kind, split in product(theirs["kind"].unique().sort(), theirs["split"].unique().sort()):
         first = mine.filter(pl.col("split") != split)
         second = theirs.filter((pl.col("kind") == kind) & (pl.col("split") == split))
-        found.append(_compare(first, second))
-    return [each for each in found if len(each)]
+        yield _compare(first, second).with_columns(scene_id_other="scene_id")
 
 
 def _compare(mine: pl.DataFrame, theirs: pl.DataFrame) -> pl.DataFrame:

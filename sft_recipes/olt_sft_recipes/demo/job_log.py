@@ -7,9 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, write_whole
+from olt_generator.files import make_folder, read_bounded, write_whole
 from olt_generator.progress import Progress
+from olt_toolkit.runtime.json_files import read_json
 from olt_toolkit.runtime.version import code_version
+
+_MOST_BYTES = 1 << 20
 
 
 class JobLog:
@@ -34,7 +37,7 @@ class JobLog:
         if not path.exists():
             with write_whole(path) as temporary:
                 temporary.write_text(text)
-        elif path.read_text() != text:
+        elif read_bounded(path, "description of a job", _MOST_BYTES) != text.encode():
             raise InputError(
                 f"{folder.parent}: holds a run with other settings, input or version of the code (see {path}); "
                 "choose another --out or remove the folder"
@@ -54,6 +57,8 @@ class JobLog:
             finished = {"result": result, "seconds": round(time.perf_counter() - start, 3)}
             with write_whole(path) as temporary:
                 temporary.write_text(json.dumps(finished, indent=2, allow_nan=False) + "\n")
-        finished = json.loads(path.read_text())
+        finished = read_json(path, "finished step")
+        if not isinstance(finished, dict) or not {"result", "seconds"} <= finished.keys():
+            raise InputError(f"{path}: holds no result of step {step}; remove the file, and the step is run again")
         self.seconds[step] = finished["seconds"]
         return finished["result"]

@@ -18,6 +18,8 @@ from olt_closed_loop import (
     summarize_scores,
     write_scene,
 )
+from olt_closed_loop.evaluation.baselines import run_baselines
+from olt_closed_loop.evaluation.comparison import compare_scores
 from olt_closed_loop.evaluation.evaluation import count_left_out, pass_gate
 from olt_closed_loop.scenes.procedural import CATEGORIES
 from olt_closed_loop.sensors.recorder import record_drive
@@ -363,7 +365,7 @@ def drive_suite(
         InputError: a scene fails the gate, so that its scores would mean nothing.
     """
     gate = [result.to_dict() for result in pass_gate(suite)]
-    policies = {}
+    policies, driven = {}, {}
     for index, name in enumerate(RECIPES):
         results = run_closed_loop(
             suite,
@@ -371,17 +373,25 @@ def drive_suite(
             rollouts=settings.rollouts,
             seed=settings.seed,
             workers=workers,
-            on_progress=lambda share, index=index: on_progress((index + share) / len(RECIPES)),
+            on_progress=lambda share, index=index: on_progress((index + share) / (len(RECIPES) + 1)),
         )
         save_results(out / "closed_loop" / name, results)
-        scores = [score for _, score in results]
+        driven[name] = scores = [score for _, score in results]
         policies[name] = {
             "table": summarize_scores(scores).to_dict(),
             "scores": [score.to_dict() for score in scores],
             "incidents": [{"scene": rollout.scene, **vars(rollout.incidents)} for rollout, _ in results],
             "left_out": [omission.to_dict() for omission in count_left_out(results)],
         }
-    return {"gate": gate, "policies": policies}
+    beside = run_baselines(
+        suite,
+        "toy",
+        settings.seed,
+        workers=workers,
+        on_progress=lambda share: on_progress((len(RECIPES) + share) / (len(RECIPES) + 1)),
+    )
+    driven |= {name: [score for _, score in results] for name, results in beside.items()}
+    return {"gate": gate, "policies": policies, "comparison": compare_scores(driven).to_dict()}
 
 
 def list_left_out(clips: dict[str, Any], closed_loop: dict[str, Any]) -> list[dict[str, Any]]:

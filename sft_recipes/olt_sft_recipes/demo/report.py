@@ -24,6 +24,7 @@ AGENT_COLOR = "#9a3412"
 Drive = tuple[Rollout, dict[str, Any]]
 """A rollout and its score."""
 
+DIFFERENCE_COLUMNS = ("policy", "less", "scenes", "AS", "AS 95 %", "clearly separated")
 SCORE_COLUMNS = ("trained on", "scenes", "AS", "AS 95 %", "CR", "CR 95 %", "valid rollouts")
 
 
@@ -37,9 +38,10 @@ def draw_report(out: Path, summary: dict[str, Any]) -> None:
     scenes = [read_scene(out / "scenes" / f"{name}.usda") for name in summary["scenes"]["evaluation"]]
     definition = policies[RECIPES[0]]["table"]["definition"]
     note = (
-        f"Definition {definition!r}. AS: mean score of the valid rollouts, Student-t interval. CR: share of "
-        "valid rollouts that touched anything, Wilson interval. The scenes are held out of every mixture. These are "
-        "toy policies on a handful of scenes: the intervals say how little the difference between two rows means."
+        f"Definition {definition!r}. AS: mean score of the valid rollouts, Student-t interval over scenes. CR: share "
+        "of valid rollouts that touched anything, Wilson interval. The last rows are policies that know nothing. The "
+        "scenes are held out of every mixture. These are toy policies on a handful of scenes: the intervals say how "
+        "little the difference between two rows means."
     )
     left_out = [word_omission(Omission(**record)) for record in summary["left_out"]]
     machine = summary["machine"]
@@ -47,7 +49,15 @@ def draw_report(out: Path, summary: dict[str, Any]) -> None:
     versions = ", ".join(f"{package} {version}" for package, version in machine["packages"].items())
     about = f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}; {versions}."
     sections = [
-        Section("Closed-loop scores", [Table(SCORE_COLUMNS, score_rows(summary), note)]),
+        Section(
+            "Closed-loop scores",
+            [
+                Table(SCORE_COLUMNS, score_rows(summary), note),
+                Table(
+                    DIFFERENCE_COLUMNS, difference_rows(summary), "Paired by scene; bootstrap intervals over scenes."
+                ),
+            ],
+        ),
         *_input_sections(out / "pictures", summary["input"]),
         _training_section(summary["mixtures"], summary["training"]),
         Section("Rollouts from above", [_draw_scene(scene, drives) for scene in scenes]),
@@ -60,24 +70,42 @@ def draw_report(out: Path, summary: dict[str, Any]) -> None:
 
 
 def score_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
-    """Rows of the score table: policy, category, AS and CR with their intervals, rollouts."""
-
-    def interval(bounds: list[float] | None) -> str | None:
-        return None if bounds is None else f"{bounds[0]:.2f} to {bounds[1]:.2f}"
-
+    """Rows of the score table: policy, category, AS and CR with their intervals, rollouts; baselines last."""
+    closed_loop = summary["closed_loop"]
+    rows = [(name, row) for name in RECIPES for row in closed_loop["policies"][name]["table"]["rows"]]
+    rows += [(name, row) for name, row in closed_loop["comparison"]["policies"].items() if name not in RECIPES]
     return [
         (
             name,
             row["category"],
             row["alpasim_score"],
-            interval(row["alpasim_score_interval"]),
+            _word_interval(row["alpasim_score_interval"]),
             row["collision_rate"],
-            interval(row["collision_rate_interval"]),
+            _word_interval(row["collision_rate_interval"]),
             f"{row['valid']} of {row['rollouts']}",
         )
-        for name in RECIPES
-        for row in summary["closed_loop"]["policies"][name]["table"]["rows"]
+        for name, row in rows
     ]
+
+
+def difference_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
+    """Rows of differences of the trained policies from each other and from the baselines."""
+    return [
+        (
+            pair["first"],
+            pair["second"],
+            pair["scenes"],
+            pair["score"],
+            _word_interval(pair["score_interval"]),
+            "yes" if pair["separated"] else "no",
+        )
+        for pair in summary["closed_loop"]["comparison"]["differences"]
+        if pair["first"] in RECIPES
+    ]
+
+
+def _word_interval(bounds: list[float] | None) -> str | None:
+    return None if bounds is None else f"{bounds[0]:.2f} to {bounds[1]:.2f}"
 
 
 def _input_sections(pictures: Path, clip: dict[str, Any]) -> list[Section]:

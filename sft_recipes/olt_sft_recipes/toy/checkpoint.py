@@ -9,7 +9,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from olt_generator.errors import InputError
-from olt_generator.files import write_whole_folder
+from olt_generator.files import find_whole_folder, write_whole_folder
 from olt_sft_recipes.toy.action_expert import ActionExpert
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.toy.language_model import VisionLanguageModel
@@ -52,7 +52,7 @@ def read_config(folder: Path) -> ToyPolicyConfig:
     Raises:
         InputError: there is no valid `config.json`.
     """
-    path = folder / CONFIG_FILE
+    path = find_whole_folder(folder) / CONFIG_FILE
     try:
         return ToyPolicyConfig.model_validate_json(path.read_bytes())
     except OSError as error:
@@ -67,7 +67,7 @@ def read_tensors(folder: Path) -> dict[str, Tensor]:
     Raises:
         InputError: the weights are absent or damaged.
     """
-    path = folder / WEIGHTS_FILE
+    path = find_whole_folder(folder) / WEIGHTS_FILE
     try:
         return load_file(path)
     except (OSError, SafetensorError) as error:

@@ -2,15 +2,17 @@
 
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, PositiveInt, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from olt_generator.errors import InputError
 from olt_toolkit.policy.contract import IMAGE_FRAMES
 from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract, find_contract
 
+_MOST_WEIGHTS = 1 << 26
+
 
 class ToyPolicyConfig(BaseModel):
-    """Sizes of the toy policy; saved as `config.json` beside its weights.
+    """Sizes of the toy policy, which fit any machine; saved as `config.json` beside its weights.
 
     Attributes:
         rig: camera contract whose cameras it takes (`olt_toolkit.rigs.contracts`).
@@ -29,16 +31,16 @@ class ToyPolicyConfig(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     rig: str = DEFAULT_CONTRACT.name
-    image_height: PositiveInt = 64
-    image_width: PositiveInt = 112
-    image_channels: PositiveInt = 16
+    image_height: Annotated[int, Field(ge=1, le=1024)] = 64
+    image_width: Annotated[int, Field(ge=1, le=1024)] = 112
+    image_channels: Annotated[int, Field(ge=1, le=128)] = 16
     image_frames: Annotated[int, Field(ge=1, le=IMAGE_FRAMES)] = 1
-    tokens_per_image: PositiveInt = 4
-    width: PositiveInt = 64
-    layers: PositiveInt = 2
-    heads: PositiveInt = 4
-    expert_width: PositiveInt = 64
-    integration_steps: PositiveInt = 10
+    tokens_per_image: Annotated[int, Field(ge=1, le=256)] = 4
+    width: Annotated[int, Field(ge=1, le=512)] = 64
+    layers: Annotated[int, Field(ge=1, le=32)] = 2
+    heads: Annotated[int, Field(ge=1, le=64)] = 4
+    expert_width: Annotated[int, Field(ge=1, le=512)] = 64
+    integration_steps: Annotated[int, Field(ge=1, le=1000)] = 10
 
     @field_validator("rig")
     @classmethod
@@ -54,6 +56,10 @@ class ToyPolicyConfig(BaseModel):
             raise ValueError(f"width {self.width} is not a multiple of heads {self.heads}")
         if self.image_height % 16 or self.image_width % 16:
             raise ValueError(f"image size {self.image_height} x {self.image_width} is not a multiple of 16")
+        cells = (self.image_height // 16) * (self.image_width // 16)
+        weights = 4 * self.image_channels * cells * self.tokens_per_image * self.width
+        if weights > _MOST_WEIGHTS:
+            raise ValueError(f"images would become tokens by {weights} weights, more than {_MOST_WEIGHTS}; take fewer")
         return self
 
     @property

@@ -1,6 +1,6 @@
 import json
 from dataclasses import replace
-from importlib.metadata import EntryPoint
+from types import SimpleNamespace
 from typing import get_args
 
 import pytest
@@ -22,7 +22,7 @@ from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout import Traffic
 from olt_closed_loop.rollouts.rollout_tables import load_rollouts
 from olt_closed_loop.scenes.scene_file import write_scene
-from olt_closed_loop.scoring.definitions import DEFINITIONS
+from olt_closed_loop.scoring.definitions import DefinitionName
 from olt_closed_loop.simulation import policies
 from olt_closed_loop.simulation.settings import SimulationSettings, VehicleKind
 from olt_closed_loop.vehicle.integrators import Method
@@ -171,7 +171,7 @@ def test_traffic_and_planner_delay_are_options(tmp_path):
     result = CliRunner().invoke(app, [*arguments, *options, "--out", str(tmp_path)])
     assert result.exit_code == 0, result.output
     printed = json.loads(result.stdout)
-    assert (printed["traffic"], printed["table"]["definition"]) == ("idm", "alpasim")
+    assert (printed["traffic"], printed["table"]["definition"]) == ("idm", "alpasim@3032e0c")
     (rollout,) = load_rollouts(tmp_path / "rollouts.parquet")
     assert rollout.traffic == "idm" and len(rollout.states) == 41
     assert rollout.plan_times_us[0] == rollout.handover_us - 300_000
@@ -199,7 +199,7 @@ def test_the_scene_command_converts_and_reports_the_gate(tmp_path):
 def test_controller_and_integrator_are_options_of_the_names_that_there_are():
     assert (get_args(commands.Controller), get_args(commands.Integrator)) == (get_args(ControlMethod), get_args(Method))
     assert (get_args(commands.Traffic), get_args(commands.Vehicle)) == (get_args(Traffic), get_args(VehicleKind))
-    assert get_args(commands.Definition) == DEFINITIONS
+    assert get_args(commands.Definition) == get_args(DefinitionName)
 
 
 @pytest.mark.parametrize(
@@ -234,8 +234,7 @@ def register(monkeypatch):
     """Makes a policy known under a name."""
 
     def register_policy(name, policy):
-        entry = EntryPoint(name, "nowhere:policy", "olt.policies")
-        monkeypatch.setattr(EntryPoint, "load", lambda self: lambda argument: policy)
+        entry = SimpleNamespace(name=name, load=lambda: lambda argument: policy)
         monkeypatch.setattr(policies, "entry_points", lambda group: [entry])
 
     return register_policy

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 from olt_closed_loop.commands import app
 from olt_closed_loop.rollouts.rollout_files import parse_rollout, read_rollout_file
+from olt_closed_loop.scoring.definitions import DEFINITIONS
 from olt_generator.errors import InputError
 
 from ...fuzzing import SECONDS
@@ -104,18 +105,45 @@ def test_what_is_not_json_is_refused(tmp_path):
 
 
 @settings(max_examples=12)
-@given(seed=st.integers(0, 10_000), definition=st.sampled_from(["strict", "alpasim"]))
+@given(seed=st.integers(0, 10_000), definition=st.sampled_from(DEFINITIONS))
 def test_the_command_prints_one_object_for_any_rollout(tmp_path_factory, texts, seed, definition):
     path = written(tmp_path_factory.mktemp("rollout"), texts.random(seed))
     result = CliRunner().invoke(app, ["score-rollout", str(path), "--definition", definition, "--json"])
     assert result.exit_code == 0, result.output
     values = json.loads(result.output)
     assert values["definition"] == definition
-    if definition == "alpasim":
-        assert set(values["scene"]) == {"score", "progress_score", "failure_reason", "passed"}
-        assert len(values["raw"]) == 23
-    else:
+    if definition == "strict":
         assert values["valid"] and 0.0 <= values["score"] <= 1.0
+    else:
+        scored = {"score", "progress_score", "failure_reason", "passed"}
+        assert set(values["scene"]) in (scored, {"error"})
+        assert len(values["raw"]) == (23 if definition == "alpasim@3032e0c" else 25)
+        assert values["summary_row"]["score"] == values["scene"].get("score")
+
+
+def test_alpasim_alone_is_the_version_that_the_output_names(tmp_path, texts):
+    path = written(tmp_path, texts.rollout(texts.along_x()))
+    arguments = ["score-rollout", str(path), "--definition", "alpasim"]
+    assert json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)["definition"] == "alpasim@3032e0c"
+    assert "definition alpasim@3032e0c" in CliRunner().invoke(app, arguments).stdout
+
+
+@pytest.mark.parametrize("change", [{"failure": "the policy raised"}, {"driver_ended": True}])
+def test_a_drive_that_the_driver_breaks_off_is_a_failed_row_of_the_challenge(tmp_path, texts, change):
+    path = written(tmp_path, texts.rollout(texts.along_x()) | change)
+    arguments = ["score-rollout", str(path), "--definition", "alpasim@challenge-2026-09", "--json"]
+    values = json.loads(CliRunner().invoke(app, arguments).stdout)
+    row = values["summary_row"]
+    assert (row["status"], row["passed"], row["score"]) == ("fail", False, 0.0)
+    assert row["failure_reason"] == change.get("failure", "the driver ended the session")
+    measured = {name for name, value in row["score_metrics"].items() if value is not None}
+    assert measured == {"progress_score"} and row["score_metrics"]["progress_score"] == 0.0
+    assert values["scene"]["score"] == 0.0 and values["final"] == {}
+
+
+def test_a_choice_of_another_kind_is_refused(texts):
+    with pytest.raises(InputError, match="driver_ended is 1; give bool"):
+        parse_rollout(texts.rollout(texts.along_x()) | {"driver_ended": 1}, "drive")
 
 
 def test_the_command_prints_a_table(tmp_path, texts):

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 
 from olt_closed_loop.rollouts.rollout_files import parse_rollout
 from olt_closed_loop.scoring.alpasim.plans import measure_plan_collisions
+from olt_closed_loop.scoring.alpasim.recording import lateral_distances
 from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_contact
 
@@ -16,9 +17,9 @@ from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_c
 def score(texts):
     """AlpaSim's values of a drive along x, changed as asked."""
 
-    def scored(poses=None, **changes):
+    def scored(poses=None, version="3032e0c", **changes):
         poses = texts.along_x() if poses is None else poses
-        return score_as_alpasim(parse_rollout(texts.rollout(poses, **changes), "drive"))
+        return score_as_alpasim(parse_rollout(texts.rollout(poses, **changes), "drive"), version)
 
     return scored
 
@@ -74,6 +75,7 @@ def test_without_a_map_nothing_is_off_road_and_the_scene_has_no_score(score):
     assert all(scores.raw[name] is None for name in roads) and not roads & set(scores.final)
     assert scores.final["offroad_or_collision"] == 0.0
     assert scores.scene.score is None and scores.scene.passed is None
+    assert scores.to_dict()["scene"] == {"error": "Cannot compute scene score: missing metric 'offroad'."}
 
 
 def test_a_lane_without_its_right_border_takes_the_road_metrics_with_it(texts, score):
@@ -115,6 +117,75 @@ def test_agents_that_start_late_are_not_there_before(texts, score):
     scores = score(agents={"late": late})
     assert scores.raw["collision_any"] == 0.0
     assert scores.raw["min_distance_to_obstacle_m"] == pytest.approx(60 - 40 - 2.3 + 1.3965 - 0.5 * 5.393, abs=0.1)
+
+
+CHALLENGE = "challenge-2026-09"
+
+
+def test_the_lateral_distance_is_that_of_alpasims_own_test():
+    line, degenerate = np.array([[0.0, 0.0], [50.0, 0.0]]), np.zeros((2, 2))
+    points = np.array([[56.0, 0.0], [70.0, 0.0], [25.0, 4.5], [56.0, 5.0]])
+    np.testing.assert_allclose(lateral_distances(line, points), [0.0, 0.0, 4.5, 5.0], atol=1e-12)
+    assert lateral_distances(degenerate, np.array([[3.0, 4.0]])) == pytest.approx([5.0])
+
+
+@given(
+    ends=st.lists(st.tuples(st.integers(-30, 30), st.integers(-30, 30)), min_size=2, max_size=5, unique=True),
+    point=st.tuples(st.floats(-60, 60), st.floats(-60, 60)),
+)
+def test_beside_a_path_is_never_farther_than_the_path_and_the_same_before_its_end(ends, point):
+    path, place = np.array(ends, dtype=float), shapely.Point(point)
+    line = shapely.LineString(path)
+    (beside,) = lateral_distances(path, np.array([point]))
+    assert beside <= line.distance(place) + 1e-9
+    if line.project(place) < line.length - 1e-6:
+        assert beside == pytest.approx(line.distance(place))
+
+
+def beside_the_road(texts, offset):
+    """A drive that is `offset` to the left from sample 50 on, with edges too far away to matter."""
+    poses = texts.along_x()
+    poses[50:, 1] = offset
+    changes = {"recorded": texts.along_x(), "map": texts.road() | {"road_edges": [[[-60, -19], [300, -19]]]}}
+    return poses, changes
+
+
+@pytest.mark.parametrize(("offset", "reason"), [(3.999, None), (4.0, "left_corridor_laterally")])
+def test_the_challenge_gives_nothing_to_who_leaves_the_corridor_sideways(texts, score, offset, reason):
+    poses, changes = beside_the_road(texts, offset)
+    scores = score(poses, version=CHALLENGE, **changes)
+    assert scores.scene.failure_reason == reason
+    assert (scores.scene.score == 0.0) == (reason is not None)
+    assert scores.final["lateral_dist_to_gt_trajectory"] == pytest.approx(offset, abs=1e-6)
+    assert score(poses, **changes).scene.score > 0.0
+
+
+def test_driving_on_past_the_end_of_the_recording_is_no_leaving(texts, score):
+    slower = texts.along_x(speed=7.0)
+    scores = score(recorded=slower, version=CHALLENGE)
+    assert scores.final["dist_to_gt_trajectory"] >= 4.0
+    assert scores.final["lateral_dist_to_gt_trajectory"] == pytest.approx(0.0, abs=1e-6)
+    assert scores.scene.failure_reason is None
+    # A quirk: where the recording ends standing its last segment has no direction, and the plain distance counts.
+    slower[-1] = slower[-2]
+    assert score(recorded=slower, version=CHALLENGE).scene.failure_reason == "left_corridor_laterally"
+
+
+def test_progress_of_the_challenge_is_a_share_of_what_can_be_reached(texts, score):
+    longer = texts.along_x(count=161)
+    usual, challenge = score(recorded=longer), score(recorded=longer, version=CHALLENGE)
+    assert usual.final["progress_clipped_rel"] == pytest.approx(0.5, abs=1e-6)
+    assert challenge.final["progress"] == usual.final["progress"]
+    assert challenge.final["progress_clipped_rel"] == pytest.approx(1.0, abs=1e-6)
+    faster = score(texts.along_x(speed=15.0), recorded=longer, version=CHALLENGE)
+    assert faster.final["progress_rel_to_total"] == pytest.approx(1.5, abs=1e-6) and faster.scene.score == 1.0
+
+
+def test_an_early_hard_zero_is_named_first(texts, score):
+    poses, changes = beside_the_road(texts, 4.5)
+    parked = texts.agent(np.tile([52.0, 4.5, 0.0], (81, 1)))
+    scores = score(poses, agents={"parked": parked}, version=CHALLENGE, **changes)
+    assert scores.scene.failure_reason == "collision_at_fault"
 
 
 def test_four_metres_off_the_recorded_path_end_the_drive(texts, score):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout_files import parse_rollout
 from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
-from olt_closed_loop.scoring.definitions import score_record, score_rollout
+from olt_closed_loop.scoring.definitions import DEFINITIONS, score_record, score_rollout
 from olt_closed_loop.simulation.closed_loop import replay
 
 
@@ -165,9 +165,10 @@ def test_a_pose_that_is_not_finite_hides_no_other_rollout(straight_scene):
     assert (row.rollouts, row.valid, row.alpasim_score) == (2, 1, 1.0)
 
 
-def test_both_definitions_are_named(straight_scene):
+def test_every_definition_is_named_in_full(straight_scene):
     scene = straight_scene()
-    for definition in ("strict", "alpasim"):
+    assert score_rollout(scene, replay(scene), definition="alpasim").definition == "alpasim@3032e0c"
+    for definition in DEFINITIONS:
         score = score_rollout(scene, replay(scene), definition=definition)
         assert score.definition == score.to_dict()["definition"] == definition
     # The small scene has no lanes: AlpaSim refuses to score it, and says so.

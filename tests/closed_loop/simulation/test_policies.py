@@ -1,20 +1,24 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from olt_closed_loop.simulation.policies import (
+    ConstantSpeedPolicy,
     ConstantVelocityPolicy,
     ObservationBatch,
     RouteFollowingPolicy,
     StandingPolicy,
+    load_constant_speed,
     load_constant_velocity,
     load_route,
     load_standing,
     make_policy,
 )
 from olt_generator.errors import InputError
-from olt_generator.poses import yaw_of
+from olt_generator.poses import planar_pose, yaw_of
 from olt_toolkit.policy.contract import Observation
 
 
@@ -65,6 +69,20 @@ def test_route_following_starts_where_it_is_and_returns_to_the_route():
     assert plan.xyz[-1, 1] == pytest.approx(2.0, abs=0.01)
 
 
+@given(speed=st.floats(0.5, 30.0), turn=st.floats(-0.5, 0.5))
+def test_constant_speed_goes_on_along_the_circle_that_it_came_on(speed, turn):
+    times = 0.1 * np.arange(-15, 65)
+    angles = turn * times
+    places = np.stack([np.sinc(angles / np.pi) * times, np.sinc(angles / 2 / np.pi) * np.sin(angles / 2) * times], -1)
+    poses = planar_pose(speed * places[:, 0], speed * places[:, 1], angles)
+    seen = make_observation(speed)
+    seen = replace(seen, history_xyz=poses[:16, :3, 3], history_rotation=poses[:16, :3, :3])
+    plan = ConstantSpeedPolicy().plan(seen)
+    # The speed is read off three poses, which a curve makes a little shorter.
+    np.testing.assert_allclose(plan.xyz, poses[16:, :3, 3], atol=0.02 * speed)
+    np.testing.assert_allclose(plan.rotation, poses[16:, :3, :3], atol=1e-9)
+
+
 def test_route_following_needs_a_route():
     with pytest.raises(InputError, match="no route"):
         RouteFollowingPolicy().plan(make_observation())
@@ -75,7 +93,9 @@ def test_route_following_needs_a_route():
     speeds=st.lists(st.floats(0.0, 40.0), min_size=2, max_size=5),
     lengths=st.lists(st.integers(2, 20), min_size=5, max_size=5),
 )
-@pytest.mark.parametrize("policy", [ConstantVelocityPolicy(), StandingPolicy(), RouteFollowingPolicy()])
+@pytest.mark.parametrize(
+    "policy", [ConstantSpeedPolicy(), ConstantVelocityPolicy(), StandingPolicy(), RouteFollowingPolicy()]
+)
 def test_each_row_of_a_batch_is_answered_as_alone(policy, speeds, lengths):
     rows = []
     for speed, length in zip(speeds, lengths, strict=False):
@@ -98,7 +118,9 @@ def test_replay_answers_with_the_recorded_future(straight_scene, replay_policy):
 
 
 def test_loaders_build_their_policies_and_take_no_argument():
-    assert [load(None).name for load in (load_constant_velocity, load_route, load_standing)] == [
+    loaders = (load_constant_speed, load_constant_velocity, load_route, load_standing)
+    assert [load(None).name for load in loaders] == [
+        "constant_speed",
         "constant_velocity",
         "route",
         "standing",

@@ -2,6 +2,7 @@
 
 import json
 
+import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 from typer.testing import CliRunner
@@ -117,6 +118,30 @@ def test_leaks_are_listed_with_exit_status_1(write_store, make_clip):
     assert result.stdout.startswith("4 leaks: 1 held out, 2 external, 1 twin\n")
     listed = json.loads(run("check", store, "--json").stdout)
     assert (listed["clean"], [leak["rule"] for leak in listed["leaks"]]) == (False, ["twin"])
+    assert listed["leak_counts"] == {"twin": 1}
+
+
+def test_all_leaks_are_written_where_a_report_tells_the_first_alone(write_store, make_clip, tmp_path, monkeypatch):
+    monkeypatch.setattr("olt_datasets.tables.leak_listing.TOLD", 2)
+    pairs = [
+        make_clip(2 * scene + (split == "test"), scene_id=f"s{scene}", split=split)
+        for scene in range(5)
+        for split in ("train", "test")
+    ]
+    store, out = write_store(*pairs), tmp_path / "leaks.parquet"
+    result = run("check", store, "--external", "world", "--leaks", out)
+    assert result.exit_code == 1
+    assert result.stdout.startswith("10 leaks: 5 external, 5 overlap\n  external: scene s0: ")
+    assert f"  and 6 more; {out} lists them" in result.stdout.splitlines()
+    rows = pl.read_parquet(out)
+    assert rows["rule"].value_counts().sort("rule").rows() == [("external", 5), ("overlap", 5)]
+    first = rows.filter(rule="overlap").sort("scene_id").to_dicts()[0]
+    assert (first["scene_id"], first["split"], first["split_other"], first["pairs"]) == ("s0", "train", "test", 1)
+    assert (first["clip_id"][-1], first["clip_id_other"][-1], first["scene_id_other"]) == ("0", "1", "s0")
+    for name, message in (("leaks.csv", "give a name that ends in .parquet"), ("clips.parquet", "another name")):
+        refused = run("check", store / "clips.parquet", "--leaks", store / name)
+        assert message in str(refused.exception)
+    assert read_clip_tables([store]).height == 10
 
 
 @pytest.mark.parametrize(("recipe", "samples"), [("base_r1", 0), ("nv_ood_syn", 12_248), ("gt_longtail", 13_248)])

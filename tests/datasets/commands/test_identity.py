@@ -116,6 +116,19 @@ def test_a_clip_has_one_id_by_every_command(tmp_path):
     assert ("twin", alone["scene_id"]) in {(leak["rule"], leak["scene_id"]) for leak in leaks}
 
 
+def test_a_clip_is_in_the_split_that_its_data_set_tells(tmp_path):
+    root = tmp_path / "nexar"
+    for split, look in (("train", "town"), ("test", "field")):
+        film(root / split / "00001.mp4", look)
+        columns = {"train": "id,time_of_event,time_of_alert,target\n00001,,,0\n", "test": "id\n00001\n"}
+        (root / f"{split}.csv").write_text(columns[split])
+    run_json(clip, "build", root, "--out", tmp_path / "store", *SIZE)
+    built = read_clip_tables([tmp_path / "store"]).select("recording", "split").sort("recording").rows()
+    assert built == [("test/00001", "test"), ("train/00001", "train")]
+    again = run(clip, "build", root, "--out", tmp_path / "store", *SIZE)
+    assert (again.exit_code, again.stdout.count("found")) == (0, 2), again.stdout
+
+
 def test_a_copy_in_the_test_set_is_found_by_its_id(tmp_path):
     path = film(tmp_path / "train" / "a.mp4")
     (tmp_path / "test").mkdir()

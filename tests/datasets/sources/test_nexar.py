@@ -33,14 +33,17 @@ CHALLENGE = [
 ]
 
 
-@pytest.fixture
-def challenge(tmp_path):
-    root = tmp_path / "challenge"
+def write_challenge(root):
     write_table(root / "train.csv", CHALLENGE)
     write_table(root / "test.csv", [{"id": "00007"}])
     for name in ("train/00022", "train/01337", "train/00003", "test/00007"):
         write(root / f"{name}.mp4")
     return root
+
+
+@pytest.fixture
+def challenge(tmp_path):
+    return write_challenge(tmp_path / "challenge")
 
 
 def test_the_layout_of_the_challenge(challenge, tmp_path):

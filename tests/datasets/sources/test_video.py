@@ -8,7 +8,7 @@ from olt_generator.cameras import FthetaCamera, PinholeCamera
 from olt_generator.errors import InputError
 from olt_generator.video import write_video
 from olt_toolkit import OpenOptions, open_recording
-from olt_toolkit.recordings.drives import open_dataset
+from olt_toolkit.recordings.drives import find_drives, open_dataset
 
 
 def write(path, frames=12, rate=10):
@@ -109,6 +109,35 @@ def test_all_windows_of_a_video_have_one_lens_which_is_looked_for_once(tmp_path,
     wide = open_dataset(root, tmp_path / "cache").open("a.mp4", (0, 300_000), given)
     assert wide.camera != first.camera
     assert found == [1]
+
+
+def test_videos_in_folders_below_are_drives_of_their_own(tmp_path):
+    for number, day in enumerate(("day1", "day2")):
+        write(tmp_path / "trip" / day / "front" / "0001.mp4", frames=12 + number)
+    (tmp_path / "trip" / "day2" / "again").symlink_to(tmp_path / "trip")
+    dataset = open_dataset(tmp_path / "trip", tmp_path / "cache")
+    assert dataset.keys() == ["day1/front/0001.mp4", "day2/front/0001.mp4"]
+    assert dataset.drive("day1/front/0001.mp4").scene_id != dataset.drive("day2/front/0001.mp4").scene_id
+    assert [key for _, key in find_drives(tmp_path / "trip")] == dataset.keys()
+    (links,) = dataset.left_out
+    assert (links.what, links.count, links.total) == ("folders", 1, 5)
+    write(tmp_path / "trip" / "a.mp4")
+    assert [key for _, key in find_drives(tmp_path / "trip")] == ["a.mp4", *dataset.keys()]
+
+
+def test_a_video_far_below_does_not_make_a_folder_one_of_videos(tmp_path):
+    write(tmp_path / "1" / "2" / "3" / "4" / "5" / "a.mp4")
+    with pytest.raises(InputError, match="no recording and no data set"):
+        open_dataset(tmp_path)
+    assert open_dataset(tmp_path / "1").keys() == ["2/3/4/5/a.mp4"]
+
+
+@pytest.mark.parametrize("name", ["a\n.mp4", "a\x1f.mp4", "a\x7f.mp4"])
+def test_a_name_with_control_characters_is_refused(tmp_path, name):
+    write(tmp_path / "drives" / name)
+    dataset = open_dataset(tmp_path / "drives", tmp_path / "cache")
+    with pytest.raises(InputError, match=r"video: key .* holds control characters; rename the file"):
+        dataset.drive(name)
 
 
 def test_a_damaged_video_fails_alone(tmp_path):

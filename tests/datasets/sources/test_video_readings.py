@@ -127,3 +127,14 @@ def test_a_lens_that_was_found_keeps_its_spread_in_the_cache(tmp_path):
     again = open_recording(path, cache=tmp_path / "cache")
     assert list((tmp_path / "cache" / "video").glob("lens-*.json"))
     assert (first.spread, first.assumptions) == (again.spread, again.assumptions)
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{", '{"field_of_view": 1.0}', "[" * 5000])
+def test_a_damaged_lens_in_the_cache_is_told_by_its_file(tmp_path, content):
+    path = write(tmp_path / "dash.mp4", drive(5))
+    open_recording(path, cache=tmp_path / "cache")
+    (kept,) = (tmp_path / "cache" / "video").glob("lens-*.json")
+    for wrong in (content, kept.read_text().replace('"assumed"', '"guessed"').replace('"estimated"', '"guessed"')):
+        kept.write_text(wrong)
+        with pytest.raises(InputError, match=r"lens-.*\.json: "):
+            open_recording(path, cache=tmp_path / "cache")

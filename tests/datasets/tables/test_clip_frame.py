@@ -10,9 +10,9 @@ from polars.testing import assert_frame_equal
 
 from olt_datasets.tables.clip_frame import read_clip_tables, scan_clip_tables
 from olt_datasets.tables.fake_table import write_fake_table
+from olt_datasets.tables.table_check import check_table_file
 from olt_generator.errors import InputError
 from olt_toolkit.clips.table import read_clip_table, write_clip_table
-from olt_toolkit.clips.table_values import check_file
 
 
 def rewrite(store, change):
@@ -111,7 +111,7 @@ def test_stores_and_indexed_tables_are_read_together(write_store, make_clip, tmp
         (with_column("action_errors", pa.array([[0.1], [0.1, 0.2]])), "column action_errors has 2; values must be as"),
         (
             with_column("name", pa.array(["a", b"\xff"], pa.binary()).view(pa.string())),
-            "holds what is no text (",
+            "not a readable Parquet file (",
         ),
     ],
 )
@@ -201,6 +201,6 @@ def test_a_table_that_unpacks_to_far_more_than_its_file_is_refused(write_store, 
     pq.write_table(rows, bomb, compression="zstd", store_schema=False)
     assert bomb.stat().st_size < 100_000
     with pytest.raises(InputError, match=r"column scene_id has 'x+; it has at most 4096 bytes|more than its bytes"):
-        check_file(bomb)
+        check_table_file(bomb)
     with pytest.raises(InputError, match="unpacks to more than"):
         read_clip_table(bomb)

@@ -44,9 +44,10 @@ def pair_up(mine, theirs):
 def test_counts_are_those_of_all_pairs(mine, theirs, rows_at_once):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(shared_moments, "_ROWS_AT_ONCE", rows_at_once)
-        found = find_shared_moments(frame(mine, "a"), frame(theirs, "b"))
+        found = list(find_shared_moments(frame(mine, "a"), frame(theirs, "b")))
     expected = pair_up(mine, theirs)
-    rows = list(found.iter_rows(named=True))
+    rows = [row for part in found for row in part.iter_rows(named=True)]
+    rows.sort(key=lambda row: [row[name] for name in ("scene_id", "kind", "split", "kind_other", "split_other")])
     groups = [tuple(row[name] for name in ("scene_id", "kind", "split", "kind_other", "split_other")) for row in rows]
     assert groups == sorted(expected)
     for group, row in zip(groups, rows, strict=True):
@@ -60,5 +61,6 @@ def test_counts_are_those_of_all_pairs(mine, theirs, rows_at_once):
 def test_times_may_be_large_and_splits_missing():
     late = 2**62
     clips = pl.concat([frame([("x", "GT", "train", late, 5)], "a"), frame([("x", "GT", None, late, 5)], "n")])
-    found = find_shared_moments(clips, frame([("x", "GT", "test", late + 5, 1), ("x", "GT", "test", -late, 1)], "b"))
+    others = frame([("x", "GT", "test", late + 5, 1), ("x", "GT", "test", -late, 1)], "b")
+    (found,) = find_shared_moments(clips, others)
     assert found.select("clip_id", "clip_id_other", "pairs").rows() == [("a0", "b0", 1)]

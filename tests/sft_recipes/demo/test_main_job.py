@@ -55,6 +55,15 @@ def test_a_log_shows_the_step_and_how_far_it_is(tmp_path):
     assert shown == [("one", 0.0), ("one", 0.5)]
 
 
+@pytest.mark.parametrize("content", ["", "[]", '{"result": 1}', '{"result": 1, "result": 2, "seconds": 0}'])
+def test_a_damaged_step_is_told_by_its_file(tmp_path, content):
+    log = open_log(tmp_path)
+    log.run("one", lambda share: 1)
+    (tmp_path / "one.json").write_text(content)
+    with pytest.raises(InputError, match=r"one\.json: "):
+        log.run("one", lambda share: 1)
+
+
 def test_another_job_in_the_same_folder_is_refused(tmp_path):
     open_log(tmp_path / "steps", seed=1)
     with pytest.raises(InputError, match="choose another --out"):

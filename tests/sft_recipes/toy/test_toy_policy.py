@@ -11,6 +11,8 @@ from olt_sft_recipes.toy.policy import ToyPolicy, load_toy
 from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_toolkit.policy.contract import Observation
 
+from ...fuzzing import SECONDS
+
 
 @pytest.fixture(scope="module")
 def model(tiny_config):
@@ -101,6 +103,19 @@ def test_a_damaged_folder_is_told(model, tmp_path, damage):
         (folder / "config.json").write_text(config.model_dump_json())
     with pytest.raises(InputError, match="policy"):
         load_toy(str(folder))
+
+
+@pytest.mark.parametrize("name", ["config.json", "model.safetensors"])
+def test_a_checkpoint_with_a_damaged_file(fuzzer, model, tmp_path, name):
+    save_model(tmp_path / "policy", model)
+    fuzzer.run("checkpoint", tmp_path / "policy" / name, tmp_path / "policy")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["config.json", "model.safetensors"])
+def test_a_checkpoint_with_a_damaged_file_for_long(fuzzer, model, tmp_path, name):
+    save_model(tmp_path / "policy", model)
+    fuzzer.run("checkpoint", tmp_path / "policy" / name, tmp_path / "policy", seconds=SECONDS)
 
 
 def test_the_policy_needs_a_folder():

@@ -114,9 +114,9 @@ def test_noise_of_a_short_motion_is_not_measured():
 def test_smoothing_makes_a_crabbing_motion_one_that_actions_drive(crab):
     """A heading 0.7 degrees off the path, as GPS/IMUs are: half a metre that no action drives."""
     measured, path = drive(crab), drive()
-    before = measure_action_errors(given(measured).ego_motion, T0_US)
+    before = measure_action_errors(given(measured).ego_motion, T0_US, ())
     smoothed = given(measured, MotionLabels.SMOOTHED)
-    after = measure_action_errors(smoothed.ego_motion, T0_US)
+    after = measure_action_errors(smoothed.ego_motion, T0_US, ())
     assert min(before) > ROUND_TRIP_TOLERANCE and max(after) < 0.06
     moved = smoothed.to_dict()["moved_by_smoothing"]
     assert moved["rms_m"] < 0.05 and moved["worst_heading_deg"] == pytest.approx(np.degrees(0.012), rel=0.35)
@@ -195,4 +195,4 @@ def test_a_clip_without_samples_has_no_action_errors(make_clip):
 
 def test_action_errors_outside_the_motion_are_refused():
     with pytest.raises(InputError, match="ego motion covers"):
-        measure_action_errors(EgoMotion.from_trajectory(drive()), (12_000_000,))
+        measure_action_errors(EgoMotion.from_trajectory(drive()), (12_000_000,), ())

@@ -12,6 +12,7 @@ from olt_toolkit.policy.action_space import (
     round_trip_errors,
     trajectory_to_actions,
 )
+from olt_toolkit.rigs.names import ContractName
 
 HISTORY_TIMES = 0.1 * np.arange(-15, 1)
 FUTURE_TIMES = 0.1 * np.arange(1, 65)
@@ -136,3 +137,21 @@ def test_what_tokens_cut_off_is_lost():
     history, future = (drive(60.0, -8.0, 0.0, times) for times in (HISTORY_TIMES, FUTURE_TIMES))
     expected = 0.5 * (8.0 - 6.781) * np.mean(FUTURE_TIMES**2)
     assert round_trip_errors(*history, *future) == pytest.approx(expected, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("speed", "curvature", "expected"), [(0.5, 0.2, 0.0), (-0.5, 0.2, 0.0), (3.0, 0.2, 0.2), (3.0, -0.5, -0.33)]
+)
+def test_alpamayo_2_bounds_curvatures_and_takes_none_of_slow_steps(speed, curvature, expected):
+    history, future = (drive(speed, 0.0, curvature, times) for times in (HISTORY_TIMES, FUTURE_TIMES))
+    _, bounded = physical_actions(trajectory_to_actions(*history, *future, ContractName.ALPAMAYO_2))
+    np.testing.assert_allclose(bounded, expected, atol=0.01)
+    for policy in (ContractName.ALPAMAYO_R1, ContractName.ALPAMAYO_1_5):
+        _, free = physical_actions(trajectory_to_actions(*history, *future, policy))
+        assert np.abs(free - expected).max() > 0.1 or expected == curvature
+
+
+def test_a_creeping_turn_is_lost_to_alpamayo_2_alone():
+    history, future = (drive(0.5, 0.0, 0.2, times) for times in (HISTORY_TIMES, FUTURE_TIMES))
+    errors = [round_trip_errors(*history, *future, policy) for policy in ContractName]
+    assert errors[0] == errors[1] < 0.1 < 0.3 < errors[2]

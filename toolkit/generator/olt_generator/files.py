@@ -107,6 +107,8 @@ def write_whole(path: Path) -> Iterator[Path]:
 def write_whole_folder(path: Path) -> Iterator[Path]:
     """Yield a temporary folder beside `path` that replaces `path` on success and is removed on any failure.
 
+    Whenever the process is killed, `find_whole_folder` finds the old content or the new, whole.
+
     Raises:
         InputError: see `write_whole`.
     """
@@ -119,10 +121,21 @@ def write_whole_folder(path: Path) -> Iterator[Path]:
         temporary.chmod(0o777 & ~_umask())
         with _placing(path):
             if path.exists():
-                shutil.rmtree(path)
+                shutil.rmtree(_aside(path), ignore_errors=True)
+                path.rename(_aside(path))
             temporary.rename(path)
+        shutil.rmtree(_aside(path), ignore_errors=True)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def find_whole_folder(path: Path) -> Path:
+    """Where the folder that `write_whole_folder` wrote is: at `path`, or aside where what replaces it was killed."""
+    return _aside(path) if not path.exists() and _aside(path).is_dir() else path
+
+
+def _aside(path: Path) -> Path:
+    return path.with_name(f".{path.name}.replaced")
 
 
 @contextmanager

@@ -1,19 +1,23 @@
 """How far the futures of a clip are from what the policy's actions can express, sample by sample."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
 
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.policy.action_space import ROUND_TRIP_TOLERANCE, round_trip_errors
+from olt_toolkit.rigs.contracts import widest_contract
+from olt_toolkit.rigs.names import ContractName
 
 # Micrometres: beyond them the numbers are those of the machine's arithmetic.
 _DIGITS = 6
 
 
-def measure_action_errors(motion: EgoMotion, t0_us: Sequence[int]) -> tuple[float, ...]:
+def measure_action_errors(motion: EgoMotion, t0_us: Sequence[int], cameras: Collection[str]) -> tuple[float, ...]:
     """For each time t0 of a motion that covers it, the `round_trip_errors` of its future in metres.
+
+    They are those of the policy with the most cameras of those that the clip's `cameras` are enough for.
 
     Raises:
         InputError: a history or a future lies outside the motion.
@@ -21,7 +25,9 @@ def measure_action_errors(motion: EgoMotion, t0_us: Sequence[int]) -> tuple[floa
     if not len(t0_us):
         return ()
     history, future = motion.around(np.asarray(t0_us, np.int64))
-    errors = round_trip_errors(history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3])
+    policy = ContractName(widest_contract(cameras).name)
+    poses = (history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3])
+    errors = round_trip_errors(*poses, policy)
     return tuple(errors.round(_DIGITS).tolist())
 
 

@@ -25,6 +25,7 @@ from olt_toolkit.clips.verification.verify import verify_before_commit
 from olt_toolkit.clips.views import BuildOptions
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import WHOLE, Dataset, DatasetPlace, Drive, open_start, start_window
+from olt_toolkit.recordings.labels import DEFAULT_SPLIT, Split
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.runtime.steps import OnStep, unnoticed
 from olt_toolkit.runtime.threads import use_one_thread
@@ -57,12 +58,14 @@ class Subject:
         scene_id, take: those of the `Drive`.
         window_us: drive times of the first and the last front image.
         has_motion: whether the data set measured motion.
+        split: the data set's own split.
     """
 
     scene_id: str
     take: str
     window_us: Span
     has_motion: bool
+    split: Split | None
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,8 @@ class BuildJob:
         if not len(inside):
             raise InputError(f"{self.place.path}: {self.key} has no front image to build a clip of")
         window_us = self.window_us or (int(inside[0]), int(inside[-1]))
-        return replace(self, subject=Subject(drive.scene_id, drive.take, window_us, drive.ego_span_us is not None))
+        has_motion = drive.ego_span_us is not None
+        return replace(self, subject=Subject(drive.scene_id, drive.take, window_us, has_motion, drive.split))
 
     def describe_drive(self) -> Drive:
         """What the data set tells of the drive; an `InputError` where it cannot, or is not of the `source`."""
@@ -196,7 +200,7 @@ class BuildJob:
 
     def check_options(self, found: ClipInfo) -> None:
         """Refuse (`InputError`) a clip that the store holds and that was built otherwise than the job would."""
-        different = find_differences(found, self.options, self.build_options)
+        different = find_differences(found, self._options, self.build_options)
         if different:
             raise InputError(
                 f"{self.store}: already holds the clip {found.name!r} ({self.clip_id}), built with "
@@ -217,10 +221,15 @@ class BuildJob:
             )
         return dataset
 
+    @property
+    def _options(self) -> BuildOptions:
+        """The options with the split that the clip gets."""
+        return replace(self.options, split=self.options.split or self._told.split or DEFAULT_SPLIT)
+
     def _complete_options(self) -> BuildOptions:
         recording = self.place.drive_name(self.key) if self.key == WHOLE else self.key
         return replace(
-            self.options,
+            self._options,
             name=self.name,
             scene_id=self._told.scene_id,
             clip_id=self.clip_id,
@@ -238,7 +247,7 @@ class BuildJob:
         if not animation_path(self.store / PREVIEWS, picture_name(self.name, self.clip_id)).is_file():
             return None
         prepared = store.prepared(self.clip_id)
-        differs = prepared is None or find_differences(prepared, self.options, self.build_options)
+        differs = prepared is None or find_differences(prepared, self._options, self.build_options)
         return None if differs else prepared
 
 

@@ -15,6 +15,7 @@ from olt_toolkit.clips.builder import clip_kind
 from olt_toolkit.clips.clip import ClipInfo
 from olt_toolkit.clips.estimators import Estimators, PoseEstimator
 from olt_toolkit.clips.views import BuildOptions
+from olt_toolkit.recordings.labels import DEFAULT_SPLIT
 from olt_toolkit.recordings.recording import OpenOptions
 from olt_toolkit.rigs.names import MotionLabels
 from olt_toolkit.runtime.json_files import parse_json
@@ -68,7 +69,7 @@ def find_differences(found: ClipInfo, options: BuildOptions, wanted: str) -> lis
     labels = (
         ("--category", found.category, options.category),
         ("factors", list(found.factors), list(options.factors)),
-        ("split", found.split, options.split),
+        ("split", found.split, options.split or DEFAULT_SPLIT),
     )
     different += [_word(name, old, new) for name, old, new in labels if old != new]
     unwanted = set(found.sample_t0_us).difference(options.sample_t0_us or found.sample_t0_us)

@@ -28,6 +28,7 @@ from olt_toolkit.clips.images import fit_images
 from olt_toolkit.clips.recovered_motion import RecoveredMotion
 from olt_toolkit.clips.views import BuildOptions, View, ViewMaker
 from olt_toolkit.policy.window import grid_frame_indices, sampled_frame_indices
+from olt_toolkit.recordings.labels import DEFAULT_SPLIT
 from olt_toolkit.recordings.recording import Recording
 from olt_toolkit.rigs.ftheta_fit import fit_ftheta
 from olt_toolkit.runtime.steps import OnStep, Steps, unnoticed
@@ -211,7 +212,7 @@ def _assemble(
         kind=kind,
         category=options.category,
         factors=options.factors,
-        split=options.split,
+        split=options.split or DEFAULT_SPLIT,
         doubts=tuple(dict.fromkeys(doubt.what for doubt in doubts)),
         scale_sigma=motion.scale.total if isinstance(motion, RecoveredMotion) else None,
         acceleration_noise=motion.acceleration_noise,

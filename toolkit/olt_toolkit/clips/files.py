@@ -116,7 +116,7 @@ def describe_clip(clip: Clip, checksums: dict[str, str]) -> ClipInfo:
         file_checksums=checksums,
         fingerprint=_fingerprint(clip.streams[FRONT_WIDE]) if FRONT_WIDE in clip.streams else None,
         views=clip.provenance,
-        action_errors=measure_action_errors(clip.ego_motion, times),
+        action_errors=measure_action_errors(clip.ego_motion, times, clip.streams),
         build_options=clip.build_options,
     )
 

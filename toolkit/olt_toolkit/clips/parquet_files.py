@@ -41,16 +41,6 @@ def open_parquet(source: Path | bytes, where: str) -> Iterator[pq.ParquetFile]:
         raise InputError(f"{where}: not a readable Parquet file ({reason:.200}); write it again") from error
 
 
-def rows_at_once(metadata: pq.FileMetaData) -> int:
-    """How many rows to unpack at once: few where lists hold texts so large that many could fill the memory."""
-    texts = [
-        chunk.total_uncompressed_size
-        for chunk in _chunks(metadata)
-        if chunk.physical_type == "BYTE_ARRAY" and "." in chunk.path_in_schema
-    ]
-    return max(_FEWEST_AT_ONCE, min(_ROWS_AT_ONCE, _BYTES_AT_ONCE // max(1, *texts)))
-
-
 def _check_sizes(metadata: pq.FileMetaData, where: str) -> None:
     for chunk in _chunks(metadata):
         if not 0 <= chunk.total_uncompressed_size <= _LARGEST_CHUNK or not 0 <= chunk.num_values <= _MOST_VALUES:

@@ -48,7 +48,7 @@ def _errors_before_smoothing(built: BuiltClip, info: ClipInfo) -> tuple[float, .
         measured = built.given.measured
     else:
         return None
-    return measure_action_errors(EgoMotion.from_trajectory(measured), info.sample_t0_us)
+    return measure_action_errors(EgoMotion.from_trajectory(measured), info.sample_t0_us, info.views)
 
 
 def summarize_info(info: ClipInfo) -> dict[str, Any]:

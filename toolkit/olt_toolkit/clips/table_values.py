@@ -1,22 +1,16 @@
-"""What the cells of a clip table may hold: checked where a table is read, and before one is written.
-
-A table is looked through in batches, so that neither many rows nor cells that unpack to far more than their file cost
-memory.
-"""
+"""What the cells of a clip table may hold: checked where a table is read, and before one is written."""
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_toolkit.clips.clip import ClipKind, NoiseBasis, Split, ViewKind
-from olt_toolkit.clips.parquet_files import open_parquet, rows_at_once
 
 OPTIONAL_COLUMNS = frozenset(
     {
@@ -53,37 +47,21 @@ _ROUNDING = 1e-9
 Flags = NDArray[np.bool_]
 
 
-def check_file(path: Path) -> None:
-    """Check every cell of a Parquet file whose columns are those of a clip table, but for the uniqueness of its ids.
-
-    Raises:
-        InputError: names the file, the column, the value and the row (from 0).
-    """
-    with open_parquet(path, str(path)) as file:
-        if file.metadata.num_rows > path.stat().st_size:
-            raise InputError(f"{path}: claims {file.metadata.num_rows} clips, more than its bytes can tell apart")
-        texts = [field.name for field in file.schema_arrow if pa.types.is_string(field.type)]
-        first = 0
-        with pq.ParquetFile(path, read_dictionary=texts, pre_buffer=False, buffer_size=1 << 20) as packed:
-            for rows in packed.iter_batches(rows_at_once(packed.metadata)):
-                check_rows(pa.Table.from_batches([rows]), str(path), first)
-                first += len(rows)
+def longest_text(column: str) -> int:
+    """Most bytes of a text, or of bytes, in a column."""
+    return _LONGEST.get(column, _LONGEST_TEXT)
 
 
 def check_rows(rows: pa.Table, where: str, first: int = 0) -> None:
     """Check every cell of some rows, which errors call `where` and number from `first` on.
 
-    Texts may be dictionaries. Columns that a clip table does not have are not looked at.
+    Texts are UTF-8; they and lists may be large ones. Columns that a clip table does not have are not looked at.
 
     Raises:
         InputError: a cell that must have a value is empty; a word is none of those known; a text holds control
             characters or is far too long; a name cannot be one of a file; a number is not finite, negative or no share;
             times are negative, unsorted, doubled or not those of the clip.
     """
-    try:
-        rows.validate(full=True)  # texts are UTF-8, offsets lie within their arrays
-    except pa.ArrowInvalid as error:
-        raise InputError(f"{where}: holds what is no text ({error}); write it again") from error
     table = _Rows(rows, where, first)
     for name in rows.column_names:
         table.check_cells(name)
@@ -102,15 +80,16 @@ class _Rows:
 
     def check_cells(self, name: str) -> None:
         column = self._columns[name]
+        if name in OPTIONAL_COLUMNS and column.null_count == len(column):
+            return
         if name not in OPTIONAL_COLUMNS:
-            self._refuse(name, column.is_null().to_numpy(False), None, "has empty cells; every clip needs a value")
-        if pa.types.is_list(column.type):
-            values = column.flatten()
-            empty = values.is_null().to_numpy(False)
-            self._refuse(name, empty, None, "has empty cells within its lists", self._owners(name))
-            self._check_values(name, values, self._owners(name))
+            self._refuse_nulls(name, column, "has empty cells; every clip needs a value")
+        if pa.types.is_list(column.type) or pa.types.is_large_list(column.type):
+            values, owners = column.flatten(), self._owners(name)
+            self._refuse_nulls(name, values, "has empty cells within its lists", owners)
+            self._check_values(name, values, owners)
         else:
-            self._check_values(name, column, None)
+            self._check_values(name, column)
 
     def check_times(self) -> None:
         start, end, duration = (self._numbers(name) for name in ("start_us", "end_us", "duration_us"))
@@ -126,16 +105,15 @@ class _Rows:
     def check_errors(self) -> None:
         """There is one error in the action space for each sample, where there are any."""
         errors, times = self._columns["action_errors"], self._columns["sample_t0_us"]
+        if errors.null_count == len(errors):
+            return
         differ = (errors.is_valid().to_numpy(False)) & (_lengths(errors) != _lengths(times))
         self._refuse("action_errors", differ, _lengths(errors), "values must be as many as those of sample_t0_us")
 
     def check_views(self) -> None:
         owners, views = self._owners("views"), self._columns["views"].flatten()
-        for field in views.type:
-            name, values = f"views: {field.name}", views.field(field.name)
-            if field.name != "seed":
-                self._refuse(name, values.is_null().to_numpy(False), None, "has empty cells", owners)
-            self._check_values(name, values, owners)
+        if not len(views):
+            return
         shares = [views.field(f"{name}_share").to_numpy(False) for name in ("observed", "invented", "other_times")]
         for name, share in zip(("observed", "invented", "other_times"), shares, strict=True):
             wrong = ~((share >= 0.0) & (share <= 1.0 + _ROUNDING))
@@ -145,27 +123,31 @@ class _Rows:
         self._refuse("views: observed_share", together > 1.0 + _ROUNDING, together, "with the invented above 1", owners)
         above = other > observed + _ROUNDING
         self._refuse("views: other_times_share", above, other, "it is a part of observed_share", owners)
-        cameras = list(zip(owners.tolist(), views.field("camera").to_pylist(), strict=True))
-        twice = pd.Series(cameras, dtype=object).duplicated().to_numpy()
-        self._refuse("views: camera", twice, [camera for _, camera in cameras], "each camera is there once", owners)
+        cameras = views.field("camera").dictionary_encode()
+        camera_of_clip = owners * len(cameras.dictionary) + cameras.indices.to_numpy(False)
+        twice = pd.Series(camera_of_clip).duplicated().to_numpy()
+        self._refuse("views: camera", twice, cameras, "each camera is there once", owners)
 
-    def _check_values(self, name: str, values: pa.Array, owners: NDArray[np.int64] | None) -> None:
+    def _check_values(self, name: str, values: pa.Array, owners: NDArray[np.int64] | None = None) -> None:
         """Check what can be told of one column alone: `values` of the rows `owners`, or of one row each."""
-        if pa.types.is_dictionary(values.type):
-            wrong, rule = _wrong_texts(name, values.dictionary)
-            if wrong.any():
-                used = wrong[values.indices.fill_null(0).to_numpy(False)] & values.is_valid().to_numpy(False)
-                self._refuse(name, used, values, rule, owners)
-        elif pa.types.is_string(values.type) or pa.types.is_binary(values.type):
+        if values.null_count == len(values):
+            return
+        if pa.types.is_struct(values.type):
+            for field in values.type:
+                part, label = values.field(field.name), f"{name}: {field.name}"
+                if field.name != "seed":
+                    self._refuse_nulls(label, part, "has empty cells", owners)
+                self._check_values(label, part, owners)
+        elif _is_text(values) or _is_bytes(values):
             wrong, rule = _wrong_texts(name, values)
             self._refuse(name, wrong, values, rule, owners)
         elif pa.types.is_floating(values.type):
-            numbers = values.fill_null(0.0).to_numpy(False)
+            numbers = _filled(values)
             self._refuse(
                 name, ~(np.isfinite(numbers) & (numbers >= 0.0)), numbers, "it is finite and at least 0", owners
             )
         elif name in _TIMES:
-            numbers = values.fill_null(0).to_numpy(False)
+            numbers = _filled(values)
             far = (numbers > _LATEST_US) | (numbers < -_LATEST_US)
             self._refuse(name, far, numbers, f"times in microseconds are within {_LATEST_US}", owners)
 
@@ -176,6 +158,10 @@ class _Rows:
         """The row of each value of a column of lists."""
         column = self._columns[name]
         return np.repeat(np.arange(len(column)), _lengths(column))
+
+    def _refuse_nulls(self, label: str, values: pa.Array, rule: str, owners: NDArray[np.int64] | None = None) -> None:
+        if values.null_count:
+            self._refuse(label, values.is_null().to_numpy(False), None, rule, owners)
 
     def _refuse(
         self, label: str, wrong: Flags, values: Any, rule: str, owners: NDArray[np.int64] | None = None
@@ -197,26 +183,43 @@ class _Rows:
 def _wrong_texts(name: str, texts: pa.Array) -> tuple[Flags, str]:
     """Which texts (or bytes) are not allowed in a column, by the first rule that any breaks, and the rule."""
     sizes = _sizes(texts)
-    most = _LONGEST.get(name, _LONGEST_TEXT)
+    most = longest_text(name)
     rules: list[tuple[Callable[[], Flags], str]] = [(lambda: sizes > most, f"it has at most {most} bytes")]
-    if pa.types.is_string(texts.type) and name != "build_options":
+    if _is_text(texts) and name != "build_options":
         rules.append((lambda: _hold(texts, _is_control), "it holds no line breaks and other control characters"))
     if name in _NEVER_EMPTY:
         rules.append((lambda: (sizes == 0) & texts.is_valid().to_numpy(False), "it is not empty"))
     if name == "name":
         rules.append((lambda: _hold(texts, _is_separator), "it becomes the name of a file and holds no / or \\"))
-        rules.append((lambda: _equal(texts, (".", "..")), "it becomes the name of a file"))
+        rules.append((lambda: _are_dots(texts, sizes), "it becomes the name of a file"))
     if name in _WORDS:
         words = _WORDS[name]
-        rules.append((lambda: ~_equal(texts, (*words, None)), f"it must be one of {', '.join(words)}"))
+        rules.append((lambda: ~_are(texts, (*words, None)), f"it must be one of {', '.join(words)}"))
     for find, rule in rules:
         if (wrong := find()).any():
             return wrong, rule
     return np.zeros(len(texts), bool), ""
 
 
-def _equal(texts: pa.Array, words: tuple[str | None, ...]) -> Flags:
-    return np.isin(texts.to_numpy(False), np.array(words, object))
+def _is_text(values: pa.Array) -> bool:
+    return pa.types.is_string(values.type) or pa.types.is_large_string(values.type)
+
+
+def _is_bytes(values: pa.Array) -> bool:
+    return pa.types.is_binary(values.type) or pa.types.is_large_binary(values.type)
+
+
+def _are(texts: pa.Array, words: tuple[str | None, ...]) -> Flags:
+    options = pc.SetLookupOptions(pa.array(words, texts.type))
+    return pc.call_function("is_in", [texts], options).to_numpy(False)
+
+
+def _are_dots(texts: pa.Array, sizes: NDArray[Any]) -> Flags:
+    """Which texts are names of folders everywhere; only short ones are looked at."""
+    found = np.zeros(len(texts), bool)
+    short = np.flatnonzero(sizes <= 2)
+    found[short] = _are(texts.take(pa.array(short)), (".", ".."))
+    return found
 
 
 def _is_control(content: NDArray[np.uint8]) -> Flags:
@@ -244,16 +247,20 @@ def _hold(texts: pa.Array, is_wrong: Callable[[NDArray[np.uint8]], Flags]) -> Fl
     return held
 
 
-def _edges(texts: pa.Array) -> NDArray[np.int32]:
+def _edges(texts: pa.Array) -> NDArray[Any]:
     """Where texts begin and end in their buffer."""
+    kind = np.int64 if pa.types.is_large_string(texts.type) or pa.types.is_large_binary(texts.type) else np.int32
     offsets = texts.buffers()[1]
-    return (
-        np.zeros(1, np.int32) if offsets is None else np.frombuffer(offsets, np.int32)[texts.offset :][: len(texts) + 1]
-    )
+    return np.zeros(1, kind) if offsets is None else np.frombuffer(offsets, kind)[texts.offset :][: len(texts) + 1]
 
 
-def _sizes(texts: pa.Array) -> NDArray[np.int32]:
+def _sizes(texts: pa.Array) -> NDArray[Any]:
     return np.diff(_edges(texts)) if len(texts) else np.zeros(0, np.int32)
+
+
+def _filled(values: pa.Array) -> NDArray[Any]:
+    """Numbers, with 0 where there is none."""
+    return (values.fill_null(0) if values.null_count else values).to_numpy(False)
 
 
 def _lengths(column: pa.Array) -> NDArray[np.int64]:

@@ -60,7 +60,8 @@ class BuildOptions:
         scene_id: None for the source and the name of the recording, which suit one that no data set tells an id of.
         clip_id: None for that of these moments of the scene (`clips.identity`).
         build_options: see `ClipInfo`.
-        category, factors, split, sample_t0_us: see `Clip`.
+        category, factors, sample_t0_us: see `Clip`.
+        split: None for the data set's own, or train where it has none.
         origin: what the recording was cut from; None where it is whole, and nothing more is known of it.
         seed: goes into the clip's id and provenance; nothing in the build is random yet.
     """
@@ -83,7 +84,7 @@ class BuildOptions:
     build_options: str | None = None
     category: str = UNLABELLED
     factors: tuple[str, ...] = ()
-    split: Split = "train"
+    split: Split | None = None
     origin: ClipOrigin | None = None
     sample_t0_us: tuple[int, ...] | None = None
     seed: int = 0

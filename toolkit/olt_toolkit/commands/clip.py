@@ -52,7 +52,10 @@ def build(
     no_verify: NoVerifyOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Recording to trajectory, distance and views; then clips in the store and pictures beside them."""
+    """Recording to trajectory, distance and views; then clips in the store and pictures beside them.
+
+    A clip is in the split that its data set tells, and in train where it tells none.
+    """
     from olt_generator.errors import InputError
     from olt_generator.files import make_folder
     from olt_toolkit.clips.build_job import BuildJob

@@ -14,6 +14,7 @@ import numpy as np
 
 from olt_generator.poses import Array, planar_pose, yaw_of
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
+from olt_toolkit.rigs.names import ContractName
 
 # Of the released checkpoint; they differ from the defaults of its classes. Acceleration in m/s^2, curvature in 1/m.
 ACTION_MEAN: Array = np.array([0.02902694707164455, 0.0002692167976330542])
@@ -21,6 +22,10 @@ ACTION_STD: Array = np.array([0.6810426736454882, 0.026148280660833106])
 
 ACTION_LIMIT = 10.0
 """Normalised actions beyond it cannot be told in tokens (docs/formats/alpamayo.md), in either direction."""
+
+CURVATURE_BOUND = 0.33
+SLOWEST_CURVE = 0.6
+"""1/m and m/s: Alpamayo 2 cuts curvatures off at the one, and takes 0 for those of steps slower than the other."""
 
 ROUND_TRIP_TOLERANCE = 0.3
 """Mean distance in metres from which on a future counts as one that the action space cannot express."""
@@ -62,9 +67,13 @@ def actions_to_trajectory(actions: Array, initial_speed: Array | float) -> tuple
 
 
 def trajectory_to_actions(
-    history_xyz: Array, history_rotation: Array, future_xyz: Array, future_rotation: Array
+    history_xyz: Array,
+    history_rotation: Array,
+    future_xyz: Array,
+    future_rotation: Array,
+    policy: ContractName = ContractName.ALPAMAYO_R1,
 ) -> Array:
-    """Fit the normalised actions (..., 64, 2) that drive the given future.
+    """Fit the normalised actions (..., 64, 2) that drive the given future, as the code of a policy makes its labels.
 
     Positions are (..., 16, 3) and (..., 64, 3) metres, rotations (..., 16, 3, 3) and (..., 64, 3, 3); the last pose of
     the history is the origin.
@@ -76,17 +85,26 @@ def trajectory_to_actions(
     speed = _prepend(initial_speed, _fit_speeds(path, heading, initial_speed))
     acceleration = np.diff(speed) / dt @ _smoothing_matrix(2, 0, ACCELERATION_FIT).T
     curvature = _fit_curvatures(np.diff(heading), _step_lengths(speed[..., :-1], acceleration))
+    if policy is ContractName.ALPAMAYO_2:
+        slow = np.minimum(np.abs(speed[..., :-1]), np.abs(speed[..., 1:])) < SLOWEST_CURVE
+        curvature = np.where(slow, 0.0, np.clip(curvature, -CURVATURE_BOUND, CURVATURE_BOUND))
     return normalise_actions(acceleration, curvature)
 
 
-def round_trip_errors(history_xyz: Array, history_rotation: Array, future_xyz: Array, future_rotation: Array) -> Array:
+def round_trip_errors(
+    history_xyz: Array,
+    history_rotation: Array,
+    future_xyz: Array,
+    future_rotation: Array,
+    policy: ContractName = ContractName.ALPAMAYO_R1,
+) -> Array:
     """How far a future is from the one that its own actions drive: mean distance in the plane (...) in metres.
 
     Futures are fitted by actions, those are cut off at `ACTION_LIMIT` as tokens are, and driven from the speed that the
     history gives. Arguments as of `trajectory_to_actions`. What is lost is what a unicycle cannot do (motion across the
     heading), what the fit smooths away, and what tokens cut off; not their rounding, which is below 0.03 m.
     """
-    actions = trajectory_to_actions(history_xyz, history_rotation, future_xyz, future_rotation)
+    actions = trajectory_to_actions(history_xyz, history_rotation, future_xyz, future_rotation, policy)
     speed = estimate_initial_speed(history_xyz, history_rotation)
     driven, _ = actions_to_trajectory(np.clip(actions, -ACTION_LIMIT, ACTION_LIMIT), speed)
     return np.asarray(np.linalg.norm(driven[..., :2] - future_xyz[..., :2], axis=-1).mean(axis=-1), dtype=np.float64)

@@ -8,6 +8,7 @@ entry-point group `olt.datasets`, so packages further up bring their own formats
 
 import math
 import tempfile
+import unicodedata
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
@@ -65,6 +66,9 @@ class Drive:
         usable_us: drive times within which it may be imitated (a window that ends in a crash may not); None for all.
         notes: a sentence for everything that a user of the drive must know, such as what was assumed.
         take: tells recordings of one scene apart, such as those of one invented world by day and by night.
+
+    Raises:
+        InputError: an id or the key holds control characters, which a table of clips cannot tell.
     """
 
     source: str
@@ -82,6 +86,13 @@ class Drive:
     usable_us: Span | None = None
     notes: tuple[str, ...] = ()
     take: str = ""
+
+    def __post_init__(self) -> None:
+        for what, text in (("scene id", self.scene_id), ("take", self.take), ("key", self.key)):
+            if any(unicodedata.category(each) == "Cc" for each in text):
+                raise InputError(
+                    f"{self.source}: {what} {text!r:.200} holds control characters; rename the file, folder or scene"
+                )
 
 
 class Dataset(Protocol):
@@ -228,8 +239,8 @@ def start_window(options: OpenOptions) -> Span:
 def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlace, str]]:
     """All drives at a path by key, and the data set that each is in.
 
-    A recording is its own only drive, `WHOLE`. Of a folder they are the recordings that lie directly in it, by name, or
-    else the drives of the data set that it is.
+    A recording is its own only drive, `WHOLE`. Of a folder they are the recordings that lie directly in it, by name,
+    or, where there is none or some lie in folders below, the drives of the data set that it is.
 
     Raises:
         InputError: there is none.
@@ -244,7 +255,9 @@ def find_drives(path: Path, cache: Path | None = None) -> list[tuple[DatasetPlac
     own = find_reader(path) if keys else None
     passed_over = {each for each, reader in shown if own and reader == own and each.is_file() and each.name not in keys}
     places = [DatasetPlace(each, cache) for each, reader in shown if reader and each not in passed_over]
-    found = [(each, WHOLE) for each in places if each.open().keys() == [WHOLE]] or [(place, key) for key in keys]
+    direct = [(each, WHOLE) for each in places if each.open().keys() == [WHOLE]]
+    # Recordings in folders below are of the data set alone.
+    found = direct if direct and not any("/" in key for key in keys) else [(place, key) for key in keys] or direct
     if not found:
         raise InputError(
             f"{path}: holds no recording that any reader knows; give a video, a drive, a folder of them or a data set"

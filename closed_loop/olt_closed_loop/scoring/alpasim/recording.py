@@ -10,6 +10,9 @@ from olt_generator.poses import Array
 
 UNCOMPUTED = 2
 """The first samples, at which nothing is computed and fixed values stand instead."""
+MAX_PATH_DISTANCE = 4.0
+"""Metres from the recorded path at which the drive ends and, beside it, the corridor is left."""
+_AT_END = 1e-9
 
 
 def measure_along_recording(surroundings: Surroundings) -> dict[str, MetricSeries]:
@@ -47,6 +50,49 @@ def measure_along_recording(surroundings: Surroundings) -> dict[str, MetricSerie
         "dist_traveled_m": MetricSeries(times, _behind(0.0, distance), "last"),
         "gt_dist_traveled_m": MetricSeries(times, np.full(len(times), shapely.length(path)), "last"),
     }
+
+
+def measure_corridor(surroundings: Surroundings) -> dict[str, MetricSeries]:
+    """What `challenge-2026-09` measures along the recording: besides all of the above, whether the ego left sideways.
+
+    Its `progress_rel_to_total` is a share of what the recording reached at the last scored time, and may exceed 1.
+
+    Raises:
+        UnmeasuredError: see `measure_along_recording`.
+    """
+    along = measure_along_recording(surroundings)
+    record, progress = surroundings.record, along["progress"]
+    recorded = ego_track(record.recorded_us, record.recorded_poses, record.box)
+    path = shapely.linestrings(recorded.positions)
+    last, _ = recorded.at(record.timestamps_us[-1:])
+    reachable = float(shapely.line_locate_point(path, shapely.points(last[0])))
+    scale = float(shapely.length(path)) / reachable if reachable > 0.0 else 1.0
+    centers = shapely.get_coordinates(surroundings.ego_centers[UNCOMPUTED:])
+    lateral = _behind(0.0, lateral_distances(recorded.positions.astype(np.float64), centers))
+    left = (lateral >= MAX_PATH_DISTANCE).astype(np.float64)
+    return along | {
+        "progress_rel_to_total": MetricSeries(progress.times_us, progress.values * scale, "last"),
+        "lateral_dist_to_gt_trajectory": MetricSeries(progress.times_us, lateral, "max"),
+        "left_corridor_laterally": MetricSeries(progress.times_us, left, "max"),
+    }
+
+
+def lateral_distances(path: Array, points: Array) -> Array:
+    """Metres (n,) of points (n, 2) beside a path (m, 2): driving on past its end is not beside it.
+
+    Up to the end of the path it is the distance to it; beyond, only the part across its last segment. A path without
+    length or whose last segment has none leaves the plain distance.
+    """
+    line, places = shapely.linestrings(path), shapely.points(points)
+    distances = np.asarray(shapely.distance(line, places))
+    direction = path[-1] - path[-2]
+    length, step = float(shapely.length(line)), float(np.linalg.norm(direction))
+    if step == 0.0:
+        return distances
+    ahead, aside = direction / step
+    offsets = points - path[-1]
+    across = np.abs(offsets[:, 0] * aside - offsets[:, 1] * ahead)
+    return np.where(shapely.line_locate_point(line, places) < length - _AT_END, distances, across)
 
 
 def _behind(first: float, values: Array) -> Array:

@@ -1,8 +1,13 @@
-"""From the samples of a drive to AlpaSim's metrics and scene score."""
+"""From the samples of a drive to AlpaSim's metrics and scene score, by either of its public versions.
+
+`3032e0c` (July 2026) has two hard zeros: a collision at fault, and off the road. `challenge-2026-09` (6f1029c, the
+challenge of 2026) adds a third, leaving the corridor of 4 m sideways, and measures progress as a share of what the
+recording reached in the time that is scored. See docs/formats/alpasim.md, "Score".
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -15,35 +20,40 @@ from olt_closed_loop.scoring.alpasim.plans import (
     measure_plan_deviation,
     measure_safety_monitor,
 )
-from olt_closed_loop.scoring.alpasim.recording import measure_along_recording
+from olt_closed_loop.scoring.alpasim.recording import MAX_PATH_DISTANCE, measure_along_recording, measure_corridor
 from olt_closed_loop.scoring.alpasim.roads import measure_road
 from olt_closed_loop.scoring.alpasim.series import MetricSeries, UnmeasuredError
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_contact
 
-MAX_PATH_DISTANCE = 4.0
 FULL_PROGRESS = 0.8
 SHORT_RECORDING = 5.0
 FULL_DURATION_US = 20e6
 
+AlpasimVersion = Literal["3032e0c", "challenge-2026-09"]
+VERSIONS: tuple[AlpasimVersion, ...] = get_args(AlpasimVersion)
+
 Metrics = dict[str, MetricSeries]
 Values = dict[str, float | None]
 
-_FAMILIES: tuple[tuple[Callable[[Surroundings], Metrics], tuple[str, ...]], ...] = (
+_Family = tuple[Callable[[Surroundings], Metrics], tuple[str, ...]]
+_ALONG = (
+    "dist_to_gt_location",
+    "dist_to_gt_trajectory",
+    "dist_traveled_m",
+    "gt_dist_traveled_m",
+    "progress",
+    "progress_rel",
+    "progress_rel_to_total",
+)
+_CORRIDOR = ("lateral_dist_to_gt_trajectory", "left_corridor_laterally")
+_RECORDING: dict[AlpasimVersion, _Family] = {
+    "3032e0c": (measure_along_recording, _ALONG),
+    "challenge-2026-09": (measure_corridor, (*_ALONG, *_CORRIDOR)),
+}
+_FAMILIES: tuple[_Family, ...] = (
     (
         measure_contact,
         ("collision_any", "collision_front", "collision_lateral", "collision_rear", "min_distance_to_obstacle_m"),
-    ),
-    (
-        measure_along_recording,
-        (
-            "dist_to_gt_location",
-            "dist_to_gt_trajectory",
-            "dist_traveled_m",
-            "gt_dist_traveled_m",
-            "progress",
-            "progress_rel",
-            "progress_rel_to_total",
-        ),
     ),
     (measure_road, ("min_distance_to_lane_boundary_m", "offroad", "wrong_lane")),
     (measure_displacement, tuple(ade_name(horizon) for horizon in ADE_HORIZONS)),
@@ -53,15 +63,32 @@ _FAMILIES: tuple[tuple[Callable[[Surroundings], Metrics], tuple[str, ...]], ...]
 )
 """What measures which metrics; where one cannot be had, AlpaSim lacks the whole family."""
 
+_NEEDED = ("progress_clipped_rel", "gt_dist_traveled_m", "collision_at_fault", "offroad")
+_HARD_ZEROS: dict[AlpasimVersion, tuple[str, ...]] = {
+    "3032e0c": ("collision_at_fault", "offroad"),
+    "challenge-2026-09": ("collision_at_fault", "offroad", "left_corridor_laterally"),
+}
+_SHOWN: dict[AlpasimVersion, tuple[str, ...]] = {
+    "3032e0c": (*_NEEDED, "progress_rel", "dist_to_gt_trajectory"),
+    "challenge-2026-09": (*_NEEDED, "progress_rel", "dist_to_gt_trajectory", *_CORRIDOR),
+}
+"""The metrics that AlpaSim shows beside a score."""
+
 
 @dataclass(frozen=True)
 class SceneScore:
-    """AlpaSim's scene score; all None when a metric that it needs has no value."""
+    """AlpaSim's scene score; where a metric that it needs has no value all is None but `error`, which says which."""
 
     score: float | None = None
     progress_score: float | None = None
     failure_reason: str | None = None
     passed: bool | None = None
+    error: str | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The score, or nothing but the error: AlpaSim raises it in the score's place."""
+        values = vars(self).copy()
+        return {"error": self.error} if values.pop("error") else values
 
 
 @dataclass(frozen=True)
@@ -76,6 +103,7 @@ class AlpasimScores:
         scene: the scene score.
         missing: metrics that cannot be had from this drive, with the reason.
         n_steps, n_steps_scored: samples, and how many of them are left.
+        version: whose values they are.
     """
 
     raw: Values
@@ -84,13 +112,14 @@ class AlpasimScores:
     missing: dict[str, str]
     n_steps: int
     n_steps_scored: int
+    version: AlpasimVersion = "3032e0c"
 
     def to_dict(self) -> dict[str, Any]:
         """The scores as JSON can hold them."""
-        return {**vars(self), "scene": vars(self.scene).copy()}
+        return {**vars(self), "scene": self.scene.to_dict()}
 
 
-def score_as_alpasim(record: RolloutRecord) -> AlpasimScores:
+def score_as_alpasim(record: RolloutRecord, version: AlpasimVersion = "3032e0c") -> AlpasimScores:
     """All metrics and the scene score of one drive.
 
     Camera frames are not looked at: `img_is_black` is 0, as with frames that show something.
@@ -98,14 +127,14 @@ def score_as_alpasim(record: RolloutRecord) -> AlpasimScores:
     times, surroundings = record.timestamps_us, Surroundings(record)
     series: Metrics = {"img_is_black": MetricSeries(times, np.zeros(len(times)), "max")}
     missing: dict[str, str] = {}
-    for measure, names in _FAMILIES:
+    for measure, names in (_FAMILIES[0], _RECORDING[version], *_FAMILIES[1:]):
         try:
             series |= measure(surroundings)
         except UnmeasuredError as error:
             missing |= dict.fromkeys(names, str(error))
     raw = {name: series[name].folded() if name in series else None for name in sorted([*missing, *series])}
     if "dist_to_gt_trajectory" not in series:
-        return AlpasimScores(raw, {}, SceneScore(), missing, len(times), 0)
+        return AlpasimScores(raw, {}, score_scene({}, version), missing, len(times), 0, version)
     # The first sample that is not warm-up; the very first when the drive ends before the hand-over.
     start_us = int(times[int(np.argmax(times >= record.handover_us))])
     series |= _combine(record, series, start_us)
@@ -117,7 +146,7 @@ def score_as_alpasim(record: RolloutRecord) -> AlpasimScores:
     final = {name: s.within(start_us, end_us).folded() for name, s in sorted(series.items()) if len(s.values)}
     final["progress_clipped_rel"] = final["progress_rel_to_total"]
     kept = int(((times >= start_us) & (times <= end_us)).sum())
-    return AlpasimScores(raw, final, _scene_score(final), missing, len(times), kept)
+    return AlpasimScores(raw, final, score_scene(final, version), missing, len(times), kept, version)
 
 
 def _combine(record: RolloutRecord, series: Metrics, start_us: int) -> Metrics:
@@ -136,12 +165,42 @@ def _combine(record: RolloutRecord, series: Metrics, start_us: int) -> Metrics:
     }
 
 
-def _scene_score(final: Values) -> SceneScore:
-    names = ("progress_clipped_rel", "gt_dist_traveled_m", "collision_at_fault", "offroad")
-    needed = [value for value in map(final.get, names) if value is not None]
-    if len(needed) < len(names):
-        return SceneScore()
-    progress, length, at_fault, offroad = needed
-    progress_score = 1.0 if length < SHORT_RECORDING else min(min(max(progress, 0.0), 1.0) / FULL_PROGRESS, 1.0)
-    reason = "collision_at_fault" if at_fault else "offroad" if offroad else None
+def score_scene(final: Values, version: AlpasimVersion) -> SceneScore:
+    """The scene score that the final metrics give; None among them is AlpaSim's NaN."""
+    zeros = _HARD_ZEROS[version]
+    values: dict[str, float] = {}
+    for name in dict.fromkeys((*_NEEDED, *zeros)):
+        value = final.get(name)
+        if value is None:
+            lacks = f"metric '{name}' has non-finite value nan" if name in final else f"missing metric '{name}'"
+            return SceneScore(error=f"Cannot compute scene score: {lacks}.")
+        values[name] = value
+    progress = min(max(values["progress_clipped_rel"], 0.0), 1.0)
+    progress_score = 1.0 if values["gt_dist_traveled_m"] < SHORT_RECORDING else min(progress / FULL_PROGRESS, 1.0)
+    reason = next((name for name in zeros if values[name]), None)
     return SceneScore(0.0 if reason else progress_score, progress_score, reason, reason is None)
+
+
+def summary_row(scene: SceneScore, final: Values, version: AlpasimVersion) -> dict[str, Any]:
+    """The row of a rollout in AlpaSim's `results-summary.json`, without the names of run and scene."""
+    if scene.error:
+        return {
+            "status": "unscored",
+            "passed": None,
+            "score": None,
+            "failure_reason": scene.error,
+            "score_metrics": None,
+        }
+    shown = {name: final.get(name) for name in _SHOWN[version]} | {"progress_score": scene.progress_score}
+    return {
+        "status": "pass" if scene.passed else "fail",
+        "passed": scene.passed,
+        "score": scene.score,
+        "failure_reason": scene.failure_reason,
+        "score_metrics": shown,
+    }
+
+
+def failed_row(reason: str, version: AlpasimVersion) -> dict[str, Any]:
+    """The row of a rollout that failed, for whatever reason: score 0 and no metric."""
+    return summary_row(SceneScore(0.0, 0.0, reason, False), {}, version)
