@@ -16,9 +16,15 @@ _CAP = 0.01
 
 
 def lane_polygon(lane: Lane) -> BaseGeometry:
-    """The area between a lane's borders, valid also where they cross each other."""
-    polygon = shapely.Polygon(np.concatenate([lane.left[:, :2], lane.right[::-1, :2]]))
-    return polygon if polygon.is_valid else shapely.make_valid(polygon)
+    """The area between a lane's borders; of a lane that crosses itself, or whose borders do, piece by piece."""
+    left, right = lane.left[:, :2], lane.right[:, :2]
+    if len(left) < 2:
+        return shapely.Polygon()
+    polygon = shapely.Polygon(np.concatenate([left, right[::-1]]))
+    if polygon.is_valid:
+        return polygon
+    pieces = shapely.polygons(np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1))
+    return shapely.union_all(shapely.make_valid(pieces))
 
 
 def paved_area(lanes: Iterable[Lane], more: Iterable[BaseGeometry] = ()) -> BaseGeometry:
