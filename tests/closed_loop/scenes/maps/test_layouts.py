@@ -126,7 +126,7 @@ def test_junctions_are_sound_however_their_arms_lie(arms, turn_radius, left_hand
     assert {name.split("_")[0] for name in (*road_map.entries, *road_map.exits)} <= ends
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(many_arms(most_lanes=1), st.floats(15.0, 40.0), st.booleans())
 def test_roundabouts_are_sound(arms, radius, left_hand):
     road_map = laid(roundabout, arms, radius, left_hand=left_hand)
