@@ -5,21 +5,50 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
+from olt_toolkit.runtime.workers import Engine
+
 if TYPE_CHECKING:
     from olt_closed_loop.evaluation.comparison import Comparison
+    from olt_closed_loop.evaluation.gate import GateResult
     from olt_closed_loop.evaluation.score_table import ScoreTable
+    from olt_closed_loop.scoring.collisions import Collision
     from olt_closed_loop.scoring.definitions import RolloutScore
+    from olt_closed_loop.simulation.policy_hosts import PolicyLimits
     from olt_generator.omissions import Omission
 
 INCIDENT_WORDS = {
-    "policy_errors": "the policy raised an error",
     "plans_refused": "a plan was refused and the last one held",
+    "policy_errors": "the policy raised an error",
+    "policy_exits": "the policy called for an exit",
+    "policy_deaths": "the policy's process died",
+    "policy_timeouts": "the policy gave no answer in time",
+    "wrong_answers": "the policy answered with something else than a plan",
+    "inputs_changed": "the policy changed what it was shown",
+    "globals_changed": "the policy changed global states",
+    "steps_failed": "the vehicle could not follow a plan",
     "saturations": "a command reached a limit of the vehicle",
     "solves_failed": "the controller found no command and held the last ones",
     "solves_late": "the controller was late and held the last commands",
     "solves_given_up": "fatrop gave up and Gauss-Newton was asked",
 }
-"""What the counts of `rollouts.rollout.Incidents` are called in print."""
+"""What those counts of `rollouts.rollout.Incidents` that are no good news are called in print."""
+
+LISTED = {
+    "rollout": "rollout",
+    "scene": "scene",
+    "seed": "seed",
+    "score": "score",
+    "reason": "reason",
+    "plans_asked": "plans",
+    "plans_refused": "refused",
+    "solves": "solves",
+    "solves_failed": "failed",
+    "solves_late": "late",
+    "saturations": "saturated",
+    "plan_deviation_max": "off the plan (m)",
+}
+"""Columns of the list of rollouts."""
 
 app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and score them.")
 
@@ -30,6 +59,7 @@ Traffic = Literal["recorded", "idm"]  # rollouts.rollout
 Vehicle = Literal["kinematic", "tyres"]  # simulation.settings
 Controller = Literal["lqr", "linear", "nonlinear"]  # control.tracking
 Integrator = Literal["auto", "midpoint", "rk4", "radau", "cvodes"]  # vehicle.integrators
+Isolation = Literal["auto", "none", "process"]  # simulation.policy_hosts
 
 
 @app.command()
@@ -48,6 +78,12 @@ def run(
     controller: Annotated[
         Controller, typer.Option(help="What follows the plan: LQR, linear or nonlinear MPC.")
     ] = "linear",
+    smoothing_window: Annotated[
+        float, typer.Option(help="Smoothing of each plan sideways, seconds; 0 for none. It delays nothing.")
+    ] = 0.2,
+    smoothing_delay: Annotated[
+        float, typer.Option(help="Mean over successive plans sideways, time constant in seconds; 0 for none.")
+    ] = 0.4,
     integrator: Annotated[
         Integrator, typer.Option(help="How the vehicle is integrated; auto: the cheapest within 3e-7 m a step.")
     ] = "auto",
@@ -56,15 +92,28 @@ def run(
         bool, typer.Option(help="Drive constant speed, go straight, stop and route beside the policy.")
     ] = True,
     skip: Annotated[bool, typer.Option(help="Leave out what cannot change the result.")] = True,
-    workers: Annotated[int | None, typer.Option(help="Processes; by default one for each processor.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for rollouts.json and scores.json.")] = None,
+    isolate: Annotated[
+        Isolation,
+        typer.Option(help="Where the policy runs; auto: a process of its own for all but the toolkit's own."),
+    ] = "auto",
+    policy_timeout: Annotated[
+        float | None, typer.Option(help="Seconds for one answer in a process of its own; 30 by default.")
+    ] = None,
+    policy_memory: Annotated[
+        float | None, typer.Option(help="GiB that it may allocate there; 8 by default, 0 for any.")
+    ] = None,
+    workers: WorkersOption = None,
+    engine: EngineOption = Engine.LOCAL,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder that keeps finished rollouts, to go on from, and the results.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Drive scenes with a policy and print AS and CR by category, and beside those of policies that know nothing.
 
-    The gate must hold on every scene.
+    A scene on which the gate fails, and a rollout that failed, lose themselves only; the exit status is then 1.
     """
-    from olt_closed_loop import ControlSettings, SimulationSettings, run_closed_loop, save_results, summarize_scores
+    from olt_closed_loop import ControlSettings, SimulationSettings, run_closed_loop, summarize_scores
     from olt_closed_loop.evaluation.alpasim_summary import save_alpasim_summary
     from olt_closed_loop.evaluation.baselines import BASELINES, run_baselines, word_warnings
     from olt_closed_loop.evaluation.comparison import compare_scores
@@ -79,8 +128,9 @@ def run(
         traffic=traffic,
         vehicle=vehicle,
         integrator=integrator,
-        control=ControlSettings(method=controller),
+        control=ControlSettings(method=controller, smoothing_window=smoothing_window, smoothing_delay=smoothing_delay),
         skip=skip,
+        limits=_limits(isolate, policy_timeout, policy_memory),
     )
     sources = find_scenes([*(scenes or []), *(scene or [])])
     if not sources:
@@ -97,6 +147,8 @@ def run(
             workers=workers or default_workers(),
             on_progress=lambda share: progress.update(task, completed=round(share * total)),
             definition=definition,
+            out=out,
+            engine=engine,
         )
         beside = {}
         if baselines:
@@ -109,6 +161,9 @@ def run(
                 workers=workers or default_workers(),
                 on_progress=lambda share: progress.update(task, completed=round(share * len(sources) * len(BASELINES))),
                 definition=definition,
+                out=out / "baselines" if out else None,
+                engine=engine,
+                beside=results,
             )
     scores = [score for _, score in results]
     table = summarize_scores(scores)
@@ -118,10 +173,7 @@ def run(
     warnings = word_warnings(comparison)
     left_out, vehicle_steps = count_left_out(results), count_vehicle_steps(results)
     if out:
-        save_results(out, results)
         save_comparison(out, comparison, warnings)
-        for name, driven in beside.items():
-            save_results(out / "baselines" / BASELINES[name], driven)
         if definition != "strict":
             save_alpasim_summary(out / "results-summary.json", scores)
     if as_json:
@@ -131,6 +183,7 @@ def run(
                 "traffic": traffic,
                 "vehicle": vehicle,
                 "controller": controller,
+                "smoothing": {"window": smoothing_window, "delay": smoothing_delay},
                 "integrator": integrator,
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],
@@ -148,6 +201,43 @@ def run(
         _print_notes(scores, table.overall.rollout_incidents, vehicle_steps, left_out)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
+
+
+@app.command()
+def show(
+    run: Annotated[Path, typer.Argument(help="Folder of `olt closed-loop run --out`.")],
+    rollout: Annotated[str | None, typer.Argument(help="Its number or SCENE:SEED; without, all are listed.")] = None,
+    draw_all: Annotated[bool, typer.Option("--all", help="Draw every rollout.")] = False,
+    video: Annotated[bool, typer.Option(help="Make an mp4 too.")] = True,
+    scene: Annotated[str | None, typer.Option(help="The scene, if the run's own is not where it was.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for pictures and videos; by default RUN/shown.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """List the finished rollouts of a run, or draw one: from above, over time, and as a video."""
+    from olt_closed_loop.evaluation.show import find_rollouts, show_rollouts, summarize_rollout
+    from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
+
+    if rollout is not None and draw_all:
+        raise typer.BadParameter("give either a rollout or --all")
+    found = find_rollouts(run, rollout)
+    shown = []
+    if rollout is not None or draw_all:
+        with make_progress() as progress:
+            task = progress.add_task("show", total=len(found))
+            for one in found:
+                shown += show_rollouts([one], out or run / "shown", scene, video)
+                progress.advance(task)
+    rows = [summarize_rollout(one) for one in found]
+    files = [str(path) for one in shown for path in (one.picture, one.video) if path]
+    if as_json:
+        print_json({"rollouts": rows, "files": files})
+        return
+    if rollout is not None:
+        print_table(f"rollout {rows[0]['rollout']}", ["figure", "value"], list(rows[0].items()))
+    else:
+        print_table(str(run), list(LISTED.values()), [[row[name] for name in LISTED] for row in rows])
+    for file in files:
+        print_line(file)
 
 
 @app.command()
@@ -177,42 +267,71 @@ def compare(
 
 @app.command()
 def gate(
-    scenes: Annotated[list[str], typer.Argument(help="Scene files, recorded drives, or CATEGORY:SEED.")],
+    scenes: Annotated[list[str], typer.Argument(help="Scene files, recorded drives (file or folder), CATEGORY:SEED.")],
+    definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
+    vehicle: Annotated[Vehicle, typer.Option(help="How the ego moves.")] = "kinematic",
+    controller: Annotated[Controller, typer.Option(help="What follows the recording.")] = "linear",
+    picture: Annotated[Path | None, typer.Option(help="Picture of the scenes from above, .png, .svg or .pdf.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Check on scenes that drives of known worth get what they are worth."""
-    from olt_closed_loop.evaluation.evaluation import find_scenes, load_scene
-    from olt_closed_loop.evaluation.gate import check_gate
+    """Check on scenes that drives of known worth get what they are worth, and that a good driver can drive them.
+
+    Exit status 1 if a check fails on a scene, or a scene is refused.
+    """
+    from olt_closed_loop import ControlSettings, SimulationSettings
+    from olt_closed_loop.evaluation.evaluation import find_scenes, gate_scene
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
+    if picture and picture.suffix not in (".png", ".svg", ".pdf"):
+        raise typer.BadParameter(f"{picture}: give a file ending in .png, .svg or .pdf")
+    settings = SimulationSettings(vehicle=vehicle, control=ControlSettings(method=controller))
     sources = find_scenes(scenes)
     with make_progress() as progress:
-        results = [check_gate(load_scene(source)) for source in progress.track(sources, description="gate")]
+        opened = [gate_scene(s, settings, definition) for s in progress.track(sources, description="gate")]
+    results = [result for _, result in opened]
+    read = [(scene, result) for scene, result in opened if scene and not result.refusal]
+    if picture and read:
+        from olt_closed_loop.evaluation.gate_picture import draw_gate
+
+        draw_gate(picture, read)
     if as_json:
         print_json({"passed": all(result.passed for result in results), "gate": [r.to_dict() for r in results]})
     else:
-        answers = {True: "yes", False: "NO", None: "cannot be asked"}
-        rows = [(r.scene, check.name, answers[check.passed], check.finding) for r in results for check in r.checks]
-        print_table("Gate", ["scene", "check", "holds", "found"], rows)
+        columns = ["scene", "check", "holds", "found"]
+        print_table(f"Gate, definition {definition}", columns, [row for r in results for row in _gate_rows(r)])
     if not all(result.passed for result in results):
         raise typer.Exit(1)
+
+
+def _gate_rows(result: "GateResult") -> list[tuple[str, str, str, str]]:
+    """The checks of a scene, where it is narrow, or why it is refused."""
+    if result.refusal:
+        return [(result.scene, "can be driven", "NO", result.refusal)]
+    answers = {True: "yes", False: "NO", None: "cannot be asked"}
+    rows = [(result.scene, check.name, answers[check.passed], check.finding) for check in result.checks]
+    places = [f"{place.metres:.2f} m to {place.what} at {place.time_us * 1e-6:.1f} s" for place in result.narrow]
+    return [*rows, (result.scene, "narrowest", "", ", ".join(places) or "no border and no agents")]
 
 
 @app.command(name="scene")
 def convert_scene(
     recording: Annotated[str, typer.Argument(help="A recorded drive (file or folder), or CATEGORY:SEED.")],
     out: Annotated[Path, typer.Option(help="Scene file to write, .usda or .usdc; its looks are written beside it.")],
+    room: Annotated[
+        float | None, typer.Option(help="Metres about the recorded ego that are drivable wherever it drove.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write a recorded drive as a scene, and say what was assumed and whether the gate holds on it."""
     from olt_closed_loop import check_gate, load_scene, write_scene
+    from olt_closed_loop.scenes.sources.swath import add_room
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
     if out.suffix not in (".usda", ".usdc"):
         raise typer.BadParameter(f"{out}: give a file ending in .usda or .usdc")
     with make_progress() as progress:
         task = progress.add_task("scene", total=3)
-        loaded = load_scene(recording)
+        loaded = load_scene(recording) if room is None else add_room(load_scene(recording), room)
         progress.advance(task)
         result = check_gate(loaded)
         progress.advance(task)
@@ -262,11 +381,80 @@ def score_rollout(
         strict = score_record(record)
         result = strict.to_dict()
         figures = {name: value for name, value in result.items() if name not in ("metrics", "collisions", "left_out")}
-        figures |= strict.metrics | {f"hits {c.agent_id}": f"{c.side} at {c.time_us} us" for c in strict.collisions}
+        figures |= strict.metrics | {f"hits {c.agent_id}": word_collision(c) for c in strict.collisions}
     if as_json:
         print_json(result)
     else:
         print_table(f"{file.name}, definition {definition}", ["figure", "value"], list(figures.items()))
+
+
+def _limits(isolate: Isolation, timeout: float | None, memory: float | None) -> "PolicyLimits":
+    """What the policy may take. Limits that are given ask for a process of its own."""
+    from olt_closed_loop import PolicyLimits
+
+    given = timeout is not None or memory is not None
+    if given and isolate == "none":
+        raise typer.BadParameter("--policy-timeout and --policy-memory hold in a process; leave out --isolate none")
+    defaults = PolicyLimits()
+    return PolicyLimits(
+        isolate="process" if given else isolate,
+        call_seconds=defaults.call_seconds if timeout is None else timeout,
+        memory_bytes=defaults.memory_bytes if memory is None else round(memory * 2**30) or None,
+    )
+
+
+@app.command()
+def faults(
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture of all situations from above: .png, .svg, .pdf.")
+    ] = None,
+    sweeps: Annotated[
+        Path | None, typer.Option(help="Picture of where verdicts change over speed, angle, gap and time.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Say of named situations whose fault they are, why, and what AlpaSim and nuPlan say."""
+    from olt_closed_loop.situations.drawing import VERDICTS, draw_situations, draw_sweeps
+    from olt_closed_loop.situations.sweeps import sweep_all
+    from olt_closed_loop.situations.table import judge_all
+    from olt_toolkit.runtime.console import print_json, print_line, print_table
+
+    for path in (picture, sweeps):
+        if path and path.suffix not in (".png", ".svg", ".pdf"):
+            raise typer.BadParameter(f"{path}: give a file ending in .png, .svg or .pdf")
+    rows = judge_all()
+    swept = sweep_all() if sweeps else ()
+    if picture:
+        draw_situations(rows, picture)
+    if sweeps:
+        draw_sweeps(swept, sweeps)
+    right = sum(row.right for row in rows)
+    if as_json:
+        situations = [{**vars(row), "right": row.right} for row in rows]
+        print_json({"right": right, "situations": situations, "sweeps": [vars(sweep).copy() for sweep in swept]})
+    else:
+        cells = [
+            (
+                row.situation,
+                VERDICTS[row.at_fault] + ("" if row.right else ", WRONG"),
+                f"{row.rule}: {row.reason}",
+                VERDICTS[row.alpasim],
+                VERDICTS[row.nuplan_at_fault] + (f" ({row.nuplan})" if row.nuplan else ""),
+                row.why,
+            )
+            for row in rows
+        ]
+        columns = ["the ego ...", "verdict", "why", "AlpaSim", "nuPlan", "why ours holds"]
+        print_table("Whose fault", columns, cells)
+        print_line(f"{right} of {len(rows)} situations right")
+    if right < len(rows):
+        raise typer.Exit(1)
+
+
+def word_collision(collision: "Collision") -> str:
+    """When, where, whose fault, and why."""
+    whose = "at fault" if collision.at_fault else "not at fault"
+    return f"{collision.side} at {collision.time_us} us, {whose}: {collision.rule} ({collision.reason})"
 
 
 def _print_scores(title: str, table: "ScoreTable") -> None:
@@ -314,8 +502,11 @@ def _print_notes(
     for line in sorted({f"{score.scene}: not valid: {score.reason}" for score in scores if not score.valid}):
         print_line(line)
     for name, count in incidents.items():
-        if count:
+        if count and name in INCIDENT_WORDS:
             print_line(f"{INCIDENT_WORDS[name]}: {count} times")
+    deviations = [score.plan_deviation_max for score in scores if score.plan_deviation_max is not None]
+    if deviations:
+        print_line(f"the vehicle was at most {max(deviations):.2f} m from the plan within the second ahead")
     for way, count in vehicle_steps.items():
         print_line(f"vehicle moved by {way} in {count} steps")
     for omission, count in left_out.items():

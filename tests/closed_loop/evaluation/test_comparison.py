@@ -9,7 +9,8 @@ from typer.testing import CliRunner
 from olt_closed_loop.commands import app
 from olt_closed_loop.evaluation.baselines import BASELINES, run_baselines, word_warnings
 from olt_closed_loop.evaluation.comparison import compare_scores, name_runs, read_scores
-from olt_closed_loop.evaluation.evaluation import run_closed_loop, save_results
+from olt_closed_loop.evaluation.evaluation import run_closed_loop
+from olt_closed_loop.evaluation.run_folder import save_results
 from olt_closed_loop.scoring.definitions import RolloutScore
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.errors import InputError
@@ -80,7 +81,7 @@ def test_a_baseline_that_is_as_good_is_warned_of():
 
 
 def test_baselines_are_the_four_without_the_policy_itself(straight_scene):
-    driven = run_baselines([straight_scene()], "route", settings=SHORT, definition="alpasim@challenge-2026-09")
+    driven = run_baselines(["nominal:0"], "route", settings=SHORT, definition="alpasim@challenge-2026-09")
     assert list(driven) == ["constant speed", "go straight", "stop"]
     ((rollout, score),) = driven["go straight"]
     assert rollout.policy == BASELINES["go straight"] == "constant_velocity"
