@@ -176,6 +176,7 @@ def test_six_real_cameras_pass_or_are_not_compared(six_cameras, tmp_path):
     assert "stands" in verdict_of(findings, MOTION).detail
 
 
+@pytest.mark.slow
 def test_faults_of_six_real_cameras_that_stand_are_not_compared(six_cameras, tmp_path):
     left, right = (six_cameras.streams[camera].frames for camera in (CROSS_LEFT, CROSS_RIGHT))
     swapped = look(tmp_path / "swapped", with_frames(six_cameras, **{CROSS_LEFT: right, CROSS_RIGHT: left}))

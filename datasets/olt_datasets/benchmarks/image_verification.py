@@ -12,7 +12,7 @@ def verify_images(
     stores: Annotated[
         int, typer.Option(min=1, help="Stores of two rendered clips; each fault goes into each clip.")
     ] = 11,
-    seed: Annotated[int, typer.Option(help="Seed of the clips; limits were chosen on seeds 0 to 2.")] = 3,
+    seed: Annotated[int, typer.Option(help="Seed of the clips; rules were chosen on seeds 0 to 3.")] = 4,
     faults: Annotated[str | None, typer.Option(help="Only faults whose name holds this text.")] = None,
     workers: Annotated[int | None, typer.Option(min=1, help="Processes; one for each processor by default.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
