@@ -103,7 +103,7 @@ def scaled_car(length: float, width: float) -> tuple[VehicleDimensions, str]:
         track_width=0.85 * width,
     )
     return car, (
-        f"ego box: {length:g} x {width:g} m as recorded; its height of 1.5 m, wheelbase ({car.wheelbase:.2f} m) and the "
+        f"ego box: {length:g} x {width:g} m as recorded; height 1.5 m, wheelbase ({car.wheelbase:.2f} m) and the "
         f"axle {car.rear_axle_to_bbox_center:.2f} m behind its middle are a car's usual proportions"
     )
 

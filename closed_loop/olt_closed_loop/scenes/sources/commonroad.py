@@ -223,7 +223,7 @@ def _read_lanelets(root: Element) -> tuple[list[Lane], list[shapely.Polygon], in
         where = f"lanelet {name:.40}"
         kinds = {(kind.text or "").strip() for kind in element.findall("laneletType")}
         left, right = (without_repeats(_read_bound(element, side, where)) for side in ("leftBound", "rightBound"))
-        if kinds and kinds <= set(_NOT_DRIVEN) or not (usable_line(left) and usable_line(right)):
+        if (kinds and kinds <= set(_NOT_DRIVEN)) or not (usable_line(left) and usable_line(right)):
             skipped += 1
             continue
         successors = tuple(text_of(link, "ref", where) for link in element.findall("successor"))

@@ -29,11 +29,12 @@ from olt_generator.errors import InputError
 from olt_generator.poses import Array
 
 ROOT = "OpenDRIVE"
-DRIVING = (
-    "driving entry exit onRamp offRamp connectingRamp slipLane bidirectional bus taxi HOV special1 special2 special3"
-).split()
+DRIVING = frozenset(
+    ("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional", "bus", "taxi")
+    + ("HOV", "special1", "special2", "special3")
+)
 """Types of lanes that cars drive along."""
-DRIVABLE = [*DRIVING, "shoulder", "stop", "parking", "mwyEntry", "mwyExit"]
+DRIVABLE = DRIVING | {"shoulder", "stop", "parking", "mwyEntry", "mwyExit"}
 """Types of lanes whose surface a car may be on without being off the road."""
 _STEP, _STEP_IN_JUNCTION = 1.0, 0.25
 _MOST_SAMPLES = 2_000_000
@@ -163,37 +164,35 @@ class RoadNetwork:
         ahead = road.ahead(key.lane)
         next_lane = strip.successor if ahead > 0 else strip.predecessor
         if 0 <= key.section + ahead < len(road.sections):
-            if next_lane is not None and (found := LaneKey(key.road, key.section + ahead, next_lane)):
-                yield from self._known(found)
+            if next_lane is not None:
+                yield from self._joined(key, LaneKey(key.road, key.section + ahead, next_lane))
             return
         link = road.successor if ahead > 0 else road.predecessor
         if link is None:
             return
         if link.kind == "road" and link.id in self.roads and next_lane is not None:
-            yield from self._known(self._at_end(link.id, link.at_start, next_lane))
+            yield from self._joined(key, self._at_end(link.id, link.at_start, next_lane))
         for connection in self.junctions.get(link.id, []) if link.kind == "junction" else []:
             if connection.incoming == key.road and connection.connecting in self.roads:
                 for first, second in connection.lanes:
-                    target = self._at_end(connection.connecting, connection.at_start, second)
-                    if first == key.lane and self._joins(key, target):
-                        yield from self._known(target)
-
-    def _known(self, key: LaneKey) -> Iterator[LaneKey]:
-        if self.strip(key) is not None:
-            yield key
+                    if first == key.lane:
+                        target = self._at_end(connection.connecting, connection.at_start, second)
+                        yield from self._joined(key, target)
 
     def _at_end(self, road: str, at_start: bool, lane: int) -> LaneKey:
         return LaneKey(road, 0 if at_start else len(self.roads[road].sections) - 1, lane)
 
-    def _joins(self, key: LaneKey, target: LaneKey) -> bool:
-        """Whether a lane begins where another ends: a road may meet one junction with both ends."""
+    def _joined(self, key: LaneKey, target: LaneKey) -> Iterator[LaneKey]:
+        """A lane, if it is there and begins about where another ends: links of real maps, and roads that meet one
+        junction with both ends, need that look."""
         if self.strip(target) is None:
-            return False
-        (end, heading), (start, first) = self._end_of(key, last=True), self._end_of(target, last=False)
+            return
+        (end, heading), (start, first) = self.end_of(key, last=True), self.end_of(target, last=False)
         turn = abs(float(wrap(np.array(first - heading))))
-        return float(np.linalg.norm(start - end)) < _JOIN_GAP and turn < _JOIN_TURN
+        if float(np.linalg.norm(start - end)) < _JOIN_GAP and turn < _JOIN_TURN:
+            yield target
 
-    def _end_of(self, key: LaneKey, last: bool) -> tuple[Array, float]:
+    def end_of(self, key: LaneKey, last: bool) -> tuple[Array, float]:
         """Where a lane ends (`last`) or begins, and its driving direction there."""
         road = self.roads[key.road]
         ahead = road.ahead(key.lane)
@@ -282,7 +281,9 @@ def _read_network(root: Element) -> RoadNetwork:
         heights += _has_heights(element, f"road {road.id:.40}")
     if not roads:
         raise InputError("holds no roads; give a road network")
-    junctions = {text_of(one, "id", "junction"): list(_read_connections(one)) for one in root.findall("junction")}
+    junctions = {
+        text_of(one, "id", "junction"): list(_read_connections(one, roads)) for one in root.findall("junction")
+    }
     notes = (
         f"flat ground: heights or banking of {heights} of {len(roads)} roads are left out" if heights else "flat ground"
     )
@@ -306,7 +307,8 @@ def _read_road(element: Element) -> OpenDriveRoad:
         raise InputError(f"{where}: rule {rule:.40} is neither RHT nor LHT")
     lanes = child(element, "lanes", where)
     sections = sorted(
-        ((number_of(section, "s", where), section) for section in lanes.findall("laneSection")), key=lambda pair: pair[0]
+        ((number_of(section, "s", where), section) for section in lanes.findall("laneSection")),
+        key=lambda pair: pair[0],
     )
     starts = [start for start, _ in sections]
     if not starts or starts[0] > 0.01 or starts[-1] >= length or np.any(np.diff(starts) <= 0.0):
@@ -368,17 +370,19 @@ def _read_lane_number(element: Element, where: str, name: str = "id") -> int:
     return int(number)
 
 
-def _read_connections(junction: Element) -> Iterator[Connection]:
-    where = f"junction {junction.get('id', ''):.40}"
+def _read_connections(junction: Element, roads: dict[str, OpenDriveRoad]) -> Iterator[Connection]:
+    name = text_of(junction, "id", "junction")
+    where = f"junction {name:.40}"
     for element in junction.findall("connection"):
-        if element.get("connectingRoad") is None:
-            raise InputError(f"{where}: a connection without connectingRoad (of a direct or virtual junction) is not read")
-        yield Connection(
-            incoming=text_of(element, "incomingRoad", where),
-            connecting=text_of(element, "connectingRoad", where),
-            at_start=text_of(element, "contactPoint", where) == "start",
-            lanes=tuple(
-                (_read_lane_number(link, where, "from"), _read_lane_number(link, where, "to"))
-                for link in element.findall("laneLink")
-            ),
+        incoming, at_start = text_of(element, "incomingRoad", where), text_of(element, "contactPoint", where) == "start"
+        lanes = tuple(
+            (_read_lane_number(link, where, "from"), _read_lane_number(link, where, "to"))
+            for link in element.findall("laneLink")
         )
+        linked = element.get("linkedRoad")
+        yield Connection(incoming, linked or text_of(element, "connectingRoad", where), at_start, lanes)
+        if linked is not None and incoming in roads:
+            # Of a direct junction, traffic may run from the linked road to the incoming one as well.
+            before = roads[incoming].predecessor
+            met_at_start = before is not None and (before.kind, before.id) == ("junction", name)
+            yield Connection(linked, incoming, met_at_start, tuple((second, first) for first, second in lanes))
