@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 
+from olt_closed_loop.scenes.maps.lanes import Crossing, Lane, Light, StopLine
 from olt_closed_loop.scenes.polylines import arc_lengths, length_of
-from olt_closed_loop.scenes.scene import Agent, Lane, Scene
+from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.scenes.sources.roads import NO_ROAD, edges, outlines, route_along
 from olt_closed_loop.scenes.sources.swath import ego_swath
 from olt_closed_loop.scenes.sources.tracks import (
@@ -34,10 +35,11 @@ class RecordedDrive:
         vehicle: the ego's size.
         ego: its motion T_world_rig.
         agents: all others, each with all its samples; gaps are allowed (`tracks.agents_of`).
-        lanes: driving lanes.
+        lanes: all lanes.
         areas: what is known to be drivable; () if nothing is.
         assumptions: what was assumed, a sentence each.
         category: of the scene.
+        stop_lines, crossings, lights: what regulates traffic; times of lights are those of the ego.
     """
 
     name: str
@@ -48,6 +50,9 @@ class RecordedDrive:
     areas: Sequence[shapely.Polygon]
     assumptions: tuple[str, ...]
     category: str = "recorded"
+    stop_lines: tuple[StopLine, ...] = ()
+    crossings: tuple[Crossing, ...] = ()
+    lights: tuple[Light, ...] = ()
 
 
 def assemble_scene(drive: RecordedDrive) -> Scene:
@@ -82,8 +87,14 @@ def assemble_scene(drive: RecordedDrive) -> Scene:
         lanes=tuple(lanes),
         road_edges=edges([*areas, *swath]),
         drivable=outlines([*areas, *swath]),
-        route=route_along(ego.positions, float(yaw_of(ego.T_world_rig[-1])), lanes),
+        route=route_along(ego.positions, float(yaw_of(ego.T_world_rig[-1])), [lane for lane in lanes if lane.for_cars]),
         assumptions=(*drive.assumptions, *notes, *([] if areas else [NO_ROAD])),
+        stop_lines=tuple(replace(line, points=line.points - origin) for line in drive.stop_lines),
+        crossings=tuple(replace(one, outline=one.outline - origin) for one in drive.crossings),
+        lights=tuple(
+            replace(light, position=light.position - origin) if light.position is not None else light
+            for light in drive.lights
+        ),
     )
 
 

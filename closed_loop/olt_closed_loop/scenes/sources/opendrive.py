@@ -24,15 +24,30 @@ from olt_closed_loop.scenes.sources.opendrive_lines import (
     read_cubics,
     read_reference_line,
 )
-from olt_closed_loop.scenes.sources.xml_files import child, number_of, read_xml, text_of
+from olt_closed_loop.scenes.sources.xml_files import child, number_of, parse_xml, read_xml, text_of
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 
 ROOT = "OpenDRIVE"
 DRIVING = frozenset(
-    ("driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional", "bus", "taxi")
-    + ("HOV", "special1", "special2", "special3")
-)
+    [
+        "driving",
+        "entry",
+        "exit",
+        "onRamp",
+        "offRamp",
+        "connectingRamp",
+        "slipLane",
+        "bidirectional",
+        "bus",
+        "taxi",
+        "HOV",
+    ]
+) | {
+    "special1",
+    "special2",
+    "special3",
+}
 """Types of lanes that cars drive along."""
 DRIVABLE = DRIVING | {"shoulder", "stop", "parking", "mwyEntry", "mwyExit"}
 """Types of lanes whose surface a car may be on without being off the road."""
@@ -133,11 +148,12 @@ class Connection:
 
 @dataclass
 class RoadNetwork:
-    """Roads and junctions by id; `notes` says what of the file was left out."""
+    """Roads and junctions by id; `notes` says what was left out, `georeference` (PROJ) where on earth the origin is."""
 
     roads: dict[str, OpenDriveRoad]
     junctions: dict[str, list[Connection]]
     notes: tuple[str, ...]
+    georeference: str | None = None
     _following: dict[LaneKey, tuple[LaneKey, ...]] = field(default_factory=dict)
 
     def road(self, name: str) -> OpenDriveRoad:
@@ -259,11 +275,19 @@ def read_road_network(path: Path) -> RoadNetwork:
     Raises:
         InputError: the file is none, or uses what is not read (it says what and where).
     """
-    root = read_xml(path, "OpenDRIVE road network", ROOT)
+    return _named(read_xml(path, "OpenDRIVE road network", ROOT), str(path))
+
+
+def parse_road_network(content: bytes, where: str) -> RoadNetwork:
+    """The road network of an OpenDRIVE text, which errors call `where`; they are those of `read_road_network`."""
+    return _named(parse_xml(content, where, "OpenDRIVE road network", ROOT), where)
+
+
+def _named(root: Element, where: str) -> RoadNetwork:
     try:
         return _read_network(root)
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{where}: {error}") from error
 
 
 def _read_network(root: Element) -> RoadNetwork:
@@ -288,7 +312,7 @@ def _read_network(root: Element) -> RoadNetwork:
         f"flat ground: heights or banking of {heights} of {len(roads)} roads are left out" if heights else "flat ground"
     )
     drivable = "drivable area: lanes of cars and their shoulders, stopping and parking lanes"
-    return RoadNetwork(roads, junctions, (notes, drivable))
+    return RoadNetwork(roads, junctions, (notes, drivable), root.findtext("header/geoReference"))
 
 
 def _has_heights(road: Element, where: str) -> bool:

@@ -28,15 +28,19 @@ def read_xml(path: Path, what: str, root: str) -> Element:
         InputError: the file cannot be read, is larger than MOST_BYTES, is not well-formed, declares a document type
             (entities), is nested or long beyond any map, or its root is not called `root`.
     """
-    content = read_bounded(path, what, MOST_BYTES)
+    return parse_xml(read_bounded(path, what, MOST_BYTES), str(path), what, root)
+
+
+def parse_xml(content: bytes, where: str, what: str, root: str) -> Element:
+    """The root element of an XML text, which errors call `where`; they are those of `read_xml`."""
     try:
         found = _parse(content)
-    except (expat.ExpatError, ValueError, LookupError) as error:
-        raise InputError(f"{path}: not readable as XML ({error}); give an unchanged copy") from error
     except InputError as error:
-        raise InputError(f"{path}: {error}") from error
+        raise InputError(f"{where}: {error}") from error
+    except (expat.ExpatError, ValueError, LookupError) as error:
+        raise InputError(f"{where}: not readable as XML ({error}); give an unchanged copy") from error
     if found.tag != root:
-        raise InputError(f"{path}: begins with <{found.tag:.40}>, and a {what} with <{root}>")
+        raise InputError(f"{where}: begins with <{found.tag:.40}>, and a {what} with <{root}>")
     return found
 
 

@@ -102,7 +102,7 @@ class Roads:
             following = self.network.following(key) if way == road.ahead(key.lane) else ()
             if not following:
                 return None
-            chosen = self._choose(key, following, route)
+            chosen = self.choose(key, following, route)
             ahead = self.network.road(chosen.road).ahead(chosen.lane)
             start = self.network.road(chosen.road)
             s = (start.starts[chosen.section] if ahead > 0 else start.section_end(chosen.section)) + ahead * beyond
@@ -111,7 +111,8 @@ class Roads:
             key = chosen
         raise InputError("lanes that follow each other without length")
 
-    def _choose(self, key: LaneKey, following: tuple[LaneKey, ...], route: frozenset[str]) -> LaneKey:
+    def choose(self, key: LaneKey, following: tuple[LaneKey, ...], route: frozenset[str]) -> LaneKey:
+        """Of the lanes that follow one, that of the road on the route, else the straightest."""
         heading = self.network.end_of(key, last=True)[1]
 
         def turn(other: LaneKey) -> tuple[bool, float]:
