@@ -7,14 +7,16 @@ files; it brings some twenty packages, this is one page.
 """
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
 import shapely
 
+from olt_closed_loop.scenes.maps.lanes import Control, Crossing, Lane, LaneType, Light, LightState, Marking, StopLine
 from olt_closed_loop.scenes.polylines import without_repeats
-from olt_closed_loop.scenes.scene import Agent, Lane, Scene
+from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.scenes.sources.assembly import (
     RecordedDrive,
     assemble_scene,
@@ -52,7 +54,34 @@ _KINDS = {
     "median_strip": ("barrier", 0.5),
     "unknown": ("other_vehicle", 1.5),
 }
-_NOT_DRIVEN = ("sidewalk", "crosswalk", "bicycleLane")
+_LANE_TYPES: dict[str, LaneType] = {
+    "sidewalk": "sidewalk",
+    "bicycleLane": "cycle",
+    "shoulder": "shoulder",
+    "border": "shoulder",
+    **dict.fromkeys(("urban", "interstate", "country", "highway", "driveWay", "mainCarriageWay"), "driving"),
+    **dict.fromkeys(("accessRamp", "exitRamp", "busLane", "busStop", "intersection", "parking"), "driving"),
+}
+_MARKINGS = {
+    "solid": Marking("solid", False),
+    "broad_solid": Marking("solid", False),
+    "dashed": Marking("dashed", True),
+    "broad_dashed": Marking("dashed", True),
+    "solid_solid": Marking("double", False),
+    "dashed_dashed": Marking("double", True),
+    "solid_dashed": Marking("double"),
+    "dashed_solid": Marking("double"),
+    "curb": Marking("kerb", False),
+    "lowered_curb": Marking("kerb"),
+    "no_marking": Marking("none"),
+}
+_COLORS: dict[str, LightState] = {
+    "red": "red",
+    "redYellow": "amber",
+    "yellow": "amber",
+    "green": "green",
+    "inactive": "off",
+}
 _NO_DRIVERS = ("truck", "bus", "pedestrian", "bicycle", "motorcycle", "train")
 
 
@@ -93,7 +122,9 @@ def _read(root: Element, ego: str | None) -> Scene:
         raise InputError(f"obstacle {chosen.id}: one pose; the ego drives")
     positions = behind(poses[:, :2], poses[:, 3], vehicle.rear_axle_to_bbox_center)
     start_us = int(times_us[0])
-    lanes, areas, skipped = _read_lanelets(root)
+    lanes, areas, crossings, skipped = _read_lanelets(root)
+    by_id = {lane.id: lane for lane in lanes}
+    lights = tuple(_read_lights(root, by_id, step, start_us, int(times_us[-1])))
     problems = [problem.get("id", "?") for problem in root.iter("planningProblem")]
     notes = [
         why,
@@ -102,9 +133,8 @@ def _read(root: Element, ego: str | None) -> Scene:
         f"the cars that solve planning problems ({', '.join(problems)[:80]}) are not recorded and not there"
         if problems
         else "",
-        word_omission(Omission("lanelets", "no car drives on them, or without length", skipped, skipped + len(lanes)))
-        if skipped
-        else "",
+        word_omission(Omission("lanelets", "without length", skipped, skipped + len(lanes))) if skipped else "",
+        f"the {len(lights)} traffic lights run through the cycle of the file, which nobody recorded" if lights else "",
     ]
     return assemble_scene(
         RecordedDrive(
@@ -115,6 +145,9 @@ def _read(root: Element, ego: str | None) -> Scene:
             lanes=lanes,
             areas=areas,
             assumptions=tuple(note for note in notes if note),
+            stop_lines=tuple(_read_stop_lines(root, by_id)),
+            crossings=tuple(crossings),
+            lights=lights,
         )
     )
 
@@ -215,24 +248,110 @@ def _exact(element: Element, name: str, where: str) -> float:
     return parse_number(child(element, name, f"{where}: <{element.tag}>").text, f"{where}: {element.tag} {name}")
 
 
-def _read_lanelets(root: Element) -> tuple[list[Lane], list[shapely.Polygon], int]:
-    """Lanes, the area of each, and how many were left out."""
-    lanes, areas, skipped = [], [], 0
+def _read_lanelets(root: Element) -> tuple[list[Lane], list[shapely.Polygon], list[Crossing], int]:
+    """Lanes, the area of each on which cars drive, crossings, and how many lanelets have no length."""
+    junctions = _read_junctions(root)
+    lanes: list[Lane] = []
+    areas, crossings, skipped = [], [], 0
     for element in root.findall("lanelet"):
         name = text_of(element, "id", "<lanelet>")
         where = f"lanelet {name:.40}"
-        kinds = {(kind.text or "").strip() for kind in element.findall("laneletType")}
         left, right = (without_repeats(_read_bound(element, side, where)) for side in ("leftBound", "rightBound"))
-        if (kinds and kinds <= set(_NOT_DRIVEN)) or not (usable_line(left) and usable_line(right)):
+        if not (usable_line(left) and usable_line(right)):
             skipped += 1
             continue
-        successors = tuple(text_of(link, "ref", where) for link in element.findall("successor"))
-        lanes.append(lane_between(name, left, right, successors))
-        areas.append(lane_area(left, right))
-    names = {lane.id for lane in lanes}
-    if len(names) < len(lanes):
+        kinds = {(kind.text or "").strip() for kind in element.findall("laneletType")}
+        area = lane_area(left, right)
+        if "crosswalk" in kinds:
+            outline = np.concatenate([right, left[::-1]])
+            crossings.append(Crossing(name, outline if area.exterior.is_ccw else outline[::-1]))
+            continue
+        lane = _describe(lane_between(name, left, right, ()), element, kinds, junctions.get(name))
+        lanes.append(lane)
+        if lane.for_cars or lane.type == "shoulder":
+            areas.append(area)
+    if len({lane.id for lane in lanes}) < len(lanes):
         raise InputError("two lanelets of one id; give an unchanged copy")
-    return lanes, areas, skipped
+    return lanes, areas, crossings, skipped
+
+
+def _describe(lane: Lane, element: Element, kinds: set[str], junction: str | None) -> Lane:
+    """The lane with what the file says of it."""
+    where = f"lanelet {lane.id:.40}"
+    limit = element.findtext("speedLimit")
+    return replace(
+        lane,
+        successors=tuple(text_of(link, "ref", where) for link in element.findall("successor")),
+        type=next((_LANE_TYPES[kind] for kind in sorted(kinds) if kind in _LANE_TYPES), None),
+        left_neighbours=tuple(text_of(link, "ref", where) for link in element.findall("adjacentLeft")),
+        right_neighbours=tuple(text_of(link, "ref", where) for link in element.findall("adjacentRight")),
+        left_marking=_MARKINGS.get((element.findtext("leftBound/lineMarking") or "").strip()),
+        right_marking=_MARKINGS.get((element.findtext("rightBound/lineMarking") or "").strip()),
+        junction=junction,
+        speed_limit=None if limit is None else parse_number(limit, f"{where}: speedLimit"),
+    )
+
+
+def _read_junctions(root: Element) -> dict[str, str]:
+    """The junction of each lanelet that leads through one."""
+    return {
+        text_of(link, "ref", "<intersection>"): text_of(junction, "id", "<intersection>")
+        for junction in root.findall("intersection")
+        for turn in ("successorsLeft", "successorsStraight", "successorsRight")
+        for link in junction.findall(f"incoming/{turn}")
+    }
+
+
+def _read_stop_lines(root: Element, lanes: dict[str, Lane]) -> Iterator[StopLine]:
+    """Stop lines: at their points, or across the end of their lane."""
+    for element in root.findall("lanelet"):
+        line, lane = element.find("stopLine"), lanes.get(element.get("id", ""))
+        if line is None or lane is None:
+            continue
+        where = f"lanelet {lane.id:.40}: stopLine"
+        points = [(_exact(point, "x", where), _exact(point, "y", where), 0.0) for point in line.findall("point")]
+        ends = np.array(points) if len(points) == 2 else np.stack([lane.left[-1], lane.right[-1]])
+        control: Control | None = "light" if line.find("trafficLightRef") is not None else None
+        yield StopLine(f"stop_{lane.id}", ends, (lane.id,), control)
+
+
+def _read_lights(root: Element, lanes: dict[str, Lane], step: float, start_us: int, end_us: int) -> Iterator[Light]:
+    """Traffic lights with their states over the drive, at the ways that follow the lanes that refer to them."""
+    ways: dict[str, list[str]] = {}
+    for element in root.findall("lanelet"):
+        lane = lanes.get(element.get("id", ""))
+        for reference in element.findall("trafficLightRef") if lane is not None else []:
+            ways.setdefault(text_of(reference, "ref", "trafficLightRef"), []).extend(lane.successors)
+    for element in root.findall("trafficLight"):
+        name = text_of(element, "id", "<trafficLight>")
+        where = f"trafficLight {name:.40}"
+        direction = (element.findtext("direction") or "all").strip()
+        cycle = element.find("cycle")
+        ruled = [lane for lane in dict.fromkeys(ways.get(name, [])) if lane in lanes]
+        if direction != "all" or cycle is None or not ruled or (element.findtext("active") or "").strip() == "false":
+            continue
+        begins, states = _read_cycle(cycle, step, start_us, end_us, where)
+        yield Light(name, tuple(ruled), begins, states)
+
+
+def _read_cycle(
+    cycle: Element, step: float, start_us: int, end_us: int, where: str
+) -> tuple[np.ndarray, tuple[LightState, ...]]:
+    parts = [
+        (_exact(part, "duration", where), _COLORS.get((part.findtext("color") or "").strip(), "unknown"))
+        for part in cycle.findall("cycleElement")
+    ]
+    lengths = np.round(np.array([duration for duration, _ in parts]) * step * 1e6)
+    if not parts or not np.all((lengths >= 1e4) & (lengths < 1e12)):
+        raise InputError(f"{where}: a cycle without phases, or one shorter than 0.01 s")
+    offset = cycle.findtext("timeOffset")
+    first = 0 if offset is None else int(parse_number(offset, f"{where}: timeOffset") * step * 1e6)
+    period, borders = int(lengths.sum()), np.concatenate([[0], np.cumsum(lengths)[:-1]]).astype(np.int64)
+    # The cycle that runs at the start, and all that begin before the end.
+    rounds = range((start_us - first) // period, (end_us - first) // period + 1)
+    begins = np.concatenate([first + number * period + borders for number in rounds]) - start_us
+    states = [state for _ in rounds for _, state in parts]
+    return begins, tuple(states)
 
 
 def _read_bound(element: Element, side: str, where: str) -> Array:

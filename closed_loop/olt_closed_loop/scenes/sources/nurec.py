@@ -147,8 +147,8 @@ def _read_times(values: Any, where: str) -> Times:
 def _read_box(box: Any, where: str) -> tuple[VehicleDimensions, str]:
     if box is None:
         return _DEFAULT_BOX, "ego box: AlpaSim's default, as the scene has none"
-    (center,), (size,), (turn,) = (
-        coordinates([member(box, name, list, where)], f"{where}: {name}", columns=3)
+    center, size, turn = (
+        coordinates([member(box, name, list, where)], f"{where}: {name}", columns=3)[0]
         for name in ("centroid", "dim", "rot")
     )
     if np.any(np.abs(turn) >= 1e-4) or not np.all((size > 0.0) & (size < 30.0)):

@@ -14,8 +14,8 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import shapely
 
+from olt_closed_loop.scenes.maps.lanes import Lane, LaneType, Marking, Pattern
 from olt_closed_loop.scenes.polylines import without_repeats, wrap
-from olt_closed_loop.scenes.scene import Lane
 from olt_closed_loop.scenes.sources.assembly import lane_area, usable_line
 from olt_closed_loop.scenes.sources.opendrive_lines import (
     LONGEST_ROAD,
@@ -30,27 +30,26 @@ from olt_generator.poses import Array
 
 ROOT = "OpenDRIVE"
 DRIVING = frozenset(
-    [
-        "driving",
-        "entry",
-        "exit",
-        "onRamp",
-        "offRamp",
-        "connectingRamp",
-        "slipLane",
-        "bidirectional",
-        "bus",
-        "taxi",
-        "HOV",
-    ]
-) | {
-    "special1",
-    "special2",
-    "special3",
-}
+    {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional", "bus", "taxi"}
+    | {"HOV", "special1", "special2", "special3"}
+)
 """Types of lanes that cars drive along."""
 DRIVABLE = DRIVING | {"shoulder", "stop", "parking", "mwyEntry", "mwyExit"}
 """Types of lanes whose surface a car may be on without being off the road."""
+_TYPES: dict[str, LaneType] = (
+    dict.fromkeys(DRIVING, "driving")
+    | dict.fromkeys(DRIVABLE - DRIVING, "shoulder")
+    | {"biking": "cycle", "sidewalk": "sidewalk", "walking": "sidewalk"}
+)
+_PATTERNS: dict[str, Pattern] = {
+    "none": "none",
+    "solid": "solid",
+    "broken": "dashed",
+    "botts dots": "dashed",
+    "curb": "kerb",
+    **dict.fromkeys(("solid solid", "solid broken", "broken solid", "broken broken"), "double"),
+}
+_SPEED_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
 _STEP, _STEP_IN_JUNCTION = 1.0, 0.25
 _MOST_SAMPLES = 2_000_000
 _JOIN_GAP, _JOIN_TURN = 1.0, np.radians(60.0)
@@ -68,12 +67,17 @@ class LaneKey(NamedTuple):
 
 @dataclass(frozen=True)
 class LaneStrip:
-    """A lane in one section: its type, width by station, and the numbers of its neighbours along the road."""
+    """A lane in one section: its type, width by station, and the numbers of the lanes before and behind it.
+
+    Beside that, what is painted on its outer border, and its own speed limit in m/s; None where the file does not say.
+    """
 
     kind: str
     width: Cubics
     predecessor: int | None
     successor: int | None
+    marking: Marking | None = None
+    speed_limit: float | None = None
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,9 @@ class OpenDriveRoad:
     sections: tuple[dict[int, LaneStrip], ...]
     predecessor: Link | None
     successor: Link | None
+    centers: tuple[Marking | None, ...] = ()
+    """What is painted on the line between the directions, by section."""
+    speed_limit: float | None = None
 
     def section_at(self, s: float) -> int:
         """The number of the lane section at a station."""
@@ -219,20 +226,20 @@ class RoadNetwork:
         return road.locate(s, 0.5 * (inner + outer))[0], heading
 
     def lanes(self) -> tuple[list[Lane], list[shapely.Polygon]]:
-        """Driving lanes with their successors, and the areas that are drivable."""
+        """Lanes of cars, shoulders, and lanes of others, with their successors; and the areas that are drivable."""
         lanes, areas = [], []
         for road in self.roads.values():
             for section, strips in enumerate(road.sections):
                 s = _stations(road, section)
                 for number, strip in strips.items():
-                    if strip.kind not in DRIVABLE:
+                    if strip.kind not in _TYPES:
                         continue
                     lane = self._lane(LaneKey(road.id, section, number), s)
                     if lane is None:
                         continue
-                    areas.append(lane_area(lane.left, lane.right))
-                    if strip.kind in DRIVING:
-                        lanes.append(lane)
+                    lanes.append(lane)
+                    if strip.kind in DRIVABLE:
+                        areas.append(lane_area(lane.left, lane.right))
         return lanes, [*areas, *_seams(areas)]
 
     def _lane(self, key: LaneKey, s: Array) -> Lane | None:
@@ -247,7 +254,32 @@ class RoadNetwork:
         # In right-hand traffic the inner border of a lane is on the left of who drives along it.
         left, right = (first, second) if road.right_hand else (second, first)
         successors = tuple(lane_name(other) for other in self.following(key))
-        return Lane(lane_name(key), center, left, right, successors)
+        strip, strips = road.sections[key.section][key.lane], road.sections[key.section]
+        side = 1 if key.lane > 0 else -1
+        inside, outside = key.lane - side or -side, key.lane + side
+        beside = [(lane_name(key._replace(lane=one)),) if one in strips else () for one in (inside, outside)]
+        inner_marking = road.centers[key.section] if abs(key.lane) == 1 else _marking_of(strips.get(inside))
+        paint = [inner_marking, strip.marking]
+        if not road.right_hand:
+            beside, paint = beside[::-1], paint[::-1]
+        return Lane(
+            lane_name(key),
+            center,
+            left,
+            right,
+            successors,
+            type=_TYPES[strip.kind],
+            left_neighbours=beside[0],
+            right_neighbours=beside[1],
+            left_marking=paint[0],
+            right_marking=paint[1],
+            junction=road.junction,
+            speed_limit=strip.speed_limit or road.speed_limit,
+        )
+
+
+def _marking_of(strip: LaneStrip | None) -> Marking | None:
+    return strip.marking if strip else None
 
 
 def lane_name(key: LaneKey) -> str:
@@ -312,7 +344,13 @@ def _read_network(root: Element) -> RoadNetwork:
         f"flat ground: heights or banking of {heights} of {len(roads)} roads are left out" if heights else "flat ground"
     )
     drivable = "drivable area: lanes of cars and their shoulders, stopping and parking lanes"
-    return RoadNetwork(roads, junctions, (notes, drivable), root.findtext("header/geoReference"))
+    beside = sum(len(root.findall(kind)) for kind in ("road/signals/signal", "road/objects/object"))
+    return RoadNetwork(
+        roads,
+        junctions,
+        (notes, drivable, *([f"{beside} signals and objects beside the roads are left out"] * bool(beside))),
+        root.findtext("header/geoReference"),
+    )
 
 
 def _has_heights(road: Element, where: str) -> bool:
@@ -330,11 +368,9 @@ def _read_road(element: Element) -> OpenDriveRoad:
     if rule not in ("RHT", "LHT"):
         raise InputError(f"{where}: rule {rule:.40} is neither RHT nor LHT")
     lanes = child(element, "lanes", where)
-    sections = sorted(
-        ((number_of(section, "s", where), section) for section in lanes.findall("laneSection")),
-        key=lambda pair: pair[0],
-    )
-    starts = [start for start, _ in sections]
+    found = [(number_of(section, "s", where), section) for section in lanes.findall("laneSection")]
+    found.sort(key=lambda pair: pair[0])
+    starts = [start for start, _ in found]
     if not starts or starts[0] > 0.01 or starts[-1] >= length or np.any(np.diff(starts) <= 0.0):
         raise InputError(f"{where}: lane sections do not begin at s = 0 and lie apart on the road")
     link = element.find("link")
@@ -346,10 +382,33 @@ def _read_road(element: Element) -> OpenDriveRoad:
         line=read_reference_line(element, length, where),
         offset=read_cubics(lanes.findall("laneOffset"), "s", where),
         starts=(0.0, *starts[1:]),
-        sections=tuple(_read_section(section, start, where) for start, section in sections),
+        sections=tuple(_read_section(section, start, where) for start, section in found),
         predecessor=_read_link(link, "predecessor", where),
         successor=_read_link(link, "successor", where),
+        centers=tuple(_read_marking(section.find("center/lane")) for _, section in found),
+        speed_limit=_read_speed(element.find("type/speed"), where),
     )
+
+
+def _read_marking(lane: Element | None) -> Marking | None:
+    """What is painted at the start of a lane's outer border; None where the file does not say, or says it otherwise."""
+    paint = lane.find("roadMark") if lane is not None else None
+    if paint is None or paint.get("type") not in _PATTERNS:
+        return None
+    change = paint.get("laneChange")
+    crossable = None if change not in ("both", "none") else change == "both"
+    return Marking(_PATTERNS[paint.get("type", "")], crossable)
+
+
+def _read_speed(speed: Element | None, where: str) -> float | None:
+    """A speed limit in m/s; None where there is none, or no number."""
+    if speed is None or speed.get("max") in ("no limit", "undefined"):
+        return None
+    unit = speed.get("unit", "m/s")
+    if unit not in _SPEED_UNITS:
+        raise InputError(f"{where}: a speed in {unit:.40}")
+    limit = number_of(speed, "max", where) * _SPEED_UNITS[unit]
+    return limit if limit > 0.0 else None
 
 
 def _read_link(links: Element | None, name: str, where: str) -> Link | None:
@@ -378,6 +437,8 @@ def _read_section(section: Element, start: float, where: str) -> dict[int, LaneS
                 width=read_cubics(widths, "sOffset", here, offset=start),
                 predecessor=_read_lane_link(lane, "predecessor", here),
                 successor=_read_lane_link(lane, "successor", here),
+                marking=_read_marking(lane),
+                speed_limit=_read_speed(lane.find("speed"), here),
             )
     return strips
 

@@ -44,8 +44,9 @@ def read_road_drive(path: Path) -> Scene:
                 lanes=lanes,
                 areas=areas,
                 assumptions=(
-                    f"a road network, and no drive was recorded on it: the ego drives along lanes for {LONGEST_WAY:g} m "
-                    f"or until they end, up to {SPEED:g} m/s; a car of {vehicle.length:g} x {vehicle.width:g} m",
+                    "a road network, and no drive was recorded on it: the ego drives along lanes up to "
+                    f"{LONGEST_WAY:g} m or their end, at most at {SPEED:g} m/s",
+                    f"the ego is a car of {vehicle.length:g} x {vehicle.width:g} m",
                     *network.notes,
                 ),
             )
@@ -55,7 +56,7 @@ def read_road_drive(path: Path) -> Scene:
 
 
 def _longest_way(network: RoadNetwork) -> Array:
-    """The middle (n, 2) of the lanes of the longest way without repetition, up to LONGEST_WAY, from where one begins."""
+    """The middle (n, 2) of the lanes of the longest way that begins with a lane, up to LONGEST_WAY."""
     keys = [
         LaneKey(road.id, section, number)
         for road in network.roads.values()
@@ -77,7 +78,7 @@ def _longest_way(network: RoadNetwork) -> Array:
     for _ in range(int(LONGEST_WAY / _SPACING)):
         pose = roads.pose(here)
         points.append((pose.x, pose.y))
-        following = roads.advance(here, _SPACING)
+        following = roads.advance(here, _SPACING / roads.stretch(here))
         if following is None:
             break
         here = following

@@ -31,6 +31,10 @@ class Clothoid:
         u, v = half * (np.cos(turned) @ _WEIGHTS), half * (np.sin(turned) @ _WEIGHTS)
         return u, v, ds * (self.curvature + 0.5 * self.change * ds)
 
+    def curvature_at(self, ds: float) -> float:
+        """1/m at a distance, positive to the left."""
+        return self.curvature + self.change * ds
+
 
 @dataclass(frozen=True)
 class ParametricCubic:
@@ -46,6 +50,13 @@ class ParametricCubic:
         powers = np.stack([np.ones_like(p), p, p**2, p**3], axis=-1)
         slopes = np.stack([np.zeros_like(p), np.ones_like(p), 2.0 * p, 3.0 * p**2], axis=-1)
         return powers @ self.u, powers @ self.v, np.arctan2(slopes @ self.v, slopes @ self.u)
+
+    def curvature_at(self, ds: float) -> float:
+        """As `Clothoid.curvature_at`."""
+        p = self.scale * ds
+        du, dv = (one[1] + p * (2.0 * one[2] + 3.0 * p * one[3]) for one in (self.u, self.v))
+        bend_u, bend_v = (2.0 * one[2] + 6.0 * p * one[3] for one in (self.u, self.v))
+        return float((du * bend_v - dv * bend_u) / max((du**2 + dv**2) ** 1.5, 1e-9))
 
 
 @dataclass(frozen=True)
@@ -65,6 +76,11 @@ class ReferenceLine:
     def __init__(self, pieces: Sequence[Geometry]) -> None:
         self._pieces = pieces
         self._starts = np.array([piece.s for piece in pieces])
+
+    def curvature(self, s: float) -> float:
+        """1/m at a station, positive to the left."""
+        piece = self._pieces[max(0, int(np.searchsorted(self._starts, s, side="right")) - 1)]
+        return piece.shape.curvature_at(s - piece.s)
 
     def at(self, s: Array) -> tuple[Array, Array]:
         """Positions (n, 2) and headings (n,) at stations (n,)."""

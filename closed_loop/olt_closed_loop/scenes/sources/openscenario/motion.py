@@ -81,9 +81,16 @@ class Roads:
         (x, y), heading = road.locate(s, np.array([self.lateral(place)]))[0], road.line.at(s)[1][0]
         return Free(float(x), float(y), float(heading) + (0.0 if place.way > 0 else np.pi))
 
+    def stretch(self, place: OnLane) -> float:
+        """Metres along a lane for a metre of its road's reference line."""
+        bend = self.network.road(place.road).line.curvature(place.s)
+        return max(0.1, 1.0 - bend * self.lateral(place)) if bend else 1.0
+
     def advance(self, place: OnLane, distance: float, route: frozenset[str] = frozenset()) -> OnLane | None:
-        """The place `distance` metres further along the lanes, None where they end; of a fork the road on the route,
-        else the straightest one. A negative distance leads back as far as the road goes."""
+        """The place `distance` metres of reference line further along the lanes, None where they end.
+
+        Of a fork it takes the road on the route, else the straightest. A negative distance leads back on the road.
+        """
         road = self.network.road(place.road)
         s = place.s + place.way * distance
         if distance < 0.0:
@@ -206,7 +213,7 @@ class Mover:
         distance = self.speed * seconds
         self.travelled += abs(distance)
         if isinstance(self.place, OnLane):
-            self.place = self.roads.advance(self.place, distance, self.route)
+            self.place = self.roads.advance(self.place, distance / self.roads.stretch(self.place), self.route)
         elif isinstance(self.place, OnPath):
             self._follow(self.place.along + distance)
         elif self.place is not None:

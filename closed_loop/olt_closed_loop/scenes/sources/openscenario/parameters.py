@@ -45,7 +45,12 @@ def declared(element: Element, known: Mapping[str, str]) -> dict[str, str]:
 def resolve(element: Element, known: Mapping[str, str]) -> Element:
     """A copy of a tree in which every attribute has its value in place of parameters and expressions."""
     values = declared(element, known)
-    copy = Element(element.tag, {name: substitute(value, values) for name, value in element.attrib.items()})
+    # A condition's name is a label that nothing refers to; esmini's are no expressions.
+    label = {"name"} if element.tag == "Condition" else set[str]()
+    copy = Element(
+        element.tag,
+        {name: value if name in label else substitute(value, values) for name, value in element.attrib.items()},
+    )
     copy.text = element.text
     copy.extend([resolve(part, values) for part in element if part.tag != "ParameterDeclarations"])
     return copy

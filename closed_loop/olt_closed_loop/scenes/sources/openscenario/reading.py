@@ -29,7 +29,7 @@ _RECORD_EVERY = 2
 _EGO_NAMES = ("ego", "host", "hero", "egovehicle", "ego_vehicle")
 
 
-def read_scenario(path: Path, ego: str | None = None) -> Scene:
+def read_openscenario(path: Path, ego: str | None = None) -> Scene:
     """Carry out one scenario and make a scene of it.
 
     It lasts until its stop trigger holds, the ego's lanes end, or MOST_SECONDS are over.
