@@ -25,6 +25,12 @@ from olt_generator.poses import Array, yaw_of
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
 
+JAGUAR_I_PACE = VehicleDimensions(
+    length=4.682, width=1.895, height=1.566, rear_axle_to_bbox_center=1.50, wheelbase=2.990, track_width=1.65
+)
+"""What most of Waymo's cars are, from its data sheet, without mirrors; the place of the box over the axle is an
+estimate."""
+
 
 @dataclass(frozen=True)
 class RecordedDrive:

@@ -120,7 +120,7 @@ def _read(root: Element, ego: str | None) -> Scene:
     times_us, poses = chosen.timestamps_us[kept], chosen.poses[kept]
     if len(times_us) < 2:
         raise InputError(f"obstacle {chosen.id}: one pose; the ego drives")
-    positions = behind(poses[:, :2], poses[:, 3], vehicle.rear_axle_to_bbox_center)
+    x, y = behind(poses[:, :2], poses[:, 3], vehicle.rear_axle_to_bbox_center).T
     start_us = int(times_us[0])
     lanes, areas, crossings, skipped = _read_lanelets(root)
     by_id = {lane.id: lane for lane in lanes}
@@ -140,7 +140,7 @@ def _read(root: Element, ego: str | None) -> Scene:
         RecordedDrive(
             name=f"commonroad_{text_of(root, 'benchmarkID', ROOT)}_{chosen.id}",
             vehicle=vehicle,
-            ego=Trajectory(times_us - start_us, planar_pose(*positions.T, poses[:, 3])),
+            ego=Trajectory(times_us - start_us, planar_pose(x, y, poses[:, 3])),
             agents=[_shifted(track, start_us, last_us) for track, _ in tracks if track is not chosen],
             lanes=lanes,
             areas=areas,
@@ -320,7 +320,9 @@ def _read_lights(root: Element, lanes: dict[str, Lane], step: float, start_us: i
     ways: dict[str, list[str]] = {}
     for element in root.findall("lanelet"):
         lane = lanes.get(element.get("id", ""))
-        for reference in element.findall("trafficLightRef") if lane is not None else []:
+        if lane is None:
+            continue
+        for reference in element.findall("trafficLightRef"):
             ways.setdefault(text_of(reference, "ref", "trafficLightRef"), []).extend(lane.successors)
     for element in root.findall("trafficLight"):
         name = text_of(element, "id", "<trafficLight>")
@@ -337,7 +339,7 @@ def _read_lights(root: Element, lanes: dict[str, Lane], step: float, start_us: i
 def _read_cycle(
     cycle: Element, step: float, start_us: int, end_us: int, where: str
 ) -> tuple[np.ndarray, tuple[LightState, ...]]:
-    parts = [
+    parts: list[tuple[float, LightState]] = [
         (_exact(part, "duration", where), _COLORS.get((part.findtext("color") or "").strip(), "unknown"))
         for part in cycle.findall("cycleElement")
     ]
@@ -350,8 +352,7 @@ def _read_cycle(
     # The cycle that runs at the start, and all that begin before the end.
     rounds = range((start_us - first) // period, (end_us - first) // period + 1)
     begins = np.concatenate([first + number * period + borders for number in rounds]) - start_us
-    states = [state for _ in rounds for _, state in parts]
-    return begins, tuple(states)
+    return begins, tuple(state for _ in rounds for _, state in parts)
 
 
 def _read_bound(element: Element, side: str, where: str) -> Array:

@@ -5,7 +5,7 @@ banking are read to say that they are left out: the ground of a scene is flat. P
 simulators, or bring a graphics stack; none gives lanes as lines with their successors alone.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -36,11 +36,11 @@ DRIVING = frozenset(
 """Types of lanes that cars drive along."""
 DRIVABLE = DRIVING | {"shoulder", "stop", "parking", "mwyEntry", "mwyExit"}
 """Types of lanes whose surface a car may be on without being off the road."""
-_TYPES: dict[str, LaneType] = (
-    dict.fromkeys(DRIVING, "driving")
-    | dict.fromkeys(DRIVABLE - DRIVING, "shoulder")
-    | {"biking": "cycle", "sidewalk": "sidewalk", "walking": "sidewalk"}
-)
+_TYPES: Mapping[str, LaneType] = {
+    **dict.fromkeys(DRIVABLE, "shoulder"),
+    **dict.fromkeys(DRIVING, "driving"),
+    **{"biking": "cycle", "sidewalk": "sidewalk", "walking": "sidewalk"},
+}
 _PATTERNS: dict[str, Pattern] = {
     "none": "none",
     "solid": "solid",
@@ -345,10 +345,11 @@ def _read_network(root: Element) -> RoadNetwork:
     )
     drivable = "drivable area: lanes of cars and their shoulders, stopping and parking lanes"
     beside = sum(len(root.findall(kind)) for kind in ("road/signals/signal", "road/objects/object"))
+    left_out = (f"{beside} signals and objects beside the roads are left out",) if beside else ()
     return RoadNetwork(
         roads,
         junctions,
-        (notes, drivable, *([f"{beside} signals and objects beside the roads are left out"] * bool(beside))),
+        (notes, drivable, *left_out),
         root.findtext("header/geoReference"),
     )
 

@@ -39,7 +39,7 @@ def read_road_drive(path: Path) -> Scene:
             RecordedDrive(
                 name=f"opendrive_{path.stem}",
                 vehicle=vehicle,
-                ego=Trajectory(times, planar_pose(*positions.T, heading)),
+                ego=Trajectory(times, planar_pose(positions[:, 0], positions[:, 1], heading)),
                 agents=(),
                 lanes=lanes,
                 areas=areas,

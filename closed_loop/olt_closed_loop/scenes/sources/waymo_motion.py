@@ -5,7 +5,7 @@ by its id, `FILE#SCENARIO_ID`. Positions are the middles of boxes. Reading needs
 which exists for few versions of Python.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,13 @@ from google.protobuf.message import DecodeError
 from olt_closed_loop.scenes.maps.lanes import Crossing, Lane, LaneType, Light, LightState, Marking
 from olt_closed_loop.scenes.polylines import without_repeats
 from olt_closed_loop.scenes.scene import Agent, Scene
-from olt_closed_loop.scenes.sources.assembly import RecordedDrive, assemble_scene, behind, usable_line
+from olt_closed_loop.scenes.sources.assembly import (
+    JAGUAR_I_PACE,
+    RecordedDrive,
+    assemble_scene,
+    behind,
+    usable_line,
+)
 from olt_closed_loop.scenes.sources.fields import coordinates
 from olt_closed_loop.scenes.sources.roads import lane_around
 from olt_closed_loop.scenes.sources.tracks import Times, check_times, longest_stretch, whole_microseconds
@@ -28,11 +34,6 @@ from olt_toolkit.recordings.messages import make_message_class
 from olt_toolkit.recordings.tfrecord import map_records, read_record, record_spans
 from olt_toolkit.rigs.rig import VehicleDimensions
 
-JAGUAR_I_PACE = VehicleDimensions(
-    length=4.682, width=1.895, height=1.566, rear_axle_to_bbox_center=1.50, wheelbase=2.990, track_width=1.65
-)
-"""What most of Waymo's cars are, from its data sheet; the place of the box over the axle is an estimate. Its length and
-width are those that the recording gives the ego."""
 LANE_WIDTH = 3.7
 """Metres: of lanes only the centre line is recorded (AlpaSim's: docs/formats/alpasim.md)."""
 MOST_RECORD_BYTES = 256 << 20
@@ -78,8 +79,12 @@ _SCENARIO: Any = make_message_class("olt.waymo_motion", _MESSAGES, "Scenario")
 _NAME: Any = make_message_class("olt.waymo_name", {"Scenario": ((5, "scenario_id", "bytes"),)}, "Scenario")
 _LABELS = {1: "automobile", 2: "person", 3: "rider"}
 _LANE_TYPES: dict[int, LaneType] = {1: "driving", 2: "driving", 3: "cycle"}
-_STATES: dict[int, LightState] = {0: "unknown", 8: "amber"} | dict.fromkeys((1, 4, 7), "red")
-_STATES |= dict.fromkeys((2, 5), "amber") | dict.fromkeys((3, 6), "green")
+_STATES: Mapping[int, LightState] = {
+    0: "unknown",
+    **dict.fromkeys((1, 4, 7), "red"),
+    **dict.fromkeys((2, 5, 8), "amber"),
+    **dict.fromkeys((3, 6), "green"),
+}
 _MARKINGS = {
     1: Marking("dashed", True),
     2: Marking("solid", False),
@@ -171,10 +176,6 @@ def _make_scene(scenario: Any, name: str) -> Scene:
                 "ego box: length and width as recorded, the rest from the data sheet of a Jaguar I-Pace",
                 "flat ground, all boxes on it",
                 *notes,
-                *(
-                    [f"drivable area: the lanes, {LANE_WIDTH:g} m wide, of which the centre lines are recorded"]
-                    * bool(areas)
-                ),
             ),
             crossings=tuple(_read_crossings(scenario.map_features)),
             lights=tuple(_read_lights(scenario.dynamic_map_states, times_us - start_us)),
@@ -208,8 +209,8 @@ def _read_ego(track: Any, times_us: Times) -> tuple[VehicleDimensions, Trajector
         raise InputError(f"track {track.id} is the ego, and its box has {length:g} x {width:g} m")
     car = JAGUAR_I_PACE
     vehicle = VehicleDimensions(length, width, car.height, car.rear_axle_to_bbox_center, car.wheelbase, car.track_width)
-    positions = behind(np.column_stack([x, y]), heading, vehicle.rear_axle_to_bbox_center)
-    ego = Trajectory(known_us - known_us[0], planar_pose(*positions.T, heading))
+    x, y = behind(np.column_stack([x, y]), heading, vehicle.rear_axle_to_bbox_center).T
+    ego = Trajectory(known_us - known_us[0], planar_pose(x, y, heading))
     missing = len(times_us) - len(known_us)
     left_out = Omission("steps of the ego", "not valid, or beside its longest stretch", missing, len(times_us))
     return vehicle, ego, int(known_us[0]), [word_omission(left_out)] if missing else []
@@ -291,12 +292,16 @@ def _read_lights(moments: Any, times_us: Times) -> Iterator[Light]:
         raise InputError(f"dynamic_map_states has {len(moments)} moments for {len(times_us)} times")
     seen: dict[int, list[tuple[int, LightState]]] = {}
     for time_us, moment in zip(times_us.tolist(), moments, strict=True):
-        states = {one.lane: _STATES.get(one.state, "unknown") for one in moment.lane_states}
+        states: dict[int, LightState] = {one.lane: _STATES.get(one.state, "unknown") for one in moment.lane_states}
         for lane in {*states, *seen}:
-            state = states.get(lane, "unknown")
+            state: LightState = states.get(lane, "unknown")
             changes = seen.setdefault(lane, [])
             if not changes or changes[-1][1] != state:
                 changes.append((time_us, state))
     for lane, changes in sorted(seen.items()):
-        begins, states = zip(*changes, strict=True)
-        yield Light(f"light_{lane}", (str(lane),), np.array(begins, dtype=np.int64), states)
+        yield Light(
+            f"light_{lane}",
+            (str(lane),),
+            np.array([begin for begin, _ in changes], dtype=np.int64),
+            tuple(one for _, one in changes),
+        )
