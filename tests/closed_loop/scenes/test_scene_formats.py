@@ -21,6 +21,7 @@ from . import written_scenes as written
 from .recordings import write_scenario
 from .test_scene_sources import scenario
 
+SOON = written.trigger(written.after("1"))
 ENDINGS = ("xml", "xodr", "xosc", "tfrecord", "usdz")
 
 
@@ -49,8 +50,10 @@ def test_the_gate_holds(scene):
 
 def test_the_ego_begins_at_the_origin_and_drives_along_its_heading(scene):
     np.testing.assert_allclose(scene.ego.positions[0], 0.0, atol=1e-9)
-    assert scene.ego.positions[-1, 0] > 50.0
-    np.testing.assert_allclose(yaw_of(scene.ego.T_world_rig)[:50], 0.0, atol=1e-6)
+    assert np.linalg.norm(scene.ego.positions[-1]) > 50.0
+    ways = np.diff(scene.ego.positions[:50], axis=0)
+    ahead = scene.ego.T_world_rig[:49, :3, 0]
+    np.testing.assert_allclose(np.einsum("ni,ni->n", ways, ahead), np.linalg.norm(ways, axis=1), rtol=1e-9)
 
 
 def test_a_scene_file_keeps_it(scene, tmp_path):
@@ -92,8 +95,9 @@ def test_commonroad(files):
 
 
 def test_who_is_the_ego_of_a_commonroad_scenario(files):
-    scene = load_scene(f"{files['xml']}#11")
-    assert scene.vehicle.length == 8.0 if scene.vehicle else False
+    with pytest.raises(InputError, match="obstacle 11 is no car that moves; the cars are 10"):
+        load_scene(f"{files['xml']}#11")
+    assert load_scene(f"{files['xml']}#10").name.endswith("_10")
 
 
 def test_a_car_that_is_no_ego_is_refused(files):
@@ -107,11 +111,11 @@ def test_a_car_that_is_no_ego_is_refused(files):
         ('commonRoadVersion="2020a"', 'commonRoadVersion="2017a"', "commonRoadVersion 2017a"),
         ('timeStepSize="0.1"', 'timeStepSize="1.0"', "timeStepSize of 1 s"),
         ('timeStepSize="0.1"', 'timeStepSize="nan"', "timeStepSize is 'nan'"),
-        ("<x>10.0</x>", "<x>1e999</x>", "obstacle 11: point x is '1e999'"),
+        ("<x>10.0</x>", "<x>1e999</x>", "obstacle 10: point x is '1e999'"),
         ("<type>car</type>", "<type>tank</type>", "obstacle 10: type tank"),
         ('<dynamicObstacle id="11">', '<dynamicObstacle id="10">', "two obstacles of one id"),
         ("<rectangle>", "<polygon><rectangle></rectangle></polygon><rectangle>", "a shape of 2 parts"),
-        ("<width>1.8</width>", "<width>0</width>", "box of|ego"),
+        ("<width>1.8</width>", "<width>0</width>", "obstacle 10: a box of 4.5 x 0 m"),
     ],
 )
 def test_what_is_wrong_with_a_commonroad_scenario_is_named(tmp_path, old, new, named):
@@ -209,7 +213,7 @@ def test_a_cut_in(files):
     scene = read_recording(files["xosc"])
     (other,) = scene.agents
     times = other.timestamps_us * 1e-6
-    y = other.poses[:, 1]
+    y = other.poses[:, 1] - 1.4 * np.sin(other.poses[:, 3])  # of the rear axle
     np.testing.assert_allclose(y[times <= 2.0], -4.0, atol=1e-9)
     np.testing.assert_allclose(y[times >= 4.2], 0.0, atol=1e-9)
     # Half of a sinusoid over 2 s, which begins in the step after 2 s.
@@ -250,7 +254,7 @@ def test_an_event_after_another(tmp_path):
     events = written.CUT_IN + written.event("slow", stop, written.trigger(done, edge="rising"))
     _, other = carried_out(tmp_path, events)
     found = speeds(other)
-    np.testing.assert_allclose(found[:38], 10.0, atol=0.01)
+    np.testing.assert_allclose(found[:38], 10.0, atol=0.2)  # of the box, which turns
     np.testing.assert_allclose(found[45:], 2.0, atol=1e-6)
 
 
@@ -291,7 +295,7 @@ def test_a_walk_along_a_trajectory(tmp_path):
         " offset='0'/></TimeReference><TrajectoryFollowingMode followingMode='position'/></FollowTrajectoryAction>"
         "</RoutingAction>"
     )
-    _, other = carried_out(tmp_path, written.event("walk", follow, written.trigger(written.after("1"))), stop="9")
+    _, other = carried_out(tmp_path, written.event("walk", follow, SOON), stop="9")
     there = other.timestamps_us >= 1_300_000
     y = other.poses[there, 1][:30]
     np.testing.assert_allclose(np.diff(y), 0.2, atol=1e-6)
@@ -311,11 +315,12 @@ def test_an_assigned_route_leads_to_the_left(tmp_path):
         "</Waypoint>"
         for road in ("1", "3")
     )
-    route = (
-        f'<Private entityRef="Ego">{written.private(f"<RoutingAction><AssignRouteAction><Route name='r' closed='false'>{waypoints}</Route></AssignRouteAction></RoutingAction>")}'
-        "</Private>"
+    assign = written.private(
+        f"<RoutingAction><AssignRouteAction><Route name='r' closed='false'>{waypoints}</Route></AssignRouteAction>"
+        "</RoutingAction>"
     )
-    scene, _ = carried_out(tmp_path, "", stop="36", init=route)
+    route = f'<Private entityRef="Ego">{assign}</Private>'
+    scene, _ = carried_out(tmp_path, "", stop="40", init=route)
     assert yaw_of(scene.ego.T_world_rig[-1]) == pytest.approx(np.pi / 2.0, abs=1e-6)
 
 
@@ -324,7 +329,7 @@ def test_an_assigned_route_leads_to_the_left(tmp_path):
     [
         (written.event("e", written.private("<VisibilityAction/>"), ""), "<VisibilityAction> is not read as an action"),
         (
-            written.event("e", "<GlobalAction/>", written.trigger(written.after("1"))),
+            written.event("e", "<GlobalAction/>", SOON),
             "event e: <GlobalAction> is not read",
         ),
         (
@@ -332,13 +337,11 @@ def test_an_assigned_route_leads_to_the_left(tmp_path):
             "condition one: <OffroadCondition> is not read",
         ),
         (
-            written.event("e", written.teleport("<RoadPosition/>"), written.trigger(written.after("1"))),
+            written.event("e", written.teleport("<RoadPosition/>"), SOON),
             "<RoadPosition> is not read as a position",
         ),
         (
-            written.event(
-                "e", written.lane_change('<AbsoluteTargetLane value="-7"/>'), written.trigger(written.after("1"))
-            ),
+            written.event("e", written.lane_change('<AbsoluteTargetLane value="-7"/>'), SOON),
             "road 1 has no lane -7",
         ),
         (
@@ -350,9 +353,7 @@ def test_an_assigned_route_leads_to_the_left(tmp_path):
             "cannot be evaluated",
         ),
         (
-            written.event(
-                "e", written.speed_action('<AbsoluteTargetSpeed value="-3"/>'), written.trigger(written.after("1"))
-            ),
+            written.event("e", written.speed_action('<AbsoluteTargetSpeed value="-3"/>'), SOON),
             "driving backwards",
         ),
     ],
@@ -364,7 +365,7 @@ def test_what_is_not_read_of_a_scenario_is_named(tmp_path, events, named):
 
 @pytest.mark.parametrize("roads", ["/etc/roads.xodr", "C:\\roads.xodr", "file:///roads.xodr", "roads.txt"])
 def test_roads_elsewhere_are_refused(tmp_path, roads):
-    with pytest.raises(InputError, match="is not relative to the scenario|is no OpenDRIVE file"):
+    with pytest.raises(InputError, match=r"is not relative to the scenario|is no OpenDRIVE file"):
         carried_out(tmp_path, "", roads=roads)
 
 

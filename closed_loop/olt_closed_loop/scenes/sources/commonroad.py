@@ -26,7 +26,7 @@ from olt_closed_loop.scenes.sources.assembly import (
     usable_line,
 )
 from olt_closed_loop.scenes.sources.roads import lane_between
-from olt_closed_loop.scenes.sources.tracks import longest_stretch
+from olt_closed_loop.scenes.sources.tracks import LARGEST_BOX, longest_stretch
 from olt_closed_loop.scenes.sources.xml_files import child, number_of, parse_number, read_xml, text_of
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission, word_omission
@@ -199,6 +199,8 @@ def _read_obstacle(element: Element, step: float) -> tuple[Agent, str]:
         raise InputError(f"{where}: type {kind:.40} is not known")
     label, height = _KINDS[kind]
     length, width = _read_shape(child(element, "shape", where), where)
+    if not all(0.0 < side <= LARGEST_BOX for side in (length, width)):
+        raise InputError(f"{where}: a box of {length:g} x {width:g} m")
     states = [child(element, "initialState", where)]
     trajectory = element.find("trajectory")
     if trajectory is not None:

@@ -1,8 +1,9 @@
 """Drives of nuScenes and Waymo as ScenarioNet writes them: one JSON object, often gzipped: tracks at 10 Hz, lanes.
 
 nuScenes' recordings are planar: the ego's height is 0 throughout, and heights of others are relative to it at the
-moment of annotation. So all boxes are put on flat ground. The ego's position is that of the rear axle (in bends it does not move
-sideways, and it equals nuScenes' own ego pose), its box in the file has length and width swapped and is not used.
+moment of annotation. So all boxes are put on flat ground. Their ego's position is that of the rear axle (in bends it
+does not move sideways, and it equals nuScenes' own ego pose), its box in the file has length and width swapped and is
+not used. Waymo's are the middles of boxes.
 """
 
 import gzip
