@@ -5,11 +5,12 @@ import warnings
 import zipfile
 
 import pytest
+from hypothesis import HealthCheck, given, settings
 
 from olt_closed_loop.scenes.sources import read_recording
 from olt_generator.errors import InputError
 
-from ...fuzzing import MOST_CPU_SECONDS, SECONDS
+from ...fuzzing import EXAMPLES, MOST_CPU_SECONDS, SECONDS, damaged
 from . import written_scenes as written
 
 ROOTS = {"xml": "commonRoad", "xodr": "OpenDRIVE", "xosc": "OpenSCENARIO"}
@@ -148,6 +149,16 @@ def folder(tmp_path):
 @pytest.mark.parametrize("name", FUZZED)
 def test_damaged_files(fuzzer, folder, name):
     fuzzer.run("scenario", folder / name, examples=12)
+
+
+@settings(max_examples=EXAMPLES, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(damaged(written.waymo_scenario().SerializeToString()))
+def test_damaged_messages_of_right_checksum(tmp_path, record):
+    path = written.write_records(tmp_path / "one.tfrecord", record)
+    try:
+        read_recording(path)
+    except InputError as error:
+        assert "\n" not in str(error) and len(str(error)) < 2000
 
 
 @pytest.mark.slow
