@@ -150,11 +150,11 @@ def test_left_hand_traffic_is_the_mirror_image():
         assert one.left_marking == other.right_marking
 
 
-@given(st.floats(-0.2, 0.2), st.floats(-0.01, 0.01), st.floats(0.5, 40.0), st.floats(-3.0, 3.0), st.floats(-1e6, 1e6))
-def test_clothoids_follow_their_curvature(curvature, change, length, heading, place):
+@given(st.floats(-0.2, 0.2), st.floats(-0.01, 0.01), st.floats(0.5, 40.0))
+def test_clothoids_follow_their_curvature(curvature, change, length):
     s = np.linspace(0.0, length, 2001)
     u, v, turned = Clothoid(curvature, change).at(s)
-    np.testing.assert_allclose(np.hypot(np.diff(u), np.diff(v)), length / 2000, rtol=1e-6)
+    np.testing.assert_allclose(np.hypot(np.diff(u), np.diff(v)), length / 2000, rtol=2e-5)  # a chord is shorter
     np.testing.assert_allclose(turned[-1], curvature * length + 0.5 * change * length**2, atol=1e-9)
     middle = 0.5 * (turned[1:] + turned[:-1])
     np.testing.assert_allclose(np.diff(u), np.cos(middle) * length / 2000, atol=1e-6)
