@@ -75,7 +75,8 @@ def assemble_scene(drive: RecordedDrive) -> Scene:
     T_world_rig[:, :3, 3] -= origin
     ego = Trajectory(drive.ego.timestamps_us, T_world_rig)
     check_motion(ego, "the ego")
-    lanes = [_moved(lane, origin) for lane in drive.lanes]
+    names = {lane.id for lane in drive.lanes}
+    lanes = [_within(_moved(lane, origin), names) for lane in drive.lanes]
     areas = [shapely.transform(area, lambda points: points - origin[:2]) for area in drive.areas]
     agents, notes = _agents(drive.agents, origin, int(ego.timestamps_us[-1]))
     swath, beyond = ego_swath(ego, drive.vehicle, areas) if areas else ([], 0)
@@ -144,6 +145,20 @@ def heading_along(path: Array) -> Array:
 def usable_line(line: Array) -> bool:
     """Whether a polyline (n, 2 or 3) has a length."""
     return len(line) >= 2 and length_of(line) > 0.1 and bool(np.isfinite(arc_lengths(line)[-1]))
+
+
+def _within(lane: Lane, names: set[str]) -> Lane:
+    """The lane without links to lanes that the map does not hold, as where it was cut."""
+
+    def known(links: tuple[str, ...] | None) -> tuple[str, ...] | None:
+        return None if links is None else tuple(name for name in links if name in names)
+
+    return replace(
+        lane,
+        successors=known(lane.successors) or (),
+        left_neighbours=known(lane.left_neighbours),
+        right_neighbours=known(lane.right_neighbours),
+    )
 
 
 def _moved(lane: Lane, origin: Array) -> Lane:

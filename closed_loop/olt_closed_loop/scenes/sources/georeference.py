@@ -1,7 +1,8 @@
 """OpenDRIVE maps of NuRec scenes: from the map's frame, whose origin is a place on earth, to the scene's world.
 
 The map's frame is taken for the plane that touches the earth at its origin, east, north and up (what `+proj=tmerc` is
-near it; d metres away the earth lies d^2 / 12.7e6 m below, which is left out). Earth is the ellipsoid WGS 84 (NIMA TR8350.2, section 4).
+near it; d metres away the earth lies d^2 / 12.7e6 m below, which is left out). Earth is the
+ellipsoid WGS 84 (NIMA TR8350.2, section 4).
 """
 
 import re

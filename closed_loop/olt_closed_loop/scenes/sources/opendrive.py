@@ -6,7 +6,7 @@ simulators, or bring a graphics stack; none gives lanes as lines with their succ
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree.ElementTree import Element
@@ -240,7 +240,20 @@ class RoadNetwork:
                     lanes.append(lane)
                     if strip.kind in DRIVABLE:
                         areas.append(lane_area(lane.left, lane.right))
-        return lanes, [*areas, *_seams(areas)]
+        names = {lane.id for lane in lanes}
+        linked = [replace(lane, successors=tuple(self._beyond(lane.successors, names))) for lane in lanes]
+        return linked, [*areas, *_seams(areas)]
+
+    def _beyond(self, successors: tuple[str, ...], names: set[str]) -> Iterator[str]:
+        """The lanes that follow, with those that follow it in place of one that is too short to be a lane."""
+        for name in successors:
+            if name in names:
+                yield name
+                continue
+            road, section, lane = name.rsplit(":", 2)
+            for other in self.following(LaneKey(road, int(section), int(lane))):
+                if lane_name(other) in names:
+                    yield lane_name(other)
 
     def _lane(self, key: LaneKey, s: Array) -> Lane | None:
         road = self.roads[key.road]
