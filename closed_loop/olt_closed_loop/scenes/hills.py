@@ -9,13 +9,14 @@ from functools import partial
 
 import numpy as np
 
-from olt_closed_loop.scenes.scene import Hills, Scene
-from olt_generator.poses import Array, make_pose
+from olt_closed_loop.scenes.scene import Agent, Hills, Scene
+from olt_generator.poses import Array, make_pose, planar_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
 
 STEP = 1.0
 _REACH = 1500.0
+_UPRIGHT = frozenset(("person",))
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ def lay_hills(direction: float, waves: tuple[Wave, ...]) -> Hills:
 
 
 def put_on_hills(scene: Scene, hills: Hills) -> Scene:
-    """A scene on level ground, lifted onto hills: the ego leans with the road, agents stay upright."""
+    """A scene on level ground, lifted onto hills: the ego leans with the road; agents do where filmed (`stand_up`)."""
     lift = partial(_lift, hills)
     poses = pose_on_hills(hills, scene.ego.T_world_rig, scene.vehicle)
     agents = tuple(
@@ -74,6 +75,27 @@ def pose_on_hills(hills: Hills, T_world_rig: Array, vehicle: VehicleDimensions) 
     z = np.cross(x, across)
     z /= np.linalg.norm(z, axis=-1, keepdims=True)
     return make_pose(np.stack([x, np.cross(z, x), z], axis=-1), base)
+
+
+def stand_up(agent: Agent, pose: Array, hills: Hills | None) -> Array:
+    """The pose (4, 4) of an agent's box, from x, y, z of its centre and yaw (4,).
+
+    On hills it leans with the ground under its ends and sides, about the ground below its centre; people stay upright.
+    """
+    flat = planar_pose(*pose[:2], pose[3], pose[2])
+    if hills is None or agent.label in _UPRIGHT:
+        return flat
+    ahead, left = flat[:3, 0], flat[:3, 1]
+    rises = [
+        (hills.height(pose[:2] + reach * side[:2]) - hills.height(pose[:2] - reach * side[:2])) / (2.0 * reach)
+        for side, reach in ((ahead, agent.length / 2), (left, agent.width / 2))
+    ]
+    x, across = (side + rise * flat[:3, 2] for side, rise in zip((ahead, left), rises, strict=True))
+    x /= np.linalg.norm(x)
+    z = np.cross(x, across)
+    z /= np.linalg.norm(z)
+    ground = np.array([*pose[:2], hills.height(pose[:2])])
+    return make_pose(np.stack([x, np.cross(z, x), z], axis=-1), ground + (pose[2] - ground[2]) * z)
 
 
 def _lift(hills: Hills, points: Array) -> Array:
