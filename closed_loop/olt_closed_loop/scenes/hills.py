@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from olt_closed_loop.scenes.scene import Agent, Hills, Scene
-from olt_generator.poses import Array, make_pose, planar_pose
+from olt_generator.poses import Array, make_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
 
@@ -82,7 +82,9 @@ def stand_up(agent: Agent, pose: Array, hills: Hills | None) -> Array:
 
     On hills it leans with the ground under its ends and sides, about the ground below its centre; people stay upright.
     """
-    flat = planar_pose(*pose[:2], pose[3], pose[2])
+    x, y, z, yaw = pose.tolist()
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    flat = np.array([[cos, -sin, 0.0, x], [sin, cos, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]])
     if hills is None or agent.label in _UPRIGHT:
         return flat
     ahead, left = flat[:3, 0], flat[:3, 1]
@@ -90,12 +92,12 @@ def stand_up(agent: Agent, pose: Array, hills: Hills | None) -> Array:
         (hills.height(pose[:2] + reach * side[:2]) - hills.height(pose[:2] - reach * side[:2])) / (2.0 * reach)
         for side, reach in ((ahead, agent.length / 2), (left, agent.width / 2))
     ]
-    x, across = (side + rise * flat[:3, 2] for side, rise in zip((ahead, left), rises, strict=True))
-    x /= np.linalg.norm(x)
-    z = np.cross(x, across)
-    z /= np.linalg.norm(z)
-    ground = np.array([*pose[:2], hills.height(pose[:2])])
-    return make_pose(np.stack([x, np.cross(z, x), z], axis=-1), ground + (pose[2] - ground[2]) * z)
+    forward, across = (side + rise * flat[:3, 2] for side, rise in zip((ahead, left), rises, strict=True))
+    forward /= np.linalg.norm(forward)
+    up = np.cross(forward, across)
+    up /= np.linalg.norm(up)
+    ground = np.array([x, y, hills.height(pose[:2])])
+    return make_pose(np.stack([forward, np.cross(up, forward), up], axis=-1), ground + (z - ground[2]) * up)
 
 
 def _lift(hills: Hills, points: Array) -> Array:

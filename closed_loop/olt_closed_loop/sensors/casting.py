@@ -21,7 +21,7 @@ _FARTHEST = 160.0
 _SMALLEST = 0.5
 
 # Pairs of square and box that are cast at once: few enough to stay in the processor's cache.
-_CHUNK = 128
+_CHUNK = 256
 _TINY = np.float32(1e-12)
 
 
@@ -34,14 +34,15 @@ class Hits(NamedTuple):
     distance: FloatImage
 
 
-def boxes_in_view(boxes: Boxes, axis: Array, field: float, finest: float) -> Boxes:
-    """The boxes that a camera at the origin may see.
+def boxes_in_view(boxes: Boxes, position: Array, axis: Array, field: float, finest: float) -> Boxes:
+    """The boxes that a camera at `position` (3,) may see.
 
     It looks along `axis` (3,), its field reaches `field` radians from that, and its finest pixel is `finest` radians.
     """
-    away = np.linalg.norm(boxes.center, axis=1)
-    radius = np.linalg.norm(boxes.half, axis=1)
-    off_axis = np.arccos(np.clip(boxes.center @ axis / np.maximum(away, 1e-9), -1.0, 1.0))
+    offset = boxes.center - position
+    away = np.sqrt(np.einsum("ni,ni->n", offset, offset))
+    radius = np.sqrt(np.einsum("ni,ni->n", boxes.half, boxes.half))
+    off_axis = np.arccos(np.clip(offset @ axis / np.maximum(away, 1e-9), -1.0, 1.0))
     apparent = np.arcsin(np.minimum(radius / np.maximum(away, 1e-9), 1.0))
     inside = (away <= radius) | (off_axis - apparent <= field)
     large = apparent > _SMALLEST * 0.5 * finest
@@ -90,7 +91,7 @@ def _search(
             there = inside >= 0
             square, box = inside[there], np.broadcast_to(box[:, None], inside.shape)[there]
         growth = level.spread[square] * reach[box]
-        entry, leave = _intersect(shapes, box, level.middle[:, square], growth)
+        entry, leave = _intersect(shapes, box, np.take(level.middle, square, axis=1), growth)
         met = (entry <= leave) & (leave > 0.0)
         square, box = square[met], box[met]
     order = np.argsort(square, kind="stable")

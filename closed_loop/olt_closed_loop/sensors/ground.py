@@ -57,8 +57,8 @@ class Raster:
         return cls(np.zeros((height, width), dtype=np.uint8), low, resolution)
 
     def pixels(self, points: Array) -> Array:
-        """Pixel coordinates (n, 2) of world points (n, 2 or 3); (0, 0) is the centre of the first pixel."""
-        return (points[:, :2] - self.origin) / self.resolution - 0.5
+        """Pixel coordinates (..., 2) of world points (..., 2 or 3); (0, 0) is the centre of the first pixel."""
+        return (points[..., :2] - self.origin) / self.resolution - 0.5
 
     def affine(self, stand: Stand) -> Array:
         """Matrix (2, 3) from level places, metres, to pixel coordinates."""
@@ -68,14 +68,15 @@ class Raster:
 
     def fill(self, outline: Array, value: int) -> None:
         """Fill the inside of an outline (n, 2 or 3) in world coordinates."""
-        cv2.fillPoly(self.image, [self._fixed_point(outline)], value, cv2.LINE_AA, _SUBPIXEL_BITS)
+        cv2.fillPoly(self.image, [self.fixed_point(outline)], value, cv2.LINE_AA, _SUBPIXEL_BITS)
 
     def draw(self, line: Array, width: float, value: int) -> None:
         """Draw a line (n, 2 or 3) of `width` metres."""
         thickness = max(1, round(width / self.resolution))
-        cv2.polylines(self.image, [self._fixed_point(line)], False, value, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+        cv2.polylines(self.image, [self.fixed_point(line)], False, value, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
-    def _fixed_point(self, points: Array) -> NDArray[np.int32]:
+    def fixed_point(self, points: Array) -> NDArray[np.int32]:
+        """Pixel coordinates (..., 2) of world points (..., 2 or 3) as OpenCV takes them, in sixteenths."""
         return np.round(self.pixels(points) * 2**_SUBPIXEL_BITS).astype(np.int32)
 
 
@@ -197,8 +198,8 @@ def add_shadows(shadows: Raster, corners: Array, sun: Array) -> Raster:
     """The raster with the shadows of boxes given by their corners (n, 8, 3) added, for a sun in direction (3,)."""
     raster = Raster(shadows.image.copy(), shadows.origin, shadows.resolution)
     on_ground = corners[..., :2] - corners[..., 2:] * (sun[:2] / sun[2])
-    for box in on_ground.astype(np.float32):
-        raster.fill(cv2.convexHull(box)[:, 0].astype(np.float64), 255)
+    for box in raster.fixed_point(on_ground):
+        cv2.fillConvexPoly(raster.image, cv2.convexHull(box), 255, cv2.LINE_AA, _SUBPIXEL_BITS)
     return raster
 
 

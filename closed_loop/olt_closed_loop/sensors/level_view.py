@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from olt_closed_loop.sensors.camera_rays import CameraRays, Squares
 from olt_closed_loop.sensors.terrain import FARTHEST, GroundHits
 from olt_closed_loop.sensors.textures import NOISE_LAYERS, FloatImage, noise_spread
-from olt_generator.poses import Array, planar_pose
+from olt_generator.poses import Array, make_pose
 
 COLUMNS = 512
 """Ground and sky are lists of pixels in rows of so many: `cv2.remap` takes none longer than 32766."""
@@ -44,7 +44,8 @@ class Stand:
     @property
     def T_level_world(self) -> Array:  # noqa: N802
         """The pose (4, 4) of the world in level axes."""
-        return np.linalg.inv(planar_pose(*self.position[:2], self.heading, self.position[2]))
+        turn = _about_z(-self.heading)
+        return make_pose(turn, -turn @ self.position)
 
     @property
     def R_world_level(self) -> Array:  # noqa: N802

@@ -174,7 +174,9 @@ class SceneRenderer:
         return laid, places
 
     def _boxes_in_view(self, stand: Stand, axis: Array, view: CameraRays) -> Boxes:
-        return boxes_in_view(self._boxes.moved(stand.T_level_world), axis, view.field, view.finest)
+        """The boxes that a camera that looks along `axis` (3,), in level axes, may see; in those axes."""
+        found = boxes_in_view(self._boxes, stand.position, stand.R_world_level @ axis, view.field, view.finest)
+        return found.moved(stand.T_level_world)
 
     def _draw_boxes(
         self, rgb: Image, boxes: Boxes, hits: Hits, laid: LevelView, stand: Stand, R_level_rig: Array | None
