@@ -59,6 +59,7 @@ Traffic = Literal["recorded", "idm"]  # rollouts.rollout
 Vehicle = Literal["kinematic", "tyres"]  # simulation.settings
 Controller = Literal["lqr", "linear", "nonlinear"]  # control.tracking
 Integrator = Literal["auto", "midpoint", "rk4", "radau", "cvodes"]  # vehicle.integrators
+Light = Literal["day", "low_sun", "night"]  # scenes.conditions
 Isolation = Literal["auto", "none", "process"]  # simulation.policy_hosts
 
 
@@ -87,6 +88,17 @@ def run(
     integrator: Annotated[
         Integrator, typer.Option(help="How the vehicle is integrated; auto: the cheapest within 3e-7 m a step.")
     ] = "auto",
+    light: Annotated[Light, typer.Option(help="Light in which cameras see the scene.")] = "day",
+    weather: Annotated[
+        str, typer.Option(help="Weather in which they see it: clear, rain, fog, or an amount as in rain:0.3.")
+    ] = "clear",
+    camera_fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="KIND=AMOUNT or KIND:CAMERA=AMOUNT: noise (grey levels), exposure (stops), dropped (share), "
+            "late (seconds), frozen (from second), swapped:CAMERA=CAMERA. Several add up in order."
+        ),
+    ] = None,
     definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
     baselines: Annotated[
         bool, typer.Option(help="Drive constant speed, go straight, stop and route beside the policy.")
@@ -119,6 +131,9 @@ def run(
     from olt_closed_loop.evaluation.comparison import compare_scores
     from olt_closed_loop.evaluation.comparison_report import save_comparison
     from olt_closed_loop.evaluation.evaluation import count_left_out, count_vehicle_steps, find_scenes
+    from olt_closed_loop.scenes.conditions import parse_conditions
+    from olt_closed_loop.simulation.camera_faults import parse_camera_fault
+    from olt_toolkit.rigs.rig import CAMERA_INDEX
     from olt_toolkit.runtime.console import make_progress, print_json, print_line
     from olt_toolkit.runtime.workers import default_workers
 
@@ -130,6 +145,8 @@ def run(
         integrator=integrator,
         control=ControlSettings(method=controller, smoothing_window=smoothing_window, smoothing_delay=smoothing_delay),
         skip=skip,
+        conditions=parse_conditions(light, weather),
+        camera_faults=tuple(parse_camera_fault(text, list(CAMERA_INDEX)) for text in camera_fault or ()),
         limits=_limits(isolate, policy_timeout, policy_memory),
     )
     sources = find_scenes([*(scenes or []), *(scene or [])])
@@ -184,6 +201,8 @@ def run(
                 "controller": controller,
                 "smoothing": {"window": smoothing_window, "delay": smoothing_delay},
                 "integrator": integrator,
+                "conditions": settings.conditions.words,
+                "camera_faults": [fault.words for fault in settings.camera_faults],
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],
                 "comparison": comparison.to_dict(),

@@ -9,6 +9,7 @@ from olt_generator.seeds import make_generator
 
 _SIZE = 768
 _HILLS = (86.0, 104.0, 100.0)
+_FOG_LAYER = 60.0
 
 
 class Sky:
@@ -33,6 +34,10 @@ class Sky:
         sky = _mix(sky, 0.55 * horizon + 0.45 * np.array(_HILLS, dtype=np.float32), _hills(looks, x, y, z))
         if conditions.light == "low_sun":
             sky += _sun_glare(looks, x, y, z)
+        if conditions.fog > 0.0:
+            # A layer of fog lies before the sky, the deeper the flatter one looks.
+            depth = np.float32(_FOG_LAYER / conditions.haze_distance) / np.maximum(z, np.float32(1e-3))
+            sky = _mix(sky, horizon, np.float32(1.0) - np.exp(-depth))
         sky *= np.array(conditions.sky_light, dtype=np.float32)
         self._image = np.clip(sky + 0.5, 0, 255).astype(np.uint8)
 

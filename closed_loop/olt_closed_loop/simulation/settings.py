@@ -8,7 +8,9 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.control.tracking import ControlSettings
 from olt_closed_loop.rollouts.rollout import Traffic
+from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions
 from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.simulation.camera_faults import CameraFault
 from olt_closed_loop.simulation.policy_hosts import PolicyLimits
 from olt_closed_loop.vehicle.integrators import DEFAULT_METHOD, Method
 from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres
@@ -33,6 +35,8 @@ class SimulationSettings:
         integrator: how the vehicle is integrated (`vehicle.integrators`).
         control: how plans are tracked (`control.tracking`).
         skip: whether what cannot change the result is left out; the result is the same without, only slower.
+        conditions: light and weather of the pictures (`scenes.conditions`).
+        camera_faults: what is wrong with the cameras (`simulation.camera_faults`).
         limits: where the policy runs, what it may take, and when it has failed (`simulation.policy_hosts`).
     """
 
@@ -44,6 +48,8 @@ class SimulationSettings:
     integrator: Method = DEFAULT_METHOD
     control: ControlSettings = field(default_factory=ControlSettings)
     skip: bool = True
+    conditions: Conditions = CLEAR_DAY
+    camera_faults: tuple[CameraFault, ...] = ()
     limits: PolicyLimits = field(default_factory=PolicyLimits)
 
     def __post_init__(self) -> None:
