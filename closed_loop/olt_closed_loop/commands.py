@@ -74,6 +74,7 @@ def run(
     seed: Annotated[int, typer.Option(help="Seed of the first drive; the next has the next number.")] = 0,
     duration: Annotated[float, typer.Option(help="Seconds of a drive, 1.7 s of warm-up included.")] = 20.0,
     planner_delay: Annotated[float, typer.Option(help="Seconds from asking for a plan until it is in force.")] = 0.0,
+    plan_interval: Annotated[float, typer.Option(help="Seconds from asking for a plan until the next.")] = 0.1,
     traffic: Annotated[Traffic, typer.Option(help="How agents move.")] = "recorded",
     vehicle: Annotated[Vehicle, typer.Option(help="How the ego moves.")] = "kinematic",
     controller: Annotated[
@@ -140,6 +141,7 @@ def run(
     settings = SimulationSettings(
         duration_us=round(duration * 1e6),
         planner_delay_us=round(planner_delay * 1e6),
+        plan_interval_us=round(plan_interval * 1e6),
         traffic=traffic,
         vehicle=vehicle,
         integrator=integrator,

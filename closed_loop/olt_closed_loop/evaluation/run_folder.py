@@ -44,6 +44,7 @@ ROLLOUTS, SCORES, TIMINGS, RUN = "rollouts.parquet", "scores.json", "timings.jso
 _OPTIONS = {
     "duration_us": "--duration",
     "planner_delay_us": "--planner-delay",
+    "plan_interval_us": "--plan-interval",
     "traffic": "--traffic",
     "vehicle": "--vehicle",
     "integrator": "--integrator",

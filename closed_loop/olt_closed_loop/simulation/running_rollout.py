@@ -93,6 +93,7 @@ class RunningRollout:
         self._frames: deque[NDArray[np.uint8]] = deque(maxlen=IMAGE_FRAMES)
         self._timings: defaultdict[str, float] = defaultdict(float)
         self._faults = FaultyCameras(settings.camera_faults, policy.cameras, derive_seed(self._seed, self._scene.name))
+        self._unseen = 0
         self._rendered, self._driven = 0, settings.handover
         self._follow_recording()
         reactive = settings.traffic == "idm"
@@ -165,6 +166,10 @@ class RunningRollout:
             images = self._sensors(self._policy.cameras, self._policy.image_size, pose, now_us)
             self._frames.append(self._faults.show(images, now_us))
         self._rendered += 1
+
+    def leave_out_pictures(self) -> None:
+        """Note that the policy's cameras take no picture at a step, because no plan is made from it."""
+        self._unseen += bool(self._policy.cameras)
 
     def accept(self, answer: Answer, step: int, seconds: float) -> None:
         """Keep the plan made at a step in so many seconds, count that it is refused, or end with the policy's fault."""
@@ -292,6 +297,8 @@ class RunningRollout:
         unused = [camera for camera in CAMERA_INDEX if camera not in self._policy.cameras]
         if unused:
             yield Omission(f"rendering of {', '.join(unused)}", f"{unseen}them")
+        if self._unseen:
+            yield Omission("pictures between decisions", "no plan is made from them", self._unseen)
         if self._settings.vehicle == "kinematic":
             yield Omission("tyre dynamics", "the vehicle is kinematic")
         if not self._policy.cameras and self._settings.conditions != CLEAR_DAY:
