@@ -15,7 +15,7 @@ from olt_closed_loop.sensors.ray_casting import rig_sensors
 from olt_closed_loop.simulation.closed_loop import simulate
 from olt_closed_loop.simulation.policies import RouteFollowingPolicy
 from olt_closed_loop.simulation.settings import SimulationSettings
-from olt_generator.poses import Array
+from olt_generator.poses import Array, planar_pose
 from olt_toolkit.bench.benchmark import Benchmark, Setting
 from olt_toolkit.policy.contract import Observation, PlannedTrajectory
 from olt_toolkit.rigs.contracts import find_contract
@@ -80,16 +80,10 @@ def _drive(sees: bool, kept: Kept) -> str:
     rollout = simulate(scene, policy, settings, renderer=take if sees else None)
     if kept.looks and sensors is not None:
         for time_us, (x, y, yaw) in zip(rollout.timestamps_us.tolist(), rollout.states[:, :3], strict=True):
-            sensors(tuple(CAMERA_INDEX), _SIZE, _planar(x, y, yaw), time_us)
+            sensors(tuple(CAMERA_INDEX), _SIZE, planar_pose(x, y, yaw), time_us)
     score = score_rollout(scene, rollout, skip=not kept.scoring)
     plain = replace(rollout, timings={}, left_out=(), rendered_images={}, conditions=None).to_dict()
     return json.dumps([plain, replace(score, left_out=()).to_dict()], sort_keys=True, default=str)
-
-
-def _planar(x: float, y: float, yaw: float) -> Array:
-    from olt_generator.poses import planar_pose
-
-    return planar_pose(x, y, yaw)
 
 
 _SETTINGS: dict[str, tuple[bool, Kept]] = {

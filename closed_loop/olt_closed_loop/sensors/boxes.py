@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.looks import Color, SceneryBox
 from olt_closed_loop.scenes.scene import Agent
+from olt_closed_loop.sensors.bodies import parts_of
 from olt_closed_loop.sensors.surfaces import SURFACE_INDEX, TILE, sample_surfaces
 from olt_closed_loop.sensors.textures import FloatImage, Image
 from olt_generator.poses import Array, planar_pose
@@ -63,65 +64,7 @@ class Boxes:
         return self.center[:, None] + (signs * self.half[:, None]) @ np.swapaxes(self.axes, 1, 2)
 
 
-@dataclass(frozen=True)
-class Part:
-    """A box of a body: its extent as shares of the body's (low and high corner, 0 ... 1), surfaces and colour.
-
-    `surfaces` are those of the front, rear, sides and top.
-    """
-
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-    surfaces: tuple[str, str, str, str] = ("plain", "plain", "plain", "plain")
-    color: Color | None = None
-
-
 _AMBIENT = 0.55
-_DARK: Color = (40.0, 40.0, 44.0)
-_WHOLE = Part((0, 0, 0), (1, 1, 1))
-
-_BODIES: dict[str, tuple[Part, ...]] = {
-    "automobile": (
-        Part((0, 0, 0.08), (1, 1, 0.62), ("car_front", "car_rear", "car_side", "plain")),
-        Part((0.18, 0.06, 0.62), (0.72, 0.94, 1), ("glass", "glass", "glass", "plain")),
-    ),
-    "heavy_truck": (
-        Part((0.78, 0.02, 0.1), (1, 0.98, 0.85), ("car_front", "plain", "glass", "plain")),
-        Part((0, 0, 0.05), (0.76, 1, 1), ("plain", "car_rear", "panels", "plain")),
-    ),
-    "other_vehicle": (
-        Part((0.45, 0.28, 0.2), (1, 0.72, 0.62), ("car_front", "plain", "plain", "plain")),
-        Part((0.08, 0.18, 0.35), (0.45, 0.82, 1), ("glass", "glass", "glass", "plain")),
-        Part((0, 0, 0), (0.42, 0.24, 0.58), ("plain", "plain", "wheel", "plain"), _DARK),
-        Part((0, 0.76, 0), (0.42, 1, 0.58), ("plain", "plain", "wheel", "plain"), _DARK),
-        Part((0.72, 0.06, 0), (0.98, 0.24, 0.36), ("plain", "plain", "wheel", "plain"), _DARK),
-        Part((0.72, 0.76, 0), (0.98, 0.94, 0.36), ("plain", "plain", "wheel", "plain"), _DARK),
-    ),
-    "rider": (
-        Part((0, 0.42, 0), (0.38, 0.58, 0.38), ("plain", "plain", "wheel", "plain"), _DARK),
-        Part((0.62, 0.42, 0), (1, 0.58, 0.38), ("plain", "plain", "wheel", "plain"), _DARK),
-        Part((0.3, 0.25, 0.2), (0.6, 0.75, 0.5), color=_DARK),
-        Part((0.3, 0.1, 0.48), (0.65, 0.9, 0.84)),
-        Part((0.5, 0.33, 0.84), (0.66, 0.67, 1), ("skin", "plain", "plain", "plain")),
-    ),
-    "person": (
-        Part((0.2, 0.15, 0), (0.8, 0.85, 0.48), color=_DARK),
-        Part((0.1, 0, 0.46), (0.9, 1, 0.85)),
-        Part((0.25, 0.3, 0.85), (0.75, 0.7, 1), ("skin", "skin", "skin", "plain")),
-    ),
-    "animal": (
-        Part((0.1, 0.1, 0.4), (0.85, 0.9, 0.72)),
-        Part((0.75, 0.3, 0.6), (1, 0.7, 1)),
-        Part((0.12, 0.15, 0), (0.2, 0.85, 0.42)),
-        Part((0.72, 0.15, 0), (0.8, 0.85, 0.42)),
-    ),
-    "cone": (
-        Part((0, 0, 0), (1, 1, 0.06), color=_DARK),
-        Part((0.2, 0.2, 0.06), (0.8, 0.8, 0.5), ("cone", "cone", "cone", "plain")),
-        Part((0.34, 0.34, 0.5), (0.66, 0.66, 1), ("cone", "cone", "cone", "plain")),
-    ),
-    "barrier": (Part((0, 0, 0), (1, 1, 1), ("stripes", "stripes", "stripes", "plain")),),
-}
 
 _PLAIN = (("plain", "plain", "plain", "plain"), np.inf, np.inf)
 # By kind: surfaces of front, rear, sides and top, and how many metres one picture of them covers across and up. That of
@@ -138,7 +81,7 @@ def body_boxes(agent: Agent, color: Color, lit: bool = True) -> Boxes:
 
     `lit` tells whether its lamps are switched on, which shows at night.
     """
-    parts = _BODIES.get(agent.label, (_WHOLE,))
+    parts = parts_of(agent)
     size = np.array([agent.length, agent.width, agent.height])
     low, high = (np.array([getattr(part, end) for part in parts]) for end in ("low", "high"))
     return Boxes(

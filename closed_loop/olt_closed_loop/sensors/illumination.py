@@ -17,7 +17,7 @@ from olt_closed_loop.sensors.surfaces import lamp_glow
 from olt_closed_loop.sensors.textures import FloatImage
 from olt_generator.poses import Array
 
-_MOTOR_VEHICLES = ("automobile", "heavy_truck", "other_vehicle")
+_MOTOR_VEHICLES = ("automobile", "heavy_truck", "bus", "train_or_tram_car", "other_vehicle")
 
 
 class Illumination(Protocol):
