@@ -86,8 +86,10 @@ def test_words_are_read_as_they_are_written(text: str) -> None:
 
 @pytest.mark.parametrize(
     "text",
-    ["", "noise", "blur=3", "noise=x", "noise=nan", "noise=-1", "dropped=1.2", "late=0.05", "late:front=0.1"]
-    + ["swapped=front_wide", "swapped:front_wide=front_wide", "noise:=3", "late:nowhere=0.1"],
+    (
+        *("", "noise", "blur=3", "noise=x", "noise=nan", "noise=-1", "dropped=1.2", "late=0.05", "late:front=0.1"),
+        *("swapped=front_wide", "swapped:front_wide=front_wide", "noise:=3", "late:nowhere=0.1"),
+    ),
 )
 def test_what_is_no_fault_is_refused(text: str) -> None:
     with pytest.raises(InputError, match="camera fault"):
