@@ -24,7 +24,7 @@ def busy_junction(agents: int = 60, duration_us: int = 20_000_000, seed: int = 0
     """
     ego = _drive_straight(-0.7 * ARM, _EGO_OFFSET, duration_us)
     arms = [shapely.box(-ARM, -_HALF_ROAD, ARM, _HALF_ROAD), shapely.box(-_HALF_ROAD, -ARM, _HALF_ROAD, ARM)]
-    outline = _at_ground(shapely.get_coordinates(shapely.orient_polygons(shapely.union_all(arms)).exterior))
+    outline = _at_ground(shapely.get_coordinates(shapely.orient_polygons(shapely.union_all(arms))))
     return Scene(
         name=f"busy_junction_{agents}_{seed}",
         category="nominal",
@@ -50,11 +50,11 @@ def _lanes(heading: float) -> list[Lane]:
     lanes = []
     for offset in LANE_WIDTH * np.array([-1.5, -0.5, 0.5, 1.5]):
         sign = 1.0 if offset < 0.0 else -1.0
-        sides = [
+        center, left, right = (
             _turned(np.array([[-sign * ARM, d], [sign * ARM, d]]), heading)
             for d in (offset, offset + 0.5 * sign * LANE_WIDTH, offset - 0.5 * sign * LANE_WIDTH)
-        ]
-        lanes.append(Lane(f"lane_{heading:.1f}_{offset:.2f}", *sides))
+        )
+        lanes.append(Lane(f"lane_{heading:.1f}_{offset:.2f}", center, left, right))
     return lanes
 
 

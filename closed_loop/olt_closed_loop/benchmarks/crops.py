@@ -131,6 +131,5 @@ def _crop(rgb: Image, pixels: Array) -> Image:
     scale = side / CROP
     places = np.arange(CROP, dtype=np.float32) * scale + 0.5 * scale - 0.5
     columns, rows = np.meshgrid(left + places, top + places)
-    return cv2.remap(
-        rgb, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-    )
+    places = (columns.astype(np.float32), rows.astype(np.float32))
+    return np.asarray(cv2.remap(rgb, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)

@@ -17,7 +17,7 @@ from olt_closed_loop.simulation.policies import RouteFollowingPolicy
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.poses import Array, planar_pose
 from olt_toolkit.bench.benchmark import Benchmark, Setting
-from olt_toolkit.policy.contract import Observation, PlannedTrajectory
+from olt_toolkit.policy.contract import Observation, PlannedTrajectory, Policy
 from olt_toolkit.rigs.contracts import find_contract
 from olt_toolkit.rigs.rig import CAMERA_INDEX
 
@@ -66,7 +66,7 @@ def _scene() -> Any:
 def _drive(sees: bool, kept: Kept) -> str:
     """The rollout and its score as text, without times and what was left out."""
     scene = _scene()
-    policy = CameraPolicy() if sees else RouteFollowingPolicy()
+    policy: Policy = CameraPolicy() if sees else RouteFollowingPolicy()
     settings = SimulationSettings(
         duration_us=DURATION_US, plan_interval_us=_INTERVAL_US, skip=not (kept.pictures or kept.looks)
     )

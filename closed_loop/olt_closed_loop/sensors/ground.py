@@ -12,7 +12,7 @@ from olt_closed_loop.scenes.looks import Looks
 from olt_closed_loop.scenes.polylines import length_of, points_along
 from olt_closed_loop.scenes.scene import Lane, Scene
 from olt_closed_loop.sensors.level_view import GroundPixels, Stand
-from olt_closed_loop.sensors.textures import NOISE_LAYERS, FloatImage, Image, ground_noise, look_up
+from olt_closed_loop.sensors.textures import NOISE_LAYERS, FloatImage, Image, ground_noise, look_up, sample_pairs
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 
@@ -102,7 +102,7 @@ class Ground:
         level = np.minimum(level + np.float32(0.5), _LEVELS - 1).astype(np.int32)
         scale, top = np.take(np.float32(0.5) ** np.arange(_LEVELS, dtype=np.float32), level), np.take(self._top, level)
         height = self._raster.image.shape[0]
-        scaled = cv2.merge([pixels.place[..., 0] * scale, pixels.place[..., 1] * scale, scale, top])
+        scaled = np.stack([pixels.place[..., 0] * scale, pixels.place[..., 1] * scale, scale, top], axis=-1)
         # Grass surrounds the map; beyond it rows would be those of another level.
         edge = np.float32(2 ** (_LEVELS - 1))
         return MapPlaces(scaled, top + edge * scale, top + (height - edge) * scale)
@@ -115,7 +115,7 @@ class Ground:
         rows = found[..., 1]
         np.maximum(rows, places.first, out=rows)
         np.minimum(rows, places.last, out=rows)
-        return cv2.remap(self._mips, found, None, cv2.INTER_LINEAR)
+        return sample_pairs(self._mips, found)
 
     def color(
         self, material: Image, pixels: GroundPixels, stand: Stand, light: Sequence[FloatImage | None]
@@ -128,7 +128,7 @@ class Ground:
 
     def paved(self, material: Image) -> FloatImage:
         """How much of a place (r, 512) of the material map is road and not grass or gravel, 0 ... 1."""
-        return cv2.LUT(material, self._paved)
+        return np.asarray(cv2.LUT(material, self._paved), np.float32)
 
     def _noise(self, pixels: GroundPixels, stand: Stand) -> FloatImage:
         total = np.zeros(pixels.away.shape, dtype=np.float32)
@@ -141,7 +141,7 @@ class Ground:
             turns = cv2.transform(pixels.place[: len(resolved)], turn)
             turns -= np.floor(turns)
             turns *= np.float32(size)
-            total[: len(resolved)] += cv2.remap(layer, turns, None, cv2.INTER_LINEAR) * resolved
+            total[: len(resolved)] += sample_pairs(layer, turns) * resolved
         return total
 
 
@@ -216,7 +216,8 @@ def _mip_atlas(image: Image) -> tuple[Image, FloatImage]:
     levels = [image]
     for _ in range(1, _LEVELS):
         height, width = levels[-1].shape
-        levels.append(np.asarray(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)))
+        half = cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+        levels.append(np.asarray(half, np.uint8))
     tops = np.cumsum([0, *(len(level) for level in levels[:-1])])
     atlas = np.zeros((sum(len(level) for level in levels), image.shape[1]), dtype=np.uint8)
     for top, level in zip(tops.tolist(), levels, strict=True):

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.sensors.camera_rays import CameraRays, Squares
 from olt_closed_loop.sensors.terrain import FARTHEST, GroundHits
-from olt_closed_loop.sensors.textures import NOISE_LAYERS, FloatImage, noise_spread
+from olt_closed_loop.sensors.textures import NOISE_LAYERS, FloatImage, noise_spread, sample_pairs
 from olt_generator.poses import Array, make_pose
 
 COLUMNS = 512
@@ -107,7 +107,7 @@ class LevelView:
 
     def image(self, ground: NDArray, sky: NDArray) -> NDArray:
         """The image (h, w, ...) of values (r, 512, ...) of ground and (s, 512, ...) of sky."""
-        return cv2.remap(np.concatenate([ground, sky]), self.order, None, cv2.INTER_NEAREST)
+        return sample_pairs(np.concatenate([ground, sky]), self.order, cv2.INTER_NEAREST)
 
     def upwards(self) -> "LevelView":
         """The same rays, turned upwards where they fall: those of a camera below the road that looks through it."""

@@ -245,7 +245,7 @@ class SceneRenderer:
         """Blend red, green and blue (n, m) into the colour of the horizon by the share (n, m) that is not clear."""
         veil = np.float32(1.0) - clear
         channels = (share * clear + veil * horizon for share, horizon in zip(color, self._horizon, strict=True))
-        return cv2.merge([cv2.convertScaleAbs(channel) for channel in channels])
+        return np.asarray(cv2.merge([cv2.convertScaleAbs(channel) for channel in channels]), np.uint8)
 
 
 def render_rig(

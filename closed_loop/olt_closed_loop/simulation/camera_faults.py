@@ -3,13 +3,12 @@
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
-from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 from olt_toolkit.policy.contract import STEP_SECONDS
 
@@ -72,8 +71,9 @@ def parse_camera_fault(text: str, cameras: Sequence[str]) -> CameraFault:
         InputError: the text says something else.
     """
     head, equals, amount = text.partition("=")
-    kind, colon, camera = head.partition(":")
-    if kind not in get_args(FaultKind) or not equals:
+    word, colon, camera = head.partition(":")
+    kind: FaultKind | None = next((known for known in get_args(FaultKind) if known == word), None)
+    if kind is None or not equals:
         raise InputError(
             f"camera fault {text!r}: give KIND=AMOUNT or KIND:CAMERA=AMOUNT, "
             f"KIND one of {', '.join(get_args(FaultKind))}"
@@ -152,7 +152,7 @@ class FaultyCameras:
         return changed
 
 
-def _add_noise(seen: NDArray[np.uint8], noise: float, generator: np.random.Generator) -> Array:
+def _add_noise(seen: NDArray[np.uint8], noise: float, generator: np.random.Generator) -> NDArray[np.floating[Any]]:
     """Grey levels with noise that grows as the root of the light; a part of it is always there."""
     level = seen.astype(np.float32)
     sigma = np.float32(noise) * np.sqrt(np.float32(0.35) + level * np.float32(0.65 / 128.0))
