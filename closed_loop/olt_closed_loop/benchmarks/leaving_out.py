@@ -31,7 +31,8 @@ class CameraPolicy:
     """Follows the route and is shown the four cameras; it stands for any policy that does not wait for its weights."""
 
     name = "route with cameras"
-    cameras, image_size = _POLICY_CAMERAS, _SIZE
+    cameras: tuple[str, ...] = _POLICY_CAMERAS
+    image_size: tuple[int, int] = _SIZE
 
     def __init__(self) -> None:
         self._route = RouteFollowingPolicy()
