@@ -59,6 +59,7 @@ Traffic = Literal["recorded", "idm"]  # rollouts.rollout
 Vehicle = Literal["kinematic", "tyres"]  # simulation.settings
 Controller = Literal["lqr", "linear", "nonlinear"]  # control.tracking
 Integrator = Literal["auto", "midpoint", "rk4", "radau", "cvodes"]  # vehicle.integrators
+Light = Literal["day", "low_sun", "night"]  # scenes.conditions
 Isolation = Literal["auto", "none", "process"]  # simulation.policy_hosts
 
 
@@ -73,6 +74,7 @@ def run(
     seed: Annotated[int, typer.Option(help="Seed of the first drive; the next has the next number.")] = 0,
     duration: Annotated[float, typer.Option(help="Seconds of a drive, 1.7 s of warm-up included.")] = 20.0,
     planner_delay: Annotated[float, typer.Option(help="Seconds from asking for a plan until it is in force.")] = 0.0,
+    plan_interval: Annotated[float, typer.Option(help="Seconds from asking for a plan until the next.")] = 0.1,
     traffic: Annotated[Traffic, typer.Option(help="How agents move.")] = "recorded",
     vehicle: Annotated[Vehicle, typer.Option(help="How the ego moves.")] = "kinematic",
     controller: Annotated[
@@ -87,6 +89,17 @@ def run(
     integrator: Annotated[
         Integrator, typer.Option(help="How the vehicle is integrated; auto: the cheapest within 3e-7 m a step.")
     ] = "auto",
+    light: Annotated[Light, typer.Option(help="Light in which cameras see the scene.")] = "day",
+    weather: Annotated[
+        str, typer.Option(help="Weather in which they see it: clear, rain, fog, or an amount as in rain:0.3.")
+    ] = "clear",
+    camera_fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="KIND=AMOUNT or KIND:CAMERA=AMOUNT: noise (grey levels), exposure (stops), dropped (share), "
+            "late (seconds), frozen (from second), swapped:CAMERA=CAMERA. Several add up in order."
+        ),
+    ] = None,
     definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
     baselines: Annotated[
         bool, typer.Option(help="Drive constant speed, go straight, stop and route beside the policy.")
@@ -119,17 +132,23 @@ def run(
     from olt_closed_loop.evaluation.comparison import compare_scores
     from olt_closed_loop.evaluation.comparison_report import save_comparison
     from olt_closed_loop.evaluation.evaluation import count_left_out, count_vehicle_steps, find_scenes
+    from olt_closed_loop.scenes.conditions import parse_conditions
+    from olt_closed_loop.simulation.camera_faults import parse_camera_fault
+    from olt_toolkit.rigs.rig import CAMERA_INDEX
     from olt_toolkit.runtime.console import make_progress, print_json, print_line
     from olt_toolkit.runtime.workers import default_workers
 
     settings = SimulationSettings(
         duration_us=round(duration * 1e6),
         planner_delay_us=round(planner_delay * 1e6),
+        plan_interval_us=round(plan_interval * 1e6),
         traffic=traffic,
         vehicle=vehicle,
         integrator=integrator,
         control=ControlSettings(method=controller, smoothing_window=smoothing_window, smoothing_delay=smoothing_delay),
         skip=skip,
+        conditions=parse_conditions(light, weather),
+        camera_faults=tuple(parse_camera_fault(text, list(CAMERA_INDEX)) for text in camera_fault or ()),
         limits=_limits(isolate, policy_timeout, policy_memory),
     )
     sources = find_scenes([*(scenes or []), *(scene or [])])
@@ -185,6 +204,8 @@ def run(
                 "controller": controller,
                 "smoothing": {"window": smoothing_window, "delay": smoothing_delay},
                 "integrator": integrator,
+                "conditions": settings.conditions.words,
+                "camera_faults": [fault.words for fault in settings.camera_faults],
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],
                 "comparison": comparison.to_dict(),

@@ -201,7 +201,7 @@ class _Job:
 
             for run in runs:
                 scene = scenes[run.index]
-                request = RolloutRequest(scene, run.seed, rig_sensors(scene))
+                request = RolloutRequest(scene, run.seed, rig_sensors(scene, self.settings.conditions))
                 yield run, next(drive([request], host, self.settings))
         else:
             requests = [RolloutRequest(scenes[run.index], run.seed) for run in runs]
