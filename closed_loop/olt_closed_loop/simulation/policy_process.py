@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from olt_closed_loop.control.plans import PlanRefused
-from olt_closed_loop.simulation.answers import Answer, PolicyFault, word_error
+from olt_closed_loop.simulation.answers import Answer, PolicyFault, PolicyFaulted, word_error
 from olt_closed_loop.simulation.policies import ObservationBatch
 from olt_closed_loop.simulation.policy_hosts import LocalPolicy, PolicyHost, PolicyLimits, PolicySource, PolicyTraits
 from olt_generator.errors import InputError
@@ -180,9 +180,14 @@ def host_policy(source: PolicySource, limits: PolicyLimits, borrowed: bool = Fal
 
     Raises:
         InputError: see `LocalPolicy` and `PolicyProcess`.
-        PolicyNotStarted: its process could not build it.
+        PolicyNotStarted: it, or its process, could not be built.
     """
-    return PolicyProcess(source, limits) if limits.isolate == "process" else LocalPolicy(source, borrowed)
+    if limits.isolate == "process":
+        return PolicyProcess(source, limits)
+    try:
+        return LocalPolicy(source, borrowed, limits)
+    except PolicyFaulted as error:
+        raise PolicyNotStarted(error.fault) from error
 
 
 def _kill(process: BaseProcess) -> None:
@@ -203,10 +208,12 @@ def _serve(connection: Connection, theirs: Connection, source: PolicySource, lim
     if "torch" in sys.modules:  # whose threads are not in a fork: more than one would wait for ever
         sys.modules["torch"].set_num_threads(1)
     try:
-        policy = LocalPolicy(source)
+        policy = LocalPolicy(source, limits=limits)
         told = {"traits": asdict(policy.traits)}
     except InputError as error:
         policy, told = None, {"refused": str(error)}
+    except PolicyFaulted as error:
+        policy, told = None, {"fault": asdict(error.fault)}
     except SystemExit as error:
         policy, told = None, {"fault": asdict(PolicyFault("policy_exits", "called for an exit", word_error(error)))}
     except Exception as error:

@@ -11,7 +11,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.pictures import LARGEST_BYTES, decode_picture
+from olt_toolkit.recordings.pictures import LARGEST_BYTES, decode_picture
 from olt_datasets.sources.times import images_within, nearest_images, starting_at
 from olt_generator.errors import InputError
 from olt_generator.files import read_bounded

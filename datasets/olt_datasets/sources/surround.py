@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.sources.mosaic import Mosaic, coverage
-from olt_datasets.sources.pictures import LARGEST_BYTES, REDUCTIONS, decode_picture
+from olt_toolkit.recordings.pictures import LARGEST_BYTES, REDUCTIONS, decode_picture
 from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator import Camera, InputError, PinholeCamera, Trajectory
 from olt_generator.files import read_bounded
