@@ -10,7 +10,9 @@ from olt_toolkit.runtime.workers import Engine
 
 if TYPE_CHECKING:
     from olt_closed_loop.evaluation.comparison import Comparison
+    from olt_closed_loop.evaluation.gate import GateResult
     from olt_closed_loop.evaluation.score_table import ScoreTable
+    from olt_closed_loop.scoring.collisions import Collision
     from olt_closed_loop.scoring.definitions import RolloutScore
     from olt_closed_loop.simulation.policy_hosts import PolicyLimits
     from olt_generator.omissions import Omission
@@ -44,7 +46,7 @@ LISTED = {
     "solves_failed": "failed",
     "solves_late": "late",
     "saturations": "saturated",
-    "largest_deviation_m": "off the plan (m)",
+    "plan_deviation_max": "off the plan (m)",
 }
 """Columns of the list of rollouts."""
 
@@ -76,6 +78,12 @@ def run(
     controller: Annotated[
         Controller, typer.Option(help="What follows the plan: LQR, linear or nonlinear MPC.")
     ] = "linear",
+    smoothing_window: Annotated[
+        float, typer.Option(help="Smoothing of each plan sideways, seconds; 0 for none. It delays nothing.")
+    ] = 0.2,
+    smoothing_delay: Annotated[
+        float, typer.Option(help="Mean over successive plans sideways, time constant in seconds; 0 for none.")
+    ] = 0.4,
     integrator: Annotated[
         Integrator, typer.Option(help="How the vehicle is integrated; auto: the cheapest within 3e-7 m a step.")
     ] = "auto",
@@ -120,7 +128,7 @@ def run(
         traffic=traffic,
         vehicle=vehicle,
         integrator=integrator,
-        control=ControlSettings(method=controller),
+        control=ControlSettings(method=controller, smoothing_window=smoothing_window, smoothing_delay=smoothing_delay),
         skip=skip,
         limits=_limits(isolate, policy_timeout, policy_memory),
     )
@@ -174,6 +182,7 @@ def run(
                 "traffic": traffic,
                 "vehicle": vehicle,
                 "controller": controller,
+                "smoothing": {"window": smoothing_window, "delay": smoothing_delay},
                 "integrator": integrator,
                 "table": table.to_dict(),
                 "scores": [score.to_dict() for score in scores],
@@ -257,42 +266,71 @@ def compare(
 
 @app.command()
 def gate(
-    scenes: Annotated[list[str], typer.Argument(help="Scene files, recorded drives, or CATEGORY:SEED.")],
+    scenes: Annotated[list[str], typer.Argument(help="Scene files, recorded drives (file or folder), CATEGORY:SEED.")],
+    definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
+    vehicle: Annotated[Vehicle, typer.Option(help="How the ego moves.")] = "kinematic",
+    controller: Annotated[Controller, typer.Option(help="What follows the recording.")] = "linear",
+    picture: Annotated[Path | None, typer.Option(help="Picture of the scenes from above, .png, .svg or .pdf.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Check on scenes that drives of known worth get what they are worth."""
-    from olt_closed_loop.evaluation.evaluation import find_scenes, load_scene
-    from olt_closed_loop.evaluation.gate import check_gate
+    """Check on scenes that drives of known worth get what they are worth, and that a good driver can drive them.
+
+    Exit status 1 if a check fails on a scene, or a scene is refused.
+    """
+    from olt_closed_loop import ControlSettings, SimulationSettings
+    from olt_closed_loop.evaluation.evaluation import find_scenes, gate_scene
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
+    if picture and picture.suffix not in (".png", ".svg", ".pdf"):
+        raise typer.BadParameter(f"{picture}: give a file ending in .png, .svg or .pdf")
+    settings = SimulationSettings(vehicle=vehicle, control=ControlSettings(method=controller))
     sources = find_scenes(scenes)
     with make_progress() as progress:
-        results = [check_gate(load_scene(source)) for source in progress.track(sources, description="gate")]
+        opened = [gate_scene(s, settings, definition) for s in progress.track(sources, description="gate")]
+    results = [result for _, result in opened]
+    read = [(scene, result) for scene, result in opened if scene and not result.refusal]
+    if picture and read:
+        from olt_closed_loop.evaluation.gate_picture import draw_gate
+
+        draw_gate(picture, read)
     if as_json:
         print_json({"passed": all(result.passed for result in results), "gate": [r.to_dict() for r in results]})
     else:
-        answers = {True: "yes", False: "NO", None: "cannot be asked"}
-        rows = [(r.scene, check.name, answers[check.passed], check.finding) for r in results for check in r.checks]
-        print_table("Gate", ["scene", "check", "holds", "found"], rows)
+        columns = ["scene", "check", "holds", "found"]
+        print_table(f"Gate, definition {definition}", columns, [row for r in results for row in _gate_rows(r)])
     if not all(result.passed for result in results):
         raise typer.Exit(1)
+
+
+def _gate_rows(result: "GateResult") -> list[tuple[str, str, str, str]]:
+    """The checks of a scene, where it is narrow, or why it is refused."""
+    if result.refusal:
+        return [(result.scene, "can be driven", "NO", result.refusal)]
+    answers = {True: "yes", False: "NO", None: "cannot be asked"}
+    rows = [(result.scene, check.name, answers[check.passed], check.finding) for check in result.checks]
+    places = [f"{place.metres:.2f} m to {place.what} at {place.time_us * 1e-6:.1f} s" for place in result.narrow]
+    return [*rows, (result.scene, "narrowest", "", ", ".join(places) or "no border and no agents")]
 
 
 @app.command(name="scene")
 def convert_scene(
     recording: Annotated[str, typer.Argument(help="A recorded drive (file or folder), or CATEGORY:SEED.")],
     out: Annotated[Path, typer.Option(help="Scene file to write, .usda or .usdc; its looks are written beside it.")],
+    room: Annotated[
+        float | None, typer.Option(help="Metres about the recorded ego that are drivable wherever it drove.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write a recorded drive as a scene, and say what was assumed and whether the gate holds on it."""
     from olt_closed_loop import check_gate, load_scene, write_scene
+    from olt_closed_loop.scenes.sources.swath import add_room
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
     if out.suffix not in (".usda", ".usdc"):
         raise typer.BadParameter(f"{out}: give a file ending in .usda or .usdc")
     with make_progress() as progress:
         task = progress.add_task("scene", total=3)
-        loaded = load_scene(recording)
+        loaded = load_scene(recording) if room is None else add_room(load_scene(recording), room)
         progress.advance(task)
         result = check_gate(loaded)
         progress.advance(task)
@@ -342,7 +380,7 @@ def score_rollout(
         strict = score_record(record)
         result = strict.to_dict()
         figures = {name: value for name, value in result.items() if name not in ("metrics", "collisions", "left_out")}
-        figures |= strict.metrics | {f"hits {c.agent_id}": f"{c.side} at {c.time_us} us" for c in strict.collisions}
+        figures |= strict.metrics | {f"hits {c.agent_id}": word_collision(c) for c in strict.collisions}
     if as_json:
         print_json(result)
     else:
@@ -362,6 +400,60 @@ def _limits(isolate: Isolation, timeout: float | None, memory: float | None) -> 
         call_seconds=defaults.call_seconds if timeout is None else timeout,
         memory_bytes=defaults.memory_bytes if memory is None else round(memory * 2**30) or None,
     )
+
+
+@app.command()
+def faults(
+    picture: Annotated[
+        Path | None, typer.Option(help="Picture of all situations from above: .png, .svg, .pdf.")
+    ] = None,
+    sweeps: Annotated[
+        Path | None, typer.Option(help="Picture of where verdicts change over speed, angle, gap and time.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """Say of named situations whose fault they are, why, and what AlpaSim and nuPlan say."""
+    from olt_closed_loop.situations.drawing import VERDICTS, draw_situations, draw_sweeps
+    from olt_closed_loop.situations.sweeps import sweep_all
+    from olt_closed_loop.situations.table import judge_all
+    from olt_toolkit.runtime.console import print_json, print_line, print_table
+
+    for path in (picture, sweeps):
+        if path and path.suffix not in (".png", ".svg", ".pdf"):
+            raise typer.BadParameter(f"{path}: give a file ending in .png, .svg or .pdf")
+    rows = judge_all()
+    swept = sweep_all() if sweeps else ()
+    if picture:
+        draw_situations(rows, picture)
+    if sweeps:
+        draw_sweeps(swept, sweeps)
+    right = sum(row.right for row in rows)
+    if as_json:
+        situations = [{**vars(row), "right": row.right} for row in rows]
+        print_json({"right": right, "situations": situations, "sweeps": [vars(sweep).copy() for sweep in swept]})
+    else:
+        cells = [
+            (
+                row.situation,
+                VERDICTS[row.at_fault] + ("" if row.right else ", WRONG"),
+                f"{row.rule}: {row.reason}",
+                VERDICTS[row.alpasim],
+                VERDICTS[row.nuplan_at_fault] + (f" ({row.nuplan})" if row.nuplan else ""),
+                row.why,
+            )
+            for row in rows
+        ]
+        columns = ["the ego ...", "verdict", "why", "AlpaSim", "nuPlan", "why ours holds"]
+        print_table("Whose fault", columns, cells)
+        print_line(f"{right} of {len(rows)} situations right")
+    if right < len(rows):
+        raise typer.Exit(1)
+
+
+def word_collision(collision: "Collision") -> str:
+    """When, where, whose fault, and why."""
+    whose = "at fault" if collision.at_fault else "not at fault"
+    return f"{collision.side} at {collision.time_us} us, {whose}: {collision.rule} ({collision.reason})"
 
 
 def _print_scores(title: str, table: "ScoreTable") -> None:
@@ -411,6 +503,9 @@ def _print_notes(
     for name, count in incidents.items():
         if count and name in INCIDENT_WORDS:
             print_line(f"{INCIDENT_WORDS[name]}: {count} times")
+    deviations = [score.plan_deviation_max for score in scores if score.plan_deviation_max is not None]
+    if deviations:
+        print_line(f"the vehicle was at most {max(deviations):.2f} m from the plan within the second ahead")
     for way, count in vehicle_steps.items():
         print_line(f"vehicle moved by {way} in {count} steps")
     for omission, count in left_out.items():

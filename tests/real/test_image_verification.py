@@ -8,6 +8,7 @@ from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.clip_evidence import gather_evidence
+from olt_toolkit.clips.verification.decoded_videos import ClipVideos
 from olt_toolkit.clips.verification.findings import Verdict
 from olt_toolkit.clips.verification.image_checks import check_images
 from olt_toolkit.clips.verification.image_evidence import ImageEvidence
@@ -28,7 +29,8 @@ def store(shared_real, tmp_path_factory):
 
 @pytest.mark.slow
 def test_images_of_a_real_drive_fit_their_clip(store):
-    findings = list(check_images(store, store.clips()[0].clip_id))
+    clip_id = store.clips()[0].clip_id
+    findings = list(check_images(store, clip_id, ClipVideos(store, clip_id)))
     assert [each for each in findings if each.verdict is Verdict.FAILED] == []
     assert any(each.check == MOTION and each.verdict is Verdict.PASSED for each in findings)
 
@@ -37,7 +39,7 @@ def test_images_of_a_real_drive_fit_their_clip(store):
 @pytest.mark.parametrize("fault", ["mirrored", "backward", "cm"])
 def test_a_wrong_motion_of_a_real_drive_is_found(store, fault):
     info = store.clips()[0]
-    clip = gather_evidence(store, info.clip_id, list(info.views))
+    clip = gather_evidence(store, info.clip_id, list(info.views), ClipVideos(store, info.clip_id))
     poses = clip.ego_motion.trajectory.T_world_rig.copy()
     if fault == "cm":
         poses[:, :3, 3] *= 100.0

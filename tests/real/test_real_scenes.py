@@ -50,6 +50,7 @@ def test_the_gate_holds(scene):
     result = check_gate(scene)
     assert result.passed, result.failed
     assert result.checks[0].passed
+    assert all(place.metres > 0.1 for place in result.narrow)
 
 
 def test_a_scene_file_keeps_the_scene(scene, tmp_path):

@@ -3,6 +3,8 @@
 It shares no code with `vehicle.models`, so an error in those equations shows as an error of tracking.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres
@@ -19,8 +21,8 @@ SUBSTEPS = 10
 
 
 def alpasim_vehicle(friction: float = np.inf) -> VehicleParameters:
-    """The same vehicle for `vehicle.models`; linear tyres, as AlpaSim has them, unless a friction is given."""
-    return vehicle_with_tyres(DEFAULT_VEHICLE, friction)
+    """The same vehicle for `vehicle.models`: it steers at any rate, on linear tyres unless a friction is given."""
+    return replace(vehicle_with_tyres(DEFAULT_VEHICLE, friction), max_steering_rate=np.inf)
 
 
 def drive_step(state: Array, control: Array, step: float) -> Array:

@@ -10,10 +10,11 @@ import numpy as np
 from olt_closed_loop.benchmarks.alpasim_vehicle import REAR_TO_GRAVITY, alpasim_vehicle, drive_step
 from olt_closed_loop.benchmarks.control_extremes import control_grid
 from olt_closed_loop.benchmarks.control_references import Reference, alpasim_references
+from olt_closed_loop.benchmarks.noisy_plans import smoothing_rows, told
 from olt_closed_loop.control.tracking import ControlSettings, TrackingController
 from olt_closed_loop.vehicle.parameters import VehicleParameters
 from olt_generator.poses import Array
-from olt_toolkit.bench.benchmark import Benchmark, Setting
+from olt_toolkit.bench.benchmark import Benchmark, Grid, Setting
 from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
@@ -112,6 +113,12 @@ def tracking_figures(tracking: Tracking) -> dict[str, float]:
     }
 
 
+def extremes_and_noise() -> Grid:
+    """The extreme cases, and what smoothing does to noisy plans."""
+    extremes, smoothings = control_grid(), smoothing_rows()
+    return Grid([*extremes.rows, *smoothings], [*extremes.summary, *map(told, smoothings)])
+
+
 BENCHMARK = Benchmark(
     title="Tracking of AlpaSim's 120 references of 10 s on AlpaSim's vehicle; time of 400 calls",
     error_name="position error, rms",
@@ -120,5 +127,5 @@ BENCHMARK = Benchmark(
     settings=lambda: [Setting(name, partial(_prepare, *way), name == DEFAULT) for name, way in WAYS.items()],
     measure_error=lambda tracking: tracking.rms,
     figures=tracking_figures,
-    grid=control_grid,
+    grid=extremes_and_noise,
 )

@@ -133,7 +133,8 @@ def cases(friction: float = np.inf) -> Iterator[Case]:
     yield Case("15 m/s to rest", to_rest(15.0, min(DECELERATION, 0.5 * grip)), 15.0)
     yield Case("standstill, then 5 m/s", lambda time: straight(min(5.0, 2.0 * grip))(np.maximum(time - 3.0, 0.0)), 0.0)
     yield Case("reversing at 3 m/s", straight(-3.0), -3.0, reverse=True)
-    yield Case("backwards in the forward gear", straight(-3.0), 0.0, possible=False)
+    yield Case("backwards from the forward gear", straight(-min(3.0, grip)), 0.0)
+    yield Case("forwards and back", forth_and_back(min(DECELERATION, 0.4 * grip)), 0.0)
     yield Case("the plan ends after 3 s", straight(10.0), 10.0, possible=False, plan_seconds=3.0, last_plan=0.0)
     yield Case("plans 1 s old", curve(15.0, lateral), 15.0, age=1.0)
     yield Case("every solve late", curve(15.0, lateral), 15.0, deadline=0.0)
@@ -158,6 +159,15 @@ def to_rest(speed: float, deceleration: float) -> Path:
     return path
 
 
+def forth_and_back(acceleration: float) -> Path:
+    """Along x for three seconds up and down at this many m/s^2, half a second of rest, and the same way back."""
+    times = np.array([0.0, 1.5, 3.0, 3.5, 5.0, 6.5])
+    speeds = acceleration * np.array([0.0, 1.5, 0.0, 0.0, -1.5, 0.0])
+    fine = np.arange(0.0, 2.0 * SECONDS, 1e-3)
+    x = np.cumsum(np.interp(fine, times, speeds)) * 1e-3
+    return lambda time: np.stack([np.interp(time, fine, x), 0.0 * time, 0.0 * time], axis=-1)
+
+
 def curve(speed: float, lateral_acceleration: float) -> Path:
     """A left turn: within 2 s to its lateral acceleration, or to a radius of 12 m where that is reached first."""
     yaw_rate = min(lateral_acceleration / speed, speed / 12.0) if speed else 0.0
@@ -177,7 +187,9 @@ def drive(case: Case, parameters: VehicleParameters, method: ControlMethod) -> D
     try:
         for step in range(len(errors)):
             now = step * STEP_SECONDS
-            state = stepper(state, controller.control(state, case.plan(now), step * STEP_US))
+            control = controller.control(state, case.plan(now), step * STEP_US)
+            stepper.shift(controller.parameters.reverse_gear)
+            state = stepper(state, control)
             wanted = case.plan(now, meant=True).at(np.array([(step + 1) * STEP_US]))[0]
             errors[step] = np.linalg.norm(state[:2] - wanted[:2])
     except (PlanRefused, InputError) as refusal:
@@ -191,7 +203,7 @@ def control_grid() -> Grid:
     summary = [f"extreme cases of {SECONDS:g} s; tracked: within {TRACKED:g} m in the last second"]
     for vehicle, method in WAYS:
         parameters, counts, missed = VEHICLES[vehicle], Counter[str](), []
-        for case in cases(parameters.tyres.friction if parameters.tyres else np.inf):
+        for case in cases(parameters.friction):
             driven = drive(case, parameters, method)
             counts[driven.outcome] += 1
             if case.possible and driven.outcome == "off the plan":

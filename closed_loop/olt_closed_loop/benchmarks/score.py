@@ -13,6 +13,7 @@ from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_c
 from olt_closed_loop.scoring.contacts import first_contacts
 from olt_closed_loop.scoring.definitions import DEFINITIONS, Definition, score_record
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
+from olt_closed_loop.situations.table import SITUATIONS, contact_of
 from olt_generator.poses import Array
 from olt_toolkit.bench.benchmark import Benchmark, Setting
 
@@ -107,6 +108,30 @@ CONTACTS = Benchmark(
         "continuous",
     ),
     measure_error=_contact_error,
+)
+
+
+def judge_sampled(step_us: int) -> Callable[[], list[bool | None]]:
+    """Says of all situations, sampled every `step_us`, whether the ego is at fault; None: no contact."""
+    records = [situation.record(step_us) for situation in SITUATIONS]
+    return lambda: [hit.at_fault if (hit := contact_of(record)) else None for record in records]
+
+
+def _share_wrong(verdicts: Sequence[bool | None]) -> float:
+    right = [situation.at_fault for situation in SITUATIONS]
+    return sum(said != known for said, known in zip(verdicts, right, strict=True)) / len(right)
+
+
+FAULT = Benchmark(
+    title=f"Whose fault the contacts of {len(SITUATIONS)} named situations are, sampled at different steps",
+    error_name="share of wrong verdicts",
+    error_unit="share",
+    reference="whose fault each situation was made to be",
+    settings=lambda: [
+        Setting(f"{step_ms} ms", partial(judge_sampled, 1000 * step_ms), default=step_ms == 100)
+        for step_ms in (500, 200, 100, 50, 20)
+    ],
+    measure_error=_share_wrong,
 )
 
 

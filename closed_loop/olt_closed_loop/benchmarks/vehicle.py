@@ -104,10 +104,12 @@ def exact_derivative(_time: float, state: Array, control: Array, vehicle: Vehicl
     yaw, speed, steering, acceleration = state[2:6]
     actuators = np.clip(control, *vehicle.control_limits) - state[4:6]
     actuators /= vehicle.steering_lag, vehicle.acceleration_lag
+    actuators = np.clip(actuators, *np.outer([-1.0, 1.0], [vehicle.max_steering_rate, vehicle.max_jerk]))
     pull = acceleration * (speed / (speed**4 + vehicle.standing_speed**4) ** 0.25 if acceleration < 0.0 else 1.0)
     if vehicle.tyres is None:
         yaw_rate = speed * np.tan(steering) / vehicle.wheelbase
-        return np.array([speed * np.cos(yaw), speed * np.sin(yaw), yaw_rate, pull, *actuators])
+        given = 1.0 / (1.0 + (np.hypot(pull, speed * yaw_rate) / (9.81 * vehicle.friction)) ** 4) ** 0.25
+        return np.array([speed * np.cos(yaw), speed * np.sin(yaw), given * yaw_rate, given * pull, *actuators])
     lateral, yaw_rate = state[6:8]
     body = _body_derivative(vehicle, np.array([speed, lateral]), yaw_rate, steering, pull)
     velocity = _rotation(yaw) @ [speed, lateral]
@@ -129,7 +131,7 @@ def _body_derivative(
         wheel = _rotation(-angle) @ (velocity + np.array([0.0, yaw_rate * (place - places[1])]))
         slip = wheel[1] / (wheel[0] ** 4 + tyres.slip_speed**4) ** 0.25
         asked = np.array([tyres.mass * pull * load_share, -stiffness * slip])
-        ratio = np.linalg.norm(asked) / (tyres.friction * tyres.mass * 9.81 * load_share)
+        ratio = np.linalg.norm(asked) / (vehicle.friction * tyres.mass * 9.81 * load_share)
         given = _rotation(angle) @ asked / (1.0 + ratio**4) ** 0.25
         force += given
         torque += place * given[1]

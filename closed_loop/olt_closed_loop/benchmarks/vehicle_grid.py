@@ -1,7 +1,8 @@
 """Where the vehicle models and `auto` are stable, accurate or refused: a grid of stiff and extreme cases.
 
-Each cell drives one second from straight travel under a steering step; the reference is CVODES at 1e-12. Special cases
-follow: emergency braking to standstill, a held brake, reversing, far coordinates, a control of NaN.
+Each cell drives one second from straight travel under a steering step, coasting, from brake to drive or from drive to
+brake; the reference is CVODES at 1e-12. Single steps from random states follow (`benchmarks.vehicle_steps`), and then
+special cases: emergency braking to standstill, a held brake, reversing, far coordinates, a control of NaN.
 """
 
 import itertools
@@ -13,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from olt_closed_loop.benchmarks.alpasim_vehicle import alpasim_vehicle
+from olt_closed_loop.benchmarks.vehicle_steps import random_step_rows
 from olt_closed_loop.vehicle.implicit import cvodes_function
 from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.parameters import DRY_FRICTION, VehicleParameters
@@ -27,6 +29,8 @@ STIFFNESSES = (0.2, 1.0, 2.5, 10.0)
 MASSES = (0.3, 1.0, 3.0)
 STEPS = (0.005, 0.025, 0.1, 0.2)
 STEERINGS = (0.1, 0.3, 0.6)
+ACCELERATIONS = ((0.0, 0.0), (-4.0, 4.0), (4.0, -8.0))
+"""What drive and brakes are set to at the start, and what is commanded, m/s^2."""
 SECONDS = 1.0
 ACCURATE, STABLE = 1e-5, 1e-2
 """Metres of position error after a second, below which a cell is called so."""
@@ -43,6 +47,7 @@ class Cell:
     mass: float
     step: float
     steering: float
+    accelerations: tuple[float, float] = (0.0, 0.0)
 
     @property
     def vehicle(self) -> VehicleParameters:
@@ -87,6 +92,7 @@ def _start(cells: Sequence[Cell]) -> tuple[Array, Array]:
     states, controls = np.zeros((len(cells), 8)), np.zeros((len(cells), 2))
     states[:, STATE.speed] = [cell.speed for cell in cells]
     controls[:, 0] = [cell.steering for cell in cells]
+    states[:, STATE.acceleration], controls[:, 1] = zip(*(cell.accelerations for cell in cells), strict=True)
     return states, controls
 
 
@@ -142,8 +148,8 @@ def special_row(case: SpecialCase) -> dict[str, object]:
 
 
 def vehicle_grid() -> Grid:
-    """Drive every cell and every special case."""
-    axes = (SPEEDS, FRICTIONS, STIFFNESSES, MASSES, STEPS, STEERINGS)
+    """Drive every cell, random steps and every special case."""
+    axes = (SPEEDS, FRICTIONS, STIFFNESSES, MASSES, STEPS, STEERINGS, ACCELERATIONS)
     cells = [Cell(*values) for values in itertools.product(*axes)]
     rows: list[dict[str, Any]] = []
     for cell, error in zip(cells, cell_errors(cells).tolist(), strict=True):
@@ -157,5 +163,12 @@ def vehicle_grid() -> Grid:
         summary.append(
             f"friction {friction:g}: {told}; median error {np.median(errors):.1e} m, largest {max(errors):.1e} m"
         )
+    random_steps = list(random_step_rows())
+    for row in random_steps:
+        told = f"random steps of {1e3 * row['step']:g} ms, {row['model']}: {row['above_tolerance']} of {row['steps']}"
+        largest, cost = row["largest_error_tolerances"], row["microseconds"]
+        summary.append(f"{told} above the tolerance, largest error {largest:.2f} of it, {cost:.1f} us a step")
     specials = [special_row(case) for case in special_cases()]
-    return Grid([*rows, *specials], [*summary, *(" | ".join(map(str, row.values())) for row in specials)])
+    return Grid(
+        [*rows, *random_steps, *specials], [*summary, *(" | ".join(map(str, row.values())) for row in specials)]
+    )

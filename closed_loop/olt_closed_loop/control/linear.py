@@ -48,9 +48,12 @@ class LinearSolver:
         self, parameters: VehicleParameters, cost: TrackingCost, horizon: int, rounds: int, limited: bool
     ) -> None:
         self._horizon, self._rounds, self._limited = horizon, rounds, limited
-        self._low, self._high = (np.tile(limit, horizon) for limit in parameters.control_limits)
+        self._limits = parameters.control_limits
+        self._low, self._high = (np.tile(limit, horizon) for limit in self._limits)
         predicted, linearised = _horizon_functions(parameters, cost, horizon)
         self._predict, self._linearise = BufferedFunction(predicted), BufferedFunction(linearised)
+        # The commands that a drive was last predicted under, and the states that it came to.
+        self._foreseen: tuple[Array, Array] = np.zeros(0), np.zeros(0)
         self._change_scales = np.array(cost.change_scales)
         size = CONTROL_SIZE * horizon
         # Commands in a row -> their changes from step to step, the first against nothing.
@@ -80,9 +83,17 @@ class LinearSolver:
             return guesses[0]
         return min(guesses, key=lambda controls: self.cost(start, controls, target))
 
+    def foresee(self, start: Array, controls: Array) -> Array:
+        """Poses (horizon, 3) of a drive under the commands (horizon, 2), in the frame of `start`."""
+        controls_before, reached = self._foreseen
+        if controls is not controls_before:
+            reached, _ = self._predict(start, controls, np.zeros((self._horizon, STATE.speed)))
+        return reached[:, : STATE.speed]
+
     def cost(self, start: Array, controls: Array, target: Array) -> float:
         """What a drive under the commands (horizon, 2) costs; the other arguments as of `solve`."""
-        _, errors = self._predict(start, controls, target)
+        reached, errors = self._predict(start, controls, target)
+        self._foreseen = controls, reached
         changes = self._command_changes(start, controls)
         return float(np.vdot(errors, errors) + np.vdot(changes, changes))
 
@@ -101,7 +112,7 @@ class LinearSolver:
         box = (low, high) if self._limited else (np.full_like(low, -np.inf), np.full_like(high, np.inf))
         step = np.clip(minimise_in_box(hessian, gradient, *box), low, high).reshape(controls.shape)
         for length in _STEP_LENGTHS:
-            moved = controls + length * step
+            moved = np.clip(controls + length * step, *self._limits)
             if self.cost(start, moved, target) <= cost + _NEGLIGIBLE:
                 return moved
         return controls

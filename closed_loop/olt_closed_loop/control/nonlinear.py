@@ -50,6 +50,10 @@ class NonlinearSolver:
             for limit in parameters.control_limits
         )
 
+    def foresee(self, start: Array, controls: Array) -> Array:
+        """As of `control.linear.LinearSolver`."""
+        return self._gauss_newton.foresee(start, controls)
+
     def solve(self, start: Array, guesses: Sequence[Array], target: Array) -> Array:
         """The commands (horizon, 2); arguments and errors as of `control.linear.LinearSolver`."""
         controls = self._gauss_newton.cheapest(start, guesses, target)

@@ -1,6 +1,7 @@
 """A policy's plan as the simulator keeps it: timed poses in the world."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,19 @@ _SECOND_US = 1_000_000
 
 class PlanRefused(Exception):
     """A policy's answer that no vehicle can be asked to follow; the message says why."""
+
+
+class TimedPoses(NamedTuple):
+    """Poses (n, 3) x, y, yaw in the world at rising times (n,) int64 in microseconds."""
+
+    timestamps_us: NDArray[np.int64]
+    poses: Array
+
+    def at(self, timestamps_us: NDArray[np.int64]) -> Array:
+        """Poses (m, 3) at the given times, linear in between; after their end they stand at the last."""
+        first = self.timestamps_us[0]
+        known, asked = self.timestamps_us - first, timestamps_us - first
+        return np.stack([np.interp(asked, known, column) for column in self.poses.T], axis=-1)
 
 
 @dataclass(frozen=True)
@@ -48,9 +62,7 @@ class WorldPlan:
 
     def at(self, timestamps_us: NDArray[np.int64]) -> Array:
         """Poses (m, 3) at the given times, linear in between; after its end the plan stands at its last pose."""
-        first = self.timestamps_us[0]
-        known, asked = self.timestamps_us - first, timestamps_us - first
-        return np.stack([np.interp(asked, known, column) for column in self.poses.T], axis=-1)
+        return TimedPoses(self.timestamps_us, self.poses).at(timestamps_us)
 
 
 def place_plan(plan: PlannedTrajectory, x: float, y: float, yaw: float, time_us: int) -> WorldPlan:

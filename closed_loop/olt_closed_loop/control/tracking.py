@@ -10,6 +10,9 @@ so a lag is led. Three ways to minimise:
 Each call starts from the commands of the last or, where those have led away from the plan, from what the plan itself
 suggests if that costs less: on slippery roads the cost has minima in which a vehicle would stay astray.
 
+Plans are smoothed first (`control.smoothing`), and driven in the gear that they ask for (`control.gears`): a vehicle
+that has to change its direction is brought to a stand where the plan turns, and shifts there.
+
 A solve that fails or is late is counted, and the last feasible commands go on: those of the last solution for the
 present time or, before the first solution, those that the plan suggests; past their end the brake is held. What fatrop
 gives up and its fallback solves is counted too. The work is done in the rig's own frame, so world coordinates of any
@@ -20,18 +23,21 @@ references (`olt bench control`): half a second costs hardly less and errs by a 
 much again and gain an eighth. Where a plan stops at once a longer horizon brakes earlier; plans that brake need none.
 """
 
+import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from olt_closed_loop.control.box_quadratic import SolveFailed
 from olt_closed_loop.control.cost import TrackingCost
+from olt_closed_loop.control.gears import asks_for_reverse, first_curvature, until_turn
 from olt_closed_loop.control.linear import LinearSolver
 from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.plans import WorldPlan
-from olt_closed_loop.vehicle.parameters import VehicleParameters
+from olt_closed_loop.control.smoothing import DEFAULT_DELAY, DEFAULT_WINDOW, PlanSmoother
+from olt_closed_loop.vehicle.parameters import VehicleParameters, on_the_brake
 from olt_closed_loop.vehicle.state import STATE, steering_for
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -58,6 +64,8 @@ class ControlSettings:
         rounds: how often `lqr` and `linear` linearise and solve in a call.
         cost: what is minimised.
         deadline_seconds: a solve that takes longer is late. None: never late, and equal drives stay equal.
+        smoothing_window: of each plan in itself, seconds; 0 for none. It delays nothing.
+        smoothing_delay: time constant of the mean over successive plans, seconds; 0 for none.
     """
 
     method: ControlMethod = "linear"
@@ -65,11 +73,23 @@ class ControlSettings:
     rounds: int = 1
     cost: TrackingCost = field(default_factory=TrackingCost)
     deadline_seconds: float | None = None
+    smoothing_window: float = DEFAULT_WINDOW
+    smoothing_delay: float = DEFAULT_DELAY
+
+    def __post_init__(self) -> None:
+        if not (0.0 <= self.smoothing_window < np.inf and 0.0 <= self.smoothing_delay < np.inf):
+            raise InputError(
+                f"smoothing of plans over {self.smoothing_window} s with a delay of {self.smoothing_delay} s: "
+                "give two numbers of seconds, 0 for none"
+            )
 
 
 @dataclass
 class SolveCounts:
     """How the calls of a controller went so far.
+
+    A plan that no car can follow shows in the deviations: how far the vehicle will be from the plan, as it was given,
+    while it is driven as well as the controller can over the horizon.
 
     Attributes:
         solves: calls that looked for commands; the others held a standing vehicle.
@@ -77,32 +97,53 @@ class SolveCounts:
         late: solves after the deadline. The last feasible commands were held; the solution serves from the next call.
         given_up: solves that fatrop gave up. Where its fallback found commands they were given; elsewhere the solve
             also counts as failed.
+        shifts: changes of gear.
+        deviation_max: largest distance of the foreseen positions from the plan so far, metres.
+        deviation_squares: sum over the calls of the mean square of that distance, m^2.
+        calls: how many that sum has.
     """
 
     solves: int = 0
     failed: int = 0
     late: int = 0
     given_up: int = 0
+    shifts: int = 0
+    deviation_max: float = 0.0
+    deviation_squares: float = 0.0
+    calls: int = 0
+
+    @property
+    def deviation_rms(self) -> float:
+        """Root mean square of the foreseen distances from the plan, metres; NaN before the first call."""
+        return math.sqrt(self.deviation_squares / self.calls) if self.calls else math.nan
+
+    def add_deviation(self, squares: Array) -> None:
+        """Count a call whose foreseen positions are so far from the plan: squared distances (horizon,) in m^2."""
+        self.deviation_max = max(self.deviation_max, math.sqrt(squares.max()))
+        self.deviation_squares += float(squares.mean())
+        self.calls += 1
 
 
 class TrackingController:
-    """Follows plans with one vehicle through one drive; a new drive takes a new controller."""
+    """Follows plans with one vehicle through one drive; a new drive takes a new controller.
+
+    Attributes:
+        counts: how the calls went so far.
+        parameters: of the vehicle in the gear that the last command is for.
+    """
 
     def __init__(self, parameters: VehicleParameters, settings: ControlSettings | None = None) -> None:
-        self._parameters = parameters
+        self.parameters, self.counts = parameters, SolveCounts()
         self._settings = settings or ControlSettings()
-        cost, horizon, method = self._settings.cost, self._settings.horizon, self._settings.method
-        self._solver: LinearSolver | NonlinearSolver
-        if method == "nonlinear":
-            self._solver = NonlinearSolver(parameters, cost, horizon)
-        else:
-            self._solver = LinearSolver(parameters, cost, horizon, self._settings.rounds, limited=method == "linear")
-        self._brake = HOLDING_BRAKE * (1.0 if parameters.reverse_gear else -1.0)
+        self._smooth = PlanSmoother(self._settings.smoothing_window, self._settings.smoothing_delay)
+        self._solvers: dict[VehicleParameters, LinearSolver | NonlinearSolver] = {}
         self._feasible: _TimedCommands | None = None
-        self.counts = SolveCounts()
 
     def control(self, state: Array, plan: WorldPlan, time_us: int) -> Array:
         """The control (2,) to hold from `time_us` for 0.1 s, in the vehicle's limits.
+
+        Where `parameters.reverse_gear` differs from the call before the vehicle is to shift first
+        (`vehicle.integrators.VehicleStepper.shift`).
 
         Args:
             state: (states,) of the vehicle at `time_us`.
@@ -115,11 +156,16 @@ class TrackingController:
         if not np.isfinite(state).all():
             raise InputError(f"vehicle state at {time_us} us is not finite; nothing can be tracked from there")
         horizon_us = time_us + STEP_US * np.arange(self._settings.horizon + 1, dtype=np.int64)
-        target = _in_rig(plan.at(horizon_us), state)
+        given, target = (_in_rig(each.at(horizon_us), state) for each in (plan, self._smooth(plan)))
         slow = abs(state[STATE.speed]) < STANDING_SPEED
+        if slow and asks_for_reverse(target, self.parameters.reverse_gear) != self.parameters.reverse_gear:
+            self._shift()
+            state = on_the_brake(state, self.parameters)
+        target = until_turn(target, self.parameters.reverse_gear)
         if slow and np.abs(target[:, : STATE.yaw]).max() < STANDING_DISTANCE:
             self._feasible = None
-            return np.array([state[STATE.steering], self._brake])
+            self.counts.add_deviation(np.square(given[1:, : STATE.yaw]).sum(axis=1))
+            return np.array([self._steering_at_rest(state, plan, time_us), self._brake])
         astray = np.hypot(*target[0, : STATE.yaw]) > ASTRAY_DISTANCE
         feasible, guesses = self._feasible, []
         if feasible is not None:
@@ -128,38 +174,73 @@ class TrackingController:
         if feasible is None or slow or astray:
             guesses.append(self._suggested_commands(target, state[STATE.speed]))
         start = np.concatenate([np.zeros(STATE.speed), state[STATE.speed :]])
-        return self._solve(start, guesses, target[1:], feasible or _TimedCommands(time_us, guesses[0]), time_us)
+        feasible = feasible or _TimedCommands(time_us, guesses[0])
+        control, self._feasible = self._solve(start, guesses, target[1:], feasible, time_us)
+        foreseen = self._solver.foresee(start, self._feasible.guess(time_us))
+        self.counts.add_deviation(np.square(foreseen - given[1:])[:, : STATE.yaw].sum(axis=1))
+        return control
+
+    def _steering_at_rest(self, state: Array, plan: WorldPlan, time_us: int) -> float:
+        """Where the wheel of a standing vehicle goes: where the plan will need it, as turning it takes a while."""
+        curvature = first_curvature(plan.poses[plan.timestamps_us >= time_us])
+        if curvature is None:
+            return float(state[STATE.steering])
+        return float(np.clip(np.arctan(self.parameters.wheelbase * curvature), *self.parameters.control_limits[:, 0]))
+
+    @property
+    def _brake(self) -> float:
+        """The acceleration that holds a standing vehicle, m/s^2."""
+        return HOLDING_BRAKE * (1.0 if self.parameters.reverse_gear else -1.0)
+
+    @property
+    def _solver(self) -> LinearSolver | NonlinearSolver:
+        """The solver for the present gear."""
+        settings = self._settings
+        if self.parameters not in self._solvers:
+            if settings.method == "nonlinear":
+                solver = NonlinearSolver(self.parameters, settings.cost, settings.horizon)
+            else:
+                limited = settings.method == "linear"
+                solver = LinearSolver(self.parameters, settings.cost, settings.horizon, settings.rounds, limited)
+            self._solvers[self.parameters] = solver
+        return self._solvers[self.parameters]
+
+    def _shift(self) -> None:
+        self.parameters = replace(self.parameters, reverse_gear=not self.parameters.reverse_gear)
+        self._feasible = None
+        self.counts.shifts += 1
 
     def _solve(
         self, start: Array, guesses: list[Array], target: Array, feasible: "_TimedCommands", time_us: int
-    ) -> Array:
-        """The first command of a new solution or, where that fails or is late, the present one of the feasible."""
+    ) -> tuple[Array, "_TimedCommands"]:
+        """The first command of a new solution or, where that fails or is late, the present one of the feasible.
+
+        And what is feasible from now on.
+        """
         held, began = feasible.at(time_us, self._brake), time.perf_counter()
         self.counts.solves += 1
         try:
             commands = self._solver.solve(start, guesses, target)
         except SolveFailed:
-            self._feasible = feasible
             self.counts.failed += 1
-            return held
+            return held, feasible
         finally:
-            self.counts.given_up = self._solver.given_up
+            self.counts.given_up = sum(solver.given_up for solver in self._solvers.values())
         deadline = self._settings.deadline_seconds
         late = deadline is not None and time.perf_counter() - began > deadline
         self.counts.late += late
-        self._feasible = _TimedCommands(time_us, commands)
-        return held if late else commands[0]
+        return held if late else commands[0], _TimedCommands(time_us, commands)
 
     def _suggested_commands(self, target: Array, present_speed: float) -> Array:
         """Commands (horizon, 2) to start from: the plan's steering, and the even acceleration that covers its way."""
         moved = np.diff(target, axis=0)
         heading = target[:-1, 2] + 0.5 * moved[:, 2]
         speed = (moved[:, 0] * np.cos(heading) + moved[:, 1] * np.sin(heading)) / STEP_SECONDS
-        steering = steering_for(moved[:, 2] / STEP_SECONDS, speed, self._parameters.wheelbase)
+        steering = steering_for(moved[:, 2] / STEP_SECONDS, speed, self.parameters.wheelbase)
         duration = len(moved) * STEP_SECONDS
         way = target[0, 0] + speed.mean() * duration
         acceleration = np.full_like(steering, 2.0 * (way - present_speed * duration) / duration**2)
-        return np.clip(np.stack([steering, acceleration], axis=-1), *self._parameters.control_limits)
+        return np.clip(np.stack([steering, acceleration], axis=-1), *self.parameters.control_limits)
 
 
 @dataclass(frozen=True)
@@ -176,6 +257,8 @@ class _TimedCommands:
 
     def guess(self, time_us: int) -> Array:
         """Commands (horizon, 2) for the steps from that time on, the last one repeated."""
+        if time_us == self.time_us:
+            return self.commands
         last = len(self.commands) - 1
         index = (time_us - self.time_us) // STEP_US + np.arange(last + 1)
         return self.commands[np.minimum(index, last)]

@@ -152,7 +152,7 @@ def read_scores(folder: Path) -> list[RolloutScore]:
     """
     path = folder / "scores.json"
     fields = ("scene", "category", "policy", "seed", "definition", "valid", "failed", "score", "collided", "distance_m")
-    fields = (*fields, "incidents", "incidents_at_fault", "rollout_incidents")
+    fields = (*fields, "incidents", "incidents_at_fault", "rollout_incidents", "plan_deviation_max")
     try:
         return [
             RolloutScore(**{name: values[name] for name in fields}) for values in read_json(path, "scores")["scores"]

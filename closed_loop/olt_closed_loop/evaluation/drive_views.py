@@ -97,12 +97,6 @@ def plan_deviations(rollout: Rollout) -> Array:
     return deviations
 
 
-def largest_deviation(rollout: Rollout) -> float | None:
-    """The largest of `plan_deviations`, metres; None where no plan was in force."""
-    deviations = plan_deviations(rollout)
-    return None if np.isnan(deviations).all() else float(np.nanmax(deviations))
-
-
 def _list_moments(rollout: Rollout, score: RolloutScore) -> list[Moment]:
     moments = [Moment(rollout.handover_us, "hand-over")]
     for hit in score.collisions:

@@ -13,7 +13,13 @@ from olt_closed_loop.evaluation.gate import GateResult, check_gate
 from olt_closed_loop.evaluation.run_folder import describe_run, open_run, save_part
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.scoring.definitions import DefinitionName, RolloutScore, score_failed, score_rollout
+from olt_closed_loop.scoring.definitions import (
+    DefinitionName,
+    RolloutScore,
+    full_definition,
+    score_failed,
+    score_rollout,
+)
 from olt_closed_loop.simulation.answers import PolicyFault, word_error
 from olt_closed_loop.simulation.closed_loop import drive
 from olt_closed_loop.simulation.policy_hosts import PolicyHost, PolicyLimits, PolicySource, is_of_package
@@ -55,6 +61,7 @@ def run_closed_loop(
     definition: DefinitionName = "strict",
     out: Path | None = None,
     engine: Engine = Engine.LOCAL,
+    gated: bool = False,
 ) -> list[Result]:
     """Drive every scene `rollouts` times and score it, provided that the gate holds on it.
 
@@ -74,6 +81,8 @@ def run_closed_loop(
         out: folder in which finished rollouts are kept, and found again by the next run with the same options, and
             which holds the results in the end (`evaluation.run_folder`).
         engine: processes of this machine, or a Ray cluster whose machines see the same files.
+        gated: whether the caller knows that the gate holds on all scenes with these settings and this definition, as
+            from a run of another policy; then it is not asked again.
 
     Returns:
         Rollouts and scores, by scene in the order given and then by seed.
@@ -91,7 +100,7 @@ def run_closed_loop(
         kept = folder.kept() if folder else {}
         drives = [(source, seed + index) for source in sources for index in range(rollouts)]
         runs = [_Run(index, source, number, kept.get(index)) for index, (source, number) in enumerate(drives)]
-        job = _Job(uuid4().hex, policy, settings, definition, folder.parts if folder else None)
+        job = _Job(uuid4().hex, policy, settings, definition, folder.parts if folder else None, gated)
         size = min(LARGEST_BATCH, -(-len(runs) // (4 * workers)))
         batches = [runs[start : start + size] for start in range(0, len(runs), size)]
         try:
@@ -140,6 +149,7 @@ class _Job:
     settings: SimulationSettings
     definition: DefinitionName
     parts: Path | None
+    gated: bool
 
     def run_batch(self, runs: list[_Run]) -> list[Result]:
         """Rollouts and scores of a batch, in order; each finished rollout is kept at once."""
@@ -147,7 +157,7 @@ class _Job:
         scenes: dict[int, Scene] = {}
         missing = [run for run in runs if not run.kept]
         name = self._policy_name(missing)
-        checked = {_key(run.source): _check_scene(run.source, self.settings) for run in _one_a_scene(missing)}
+        checked = {_key(run.source): self._check_scene(run.source) for run in _one_a_scene(missing)}
         for run in missing:
             scene = checked[_key(run.source)]
             if isinstance(scene, Scene):
@@ -159,6 +169,18 @@ class _Job:
             if self.parts:
                 save_part(self.parts, run.index, rollout)
         return [(rollouts[run.index], self._score(run, rollouts[run.index])) for run in runs]
+
+    def _check_scene(self, source: SceneSource) -> Scene | str:
+        """The scene if it can be driven and the gate holds on it, or why not."""
+        trusted = replace(self.settings, limits=PolicyLimits(isolate="none"))  # the gate has no foreign policy
+        try:
+            if self.gated:
+                return load_scene(source)
+            scene, gate = gate_scene(source, trusted, self.definition)
+        except Exception as error:  # whatever is wrong with one scene, the others are driven
+            name = source if isinstance(source, str) else source.name
+            return f"scene {name}: {type(error).__name__}: {word_error(error)}"
+        return scene if scene and gate.passed else gate.why_not or ""
 
     def _policy_name(self, missing: Sequence[_Run]) -> str:
         host = _host_of(self) if missing else None
@@ -236,33 +258,32 @@ def _one_a_scene(runs: Sequence[_Run]) -> list[_Run]:
     return list({_key(run.source): run for run in runs}.values())
 
 
-def _check_scene(source: SceneSource, settings: SimulationSettings) -> Scene | str:
-    """The scene if it can be driven and the gate holds on it, or why not."""
-    trusted = replace(settings, limits=PolicyLimits(isolate="none"))  # the gate drives without a foreign policy
+def gate_scene(
+    source: SceneSource, settings: SimulationSettings | None = None, definition: DefinitionName = "strict"
+) -> tuple[Scene | None, GateResult]:
+    """A scene, None if it cannot be loaded, and its gate; one that cannot be asked is refused with the reason."""
+    scene = None
     try:
         scene = load_scene(source)
-        pass_gate([scene], trusted)
+        return scene, check_gate(scene, settings, definition)
     except InputError as error:
-        return str(error)
-    except Exception as error:  # whatever is wrong with one scene, the others are driven
-        return (
-            f"scene {source if isinstance(source, str) else source.name}: {type(error).__name__}: {word_error(error)}"
+        return scene, GateResult(
+            scene.name if scene else str(source), (), full_definition(definition), refusal=str(error)
         )
-    return scene
 
 
-def pass_gate(scenes: Sequence[SceneSource], settings: SimulationSettings | None = None) -> list[GateResult]:
+def pass_gate(
+    scenes: Sequence[SceneSource], settings: SimulationSettings | None = None, definition: DefinitionName = "strict"
+) -> list[GateResult]:
     """Check that drives of known worth get what they are worth (`evaluation.gate.check_gate`); by scene.
 
     Raises:
         InputError: a scene cannot be loaded or driven, or a check fails on one, so that its scores would mean nothing.
     """
-    results = [check_gate(load_scene(scene), settings) for scene in find_scenes(scenes)]
-    failures = [
-        f"scene {result.scene} ({check.name}: {check.finding})" for result in results for check in result.failed
-    ]
-    if failures:
-        raise InputError(f"the gate fails on {'; '.join(failures)}: scores would mean nothing, repair the scene")
+    results = [gate_scene(scene, settings, definition)[1] for scene in find_scenes(scenes)]
+    refusals = [result.why_not for result in results if result.why_not]
+    if refusals:
+        raise InputError("; ".join(refusals))
     return results
 
 

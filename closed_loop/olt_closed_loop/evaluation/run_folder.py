@@ -48,6 +48,8 @@ _OPTIONS = {
     "vehicle": "--vehicle",
     "integrator": "--integrator",
     "control.method": "--controller",
+    "control.smoothing_window": "--smoothing-window",
+    "control.smoothing_delay": "--smoothing-delay",
     "skip": "--skip",
     "limits.call_seconds": "--policy-timeout",
     "limits.memory_bytes": "--policy-memory",

@@ -48,6 +48,7 @@ class ScoreRow:
         collision_rate: CR, share of valid rollouts with any collision.
         collision_rate_interval: 95 % interval of CR (Wilson, for as many rollouts as the scenes are worth).
         rollout_incidents: what went wrong, counted over all rollouts (`rollouts.rollout.Incidents`).
+        plan_deviation_max: the largest of all rollouts, metres: what no car can follow shows here, beside saturations.
         driven_km: driven by valid rollouts.
         incidents, incidents_at_fault: in them.
         km_between_incidents, km_between_incidents_at_fault: the ratio of both; None without an incident.
@@ -66,6 +67,7 @@ class ScoreRow:
     collision_rate: float | None
     collision_rate_interval: Interval | None
     rollout_incidents: dict[str, int]
+    plan_deviation_max: float | None
     driven_km: float
     incidents: int
     incidents_at_fault: int
@@ -120,6 +122,7 @@ def _row(category: str, scores: Sequence[RolloutScore]) -> ScoreRow:
     rollout_incidents: Counter[str] = Counter()
     for score in scores:
         rollout_incidents.update(score.rollout_incidents or {})
+    deviations = [score.plan_deviation_max for score in scores if score.plan_deviation_max is not None]
     return ScoreRow(
         category=category,
         rollouts=len(scores),
@@ -132,6 +135,7 @@ def _row(category: str, scores: Sequence[RolloutScore]) -> ScoreRow:
         collision_rate=float(collided.mean()) if scored else None,
         collision_rate_interval=share_interval(collided, scenes) if scored else None,
         rollout_incidents=dict(rollout_incidents),
+        plan_deviation_max=max(deviations, default=None),
         driven_km=float(driven.sum()),
         incidents=int(incidents.sum()),
         incidents_at_fault=int(at_fault.sum()),

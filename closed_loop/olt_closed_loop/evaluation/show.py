@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from olt_closed_loop.evaluation.drive_views import DriveView, largest_deviation, view_drive
+from olt_closed_loop.evaluation.drive_views import DriveView, view_drive
 from olt_closed_loop.evaluation.evaluation import load_scene
 from olt_closed_loop.evaluation.run_folder import KeptRollout, describe_scene, read_finished
 from olt_closed_loop.scenes.scene import Scene
@@ -52,7 +52,8 @@ def summarize_rollout(kept: KeptRollout) -> dict[str, Any]:
         "reason": rollout.failure or score.get("reason"),
         "failure_kind": rollout.failure_kind,
         "seconds": 1e-6 * float(rollout.timestamps_us[-1] - rollout.timestamps_us[0]) if len(rollout.states) else 0.0,
-        "largest_deviation_m": largest_deviation(rollout),
+        "plan_deviation_max": rollout.plan_deviation_max,
+        "plan_deviation_rms": rollout.plan_deviation_rms,
         **vars(rollout.incidents),
     }
 

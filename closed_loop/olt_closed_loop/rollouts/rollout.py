@@ -75,6 +75,8 @@ class Rollout:
         plan_times_us: (m,) int64, when each accepted plan was made.
         plans: (m, 65, 3) float64 x, y, yaw in the world at the plan's time + 0, 0.1, ... 6.4 s.
         incidents: what went wrong, counted.
+        plan_deviation_max, plan_deviation_rms: how far the vehicle was foreseen to be from the plans as they were
+            given, metres (`control.tracking.SolveCounts`); None where it was not measured.
         failure: why the rollout is not valid, or None.
         failure_kind: what kind of failure that is: the name of a count of `Incidents`, "scene_refused" or None.
         rendered_images: number of images rendered for each camera; empty when none was.
@@ -97,6 +99,8 @@ class Rollout:
     plan_times_us: NDArray[np.int64]
     plans: Array
     incidents: Incidents = Incidents()
+    plan_deviation_max: float | None = None
+    plan_deviation_rms: float | None = None
     failure: str | None = None
     failure_kind: str | None = None
     rendered_images: dict[str, int] = field(default_factory=dict)

@@ -7,8 +7,9 @@ One object:
 - `agents` {id: {length, width, height, timestamps_us [n], poses [n][x, y, yaw] or [x, y, yaw, z]}}: box centres;
   without z they stand on the ground z = 0, as the ego does. Only samples at one of the ego's times count;
 - `gt` {timestamps_us [n], poses [n][x, y, yaw]}: the recorded ego, poses of the rig;
-- `map` {lanes [{id, center, left?, right?}], road_edges [polyline], resample_m?} or null; polylines are points [x, y]
-  or [x, y, z] and get further points until none is more than `resample_m` from the next (2 m when absent, 0: none);
+- `map` {lanes [{id, center, left?, right?, red_us?}], road_edges [polyline], resample_m?} or null; polylines are points
+  [x, y] or [x, y, z] and get more until none is farther than `resample_m` from the next (2 m when absent, 0: none);
+  `red_us` [[from, until]..] says when the light at the start of a lane was red ([]: never; absent: not known);
 - `plans` [{now_us, query_us?, timestamps_us [n], poses [n][x, y, yaw], samples? [[n][x, y, yaw]]}];
 - `failure`? text, why the rollout broke off; `driver_ended`? whether the driver asked for the end of the session
   (AlpaSim's `terminate_session`).
@@ -112,7 +113,17 @@ def _lane(values: dict[str, Any], resample_m: float) -> LaneLines:
     where = f"lane {values['id']}"
     borders = (values.get("left"), values.get("right"))
     left, right = (_line(line, resample_m, f"{where} border") if line else None for line in borders)
-    return LaneLines(_line(values["center"], resample_m, f"{where} center"), left, right)
+    return LaneLines(_line(values["center"], resample_m, f"{where} center"), left, right, _red(values, where))
+
+
+def _red(values: dict[str, Any], where: str) -> NDArray[np.int64] | None:
+    """From when until when (k, 2) a light was red; None where nothing is said."""
+    if values.get("red_us") is None:
+        return None
+    red_us = np.array(values["red_us"], dtype=np.int64).reshape(-1, 2)
+    if (red_us[:, 0] >= red_us[:, 1]).any():
+        raise InputError(f"{where} red_us: a phase ends before it begins; give [from, until]")
+    return red_us
 
 
 def _plan(index: int, values: dict[str, Any]) -> PlanRecord:

@@ -25,11 +25,15 @@ class EgoBox:
 
 @dataclass(frozen=True)
 class LaneLines:
-    """One lane: centre line and, where known, its borders, each (n, 3) in driving direction, metres."""
+    """One lane: centre line and, where known, its borders, each (n, 3) in driving direction, metres.
+
+    `red_us` (k, 2) holds from when until when the light at its start was red, microseconds; None where none is known.
+    """
 
     center: Array
     left: Array | None = None
     right: Array | None = None
+    red_us: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@
 | --- | --- |
 | scene, category, policy, traffic, failure, failure_kind | text, the last two absent where the rollout is valid |
 | seed, handover_us | int64 |
+| plan_deviation_max, plan_deviation_rms | float64, metres, absent where not measured |
 | timestamps_us, plan_times_us | lists of int64 |
 | states, heights, controls, plans | lists of float64, the last index of the arrays in `Rollout` running first |
 | one column for each count of `Incidents` | int64 |
@@ -32,6 +33,7 @@ FILE_VERSION = 3
 
 _TEXTS = ("scene", "category", "policy", "traffic", "failure", "failure_kind")
 _NUMBERS = ("seed", "handover_us")
+_MEASURES = ("plan_deviation_max", "plan_deviation_rms")
 _TIMES = ("timestamps_us", "plan_times_us")
 _ARRAYS = ("states", "heights", "controls", "plans")
 _RECORDS = ("rendered_images", "left_out", "vehicle_steps", "reacted", "timings")
@@ -40,6 +42,7 @@ _SCHEMA = pa.schema(
     [
         *((name, pa.string()) for name in _TEXTS),
         *((name, pa.int64()) for name in _NUMBERS),
+        *((name, pa.float64()) for name in _MEASURES),
         *((name, pa.list_(pa.int64())) for name in _TIMES),
         *((name, pa.list_(pa.float64())) for name in _ARRAYS),
         *((name, pa.int64()) for name in INCIDENTS),
@@ -79,7 +82,7 @@ def load_rollouts(path: Path) -> list[Rollout]:
 def _row(rollout: Rollout, timings: bool) -> dict[str, Any]:
     values = rollout.to_dict()
     return {
-        **{name: values[name] for name in (*_TEXTS, *_NUMBERS, *_TIMES)},
+        **{name: values[name] for name in (*_TEXTS, *_NUMBERS, *_MEASURES, *_TIMES)},
         **{name: getattr(rollout, name).reshape(-1) for name in _ARRAYS},
         **values["incidents"],
         **{name: json.dumps(values[name], allow_nan=False) for name in _RECORDS if timings or name != "timings"},
@@ -91,7 +94,7 @@ def _rollout(row: dict[str, Any], where: str) -> Rollout:
         records = {name: json.loads(row[name]) for name in _RECORDS if row[name] is not None}
         rollout = Rollout.from_dict(
             {
-                **{name: row[name] for name in (*_TEXTS, *_NUMBERS, *_TIMES, *_ARRAYS)},
+                **{name: row[name] for name in (*_TEXTS, *_NUMBERS, *_MEASURES, *_TIMES, *_ARRAYS)},
                 "controls": [row["controls"][start : start + 2] for start in range(0, len(row["controls"]), 2)],
                 "incidents": {name: row[name] for name in INCIDENTS},
                 **records,

@@ -79,7 +79,8 @@ def generate_looks(scene: Scene) -> Looks:
     sun = (np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation))
     agent_colors = {}
     for agent in scene.agents:
-        chooser = make_generator("agent color", scene.name, agent.id)
+        # Who is away for a while and back (`sources.tracks`) looks as before.
+        chooser = make_generator("agent color", scene.name, agent.id.partition("#")[0])
         colors = _AGENT_COLORS.get(agent.label, _OTHER_AGENT)
         agent_colors[agent.id] = _shade(colors[chooser.integers(len(colors))], chooser, 0.08)
     grey, dry = generator.uniform(88.0, 122.0), generator.uniform(0.0, 1.0)

@@ -22,7 +22,8 @@ class Agent:
         id: unique in the scene.
         label: class in the words of the PhysicalAI-AV obstacle table (automobile, person, rider, ...), cone or barrier.
         length, width, height: box size in metres.
-        timestamps_us: (n,) int64, strictly increasing; outside its first and last sample the agent does not exist.
+        timestamps_us: (n,) int64, strictly increasing; outside its first and last sample the agent does not exist, and
+            between two it moves on a line. Who is away for a while and back is two agents (`sources.tracks`).
         poses: (n, 4) float64: x, y, z of the box centre and yaw.
     """
 

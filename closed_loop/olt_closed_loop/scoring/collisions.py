@@ -1,29 +1,31 @@
-"""Collisions of the ego with the agents: when, on which side, and who moved into whom.
+"""Collisions of the ego with the agents: when, on which side, who was at fault and why.
 
 Boxes stand upright and are not shrunk. `scoring.contacts` finds when they touch; here a contact is described by
 the axis that separated the boxes until then, so that its side depends neither on heading nor on the order of agents.
+`scoring.fault` says who was at fault. An agent that is over the ego when it appears, or at the hand-over, has not
+been hit: it counts from when the two have been apart.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
+from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.scoring.contacts import first_contacts
+from olt_closed_loop.scoring.contacts import TOUCH, first_contacts
+from olt_closed_loop.scoring.drivable import DrivableArea
+from olt_closed_loop.scoring.fault.encounter import Encounter, Side, Site
+from olt_closed_loop.scoring.fault.lanes import LaneMap
+from olt_closed_loop.scoring.fault.rules import judge
 from olt_closed_loop.scoring.moving_boxes import MovingBox, separations
 from olt_generator.poses import Array
 
-STANDING_SPEED = 0.1
-"""An ego slower than this, m/s, moves into nobody."""
-FAULT_SHARE = 0.25
-"""Share of the closing speed from which on the ego moved into the agent. Head-on both did; an ego that creeps while it
-is run into did not, nor one that is hit from behind or cut in on."""
 _VELOCITY_US = 20_000
-
-Side = Literal["front", "rear", "lateral"]
+_APART_US = 20_000
+NOWHERE = Site()
+"""Of a scene without lanes, drivable area and recording."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +36,9 @@ class Collision:
         time_us: when they touched.
         agent_id, label: whom.
         side: the side of the ego that the contact presses on.
-        at_fault: whether the ego moved into the agent.
+        at_fault: whether the ego was at fault.
+        rule: which rule of `scoring.fault.rules` decided.
+        reason: why, in words.
         ego_closing, agent_closing: speed of each towards the other along the direction of contact, m/s.
     """
 
@@ -43,8 +47,27 @@ class Collision:
     label: str
     side: Side
     at_fault: bool
+    rule: str
+    reason: str
     ego_closing: float
     agent_closing: float
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """What was found.
+
+    Attributes:
+        collisions: first contact with each agent, in order of time.
+        appeared: agents that were over the ego when they appeared.
+        handed_over: agents that were over the ego at the hand-over.
+        unreachable: how many agents were left out as never within reach.
+    """
+
+    collisions: tuple[Collision, ...]
+    appeared: tuple[str, ...]
+    handed_over: tuple[str, ...]
+    unreachable: int
 
 
 def within_reach(ego: MovingBox, agent: MovingBox, start_us: int, end_us: int) -> bool:
@@ -66,10 +89,12 @@ def find_collisions(
     start_us: int,
     end_us: int,
     skip_unreachable: bool = True,
-) -> tuple[tuple[Collision, ...], int]:
-    """First contact with each agent from `start_us` to `end_us`, in order of time, and how many were left out.
+    site: Site = NOWHERE,
+) -> Contacts:
+    """First contact with each agent from `start_us` to `end_us`.
 
-    The ego's box is sampled over all of that time; `skip_unreachable` leaves out agents that cannot be reached.
+    The ego's box is sampled over all of that time; `skip_unreachable` leaves out agents that cannot be reached. Of
+    several agents of one name, which are one that was away for a while, the first contact counts.
     """
     tested = [
         (agent, box)
@@ -77,15 +102,50 @@ def find_collisions(
         if not skip_unreachable or within_reach(ego, box, start_us, end_us)
     ]
     contacts = first_contacts(ego, [box for _, box in tested], start_us, end_us)
-    collisions = [
-        _describe(ego, box, agent, start_us, start_us + int(np.ceil(after_us)))
-        for (agent, box), after_us in zip(tested, contacts, strict=True)
-        if np.isfinite(after_us)
-    ]
-    return tuple(sorted(collisions, key=lambda hit: (hit.time_us, hit.agent_id))), len(agents) - len(tested)
+    hits: dict[str, Collision] = {}
+    appeared: set[str] = set()
+    handed_over: set[str] = set()
+    for (agent, box), after_us in zip(tested, contacts, strict=True):
+        first_us = max(start_us, int(box.timestamps_us[0]))
+        if start_us + after_us <= first_us:
+            (appeared if int(box.timestamps_us[0]) >= start_us else handed_over).add(agent.id)
+            after_us = _contact_after_apart(ego, box, first_us, end_us) - start_us
+        if np.isfinite(after_us):
+            hit = _describe(ego, box, agent, start_us, start_us + int(np.ceil(after_us)), site, boxes)
+            if agent.id not in hits or hit.time_us < hits[agent.id].time_us:
+                hits[agent.id] = hit
+    ordered = sorted(hits.values(), key=lambda hit: (hit.time_us, hit.agent_id))
+    return Contacts(tuple(ordered), tuple(sorted(appeared)), tuple(sorted(handed_over)), len(agents) - len(tested))
 
 
-def _describe(ego: MovingBox, box: MovingBox, agent: Agent, start_us: int, contact_us: int) -> Collision:
+def site_of(record: RolloutRecord, drivable: DrivableArea | None) -> Site:
+    """What a rollout tells of the place of its contacts. Only outlines say where one may drive beside the lanes."""
+    lanes = LaneMap(record.lanes, record.poses[0, :2]) if record.lanes else None
+    outlines = drivable if drivable and drivable.edges is None else None
+    return Site(lanes, outlines, record.recorded_poses)
+
+
+def _contact_after_apart(ego: MovingBox, box: MovingBox, first_us: int, end_us: int) -> float:
+    """When boxes that touch at `first_us` touch again after they have been apart; infinite if they never do."""
+    last_us = min(end_us, int(box.timestamps_us[-1]))
+    times = np.arange(first_us, last_us + 1, _APART_US, dtype=np.int64)
+    gaps, _ = separations(ego.at(times), ego.half_size, box.at(times), box.half_size)
+    apart = np.flatnonzero(gaps.max(axis=1) >= TOUCH)
+    if len(apart) == 0:
+        return np.inf
+    from_us = int(times[apart[0]])
+    return from_us + float(first_contacts(ego, [box], from_us, end_us)[0])
+
+
+def _describe(
+    ego: MovingBox,
+    box: MovingBox,
+    agent: Agent,
+    start_us: int,
+    contact_us: int,
+    site: Site,
+    others: Sequence[MovingBox],
+) -> Collision:
     """Side and fault from the axis that separated the boxes a microsecond before the contact.
 
     The side is that of the direction along this axis: ahead, behind, or more to the side than either.
@@ -100,19 +160,19 @@ def _describe(ego: MovingBox, box: MovingBox, agent: Agent, start_us: int, conta
     if direction @ (other_pose[:2] - ego_pose[:2]) < 0.0:
         direction = -direction
     ahead = float(direction @ [np.cos(ego_pose[3]), np.sin(ego_pose[3])])
+    side: Side = "lateral" if abs(ahead) <= np.cos(np.pi / 4) else "front" if ahead > 0.0 else "rear"
     point = _contact_point(direction, corners(ego_pose, ego.half_size), corners(other_pose, box.half_size))
-    ego_velocity = _velocity_at(ego, before_us, point)
-    ego_closing = float(direction @ ego_velocity)
-    agent_closing = float(-direction @ _velocity_at(box, before_us, point))
-    moving = float(np.linalg.norm(ego_velocity)) > STANDING_SPEED
+    finding = judge(Encounter(ego, box, agent.label, contact_us, start_us, side, direction, point, site, others))
     return Collision(
         time_us=contact_us,
         agent_id=agent.id,
         label=agent.label,
-        side="lateral" if abs(ahead) <= np.cos(np.pi / 4) else "front" if ahead > 0.0 else "rear",
-        at_fault=moving and ego_closing > FAULT_SHARE * (ego_closing + max(agent_closing, 0.0)),
-        ego_closing=ego_closing,
-        agent_closing=agent_closing,
+        side=side,
+        at_fault=finding.at_fault,
+        rule=finding.rule,
+        reason=finding.reason,
+        ego_closing=float(direction @ _velocity_at(ego, before_us, point)),
+        agent_closing=float(-direction @ _velocity_at(box, before_us, point)),
     )
 
 

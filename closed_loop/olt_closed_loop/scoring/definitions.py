@@ -18,7 +18,9 @@ Where the two differ, and the case that shows it (`tests/closed_loop/scoring/tes
 | height | ignored | counts | a bridge above the road is no hit |
 | several contacts | one of them decides, by place | each has its side | hit ahead and behind at once, heading west |
 | first contact | ends the rollout | only its own fault counts | tapped from behind, then driving into a parked car |
-| fault | front or side, whoever moved | who moved into whom | a standing ego that is hit from the side |
+| fault | front or side, whoever moved | the rules of `scoring.fault.rules` | a standing ego that is hit from the side |
+| appears over the ego | a hit | no contact until they have been apart | an agent whose first sample is over the ego |
+| away for a while | interpolated | not there | an agent that is seen again across the road |
 | off the road | at the edge only | also beyond it | the whole drive 8 m beside the road |
 | lane direction | angles not wrapped | wrapped | the proper lane, heading west |
 | progress | nearest point of the whole path | only ahead of the last one | a path that passes the same place twice |
@@ -48,10 +50,10 @@ from olt_closed_loop.scoring.alpasim.scores import (
     score_scene,
     summary_row,
 )
-from olt_closed_loop.scoring.collisions import Collision, find_collisions
+from olt_closed_loop.scoring.collisions import Collision, find_collisions, site_of
 from olt_closed_loop.scoring.drivable import drivable_area_of, first_departure
 from olt_closed_loop.scoring.driving_metrics import measure_driving
-from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box
+from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box, stretches
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
 
@@ -99,6 +101,7 @@ class RolloutScore:
         metrics: further figures by name (`driving_metrics`, or AlpaSim's metrics).
         left_out: what was not computed, and why.
         rollout_incidents: what went wrong in the rollout (`rollouts.rollout.Incidents`); None when nobody counted.
+        plan_deviation_max, plan_deviation_rms: of the rollout (`rollouts.rollout.Rollout`), metres.
     """
 
     scene: str
@@ -123,6 +126,8 @@ class RolloutScore:
     metrics: dict[str, float | None] = field(default_factory=dict)
     left_out: tuple[Omission, ...] = ()
     rollout_incidents: dict[str, int] | None = None
+    plan_deviation_max: float | None = None
+    plan_deviation_rms: float | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The score as JSON can hold it."""
@@ -148,7 +153,12 @@ def score_rollout(
     if rollout.failure:
         return score_failed(rollout, definition)
     unscored = RolloutScore(scene.name, scene.category, rollout.policy, rollout.seed, full_definition(definition))
-    unscored = replace(unscored, rollout_incidents=vars(rollout.incidents).copy())
+    unscored = replace(
+        unscored,
+        rollout_incidents=vars(rollout.incidents).copy(),
+        plan_deviation_max=rollout.plan_deviation_max,
+        plan_deviation_rms=rollout.plan_deviation_rms,
+    )
     finite = np.isfinite(rollout.states).all(axis=1) & np.isfinite(rollout.heights)
     if not finite.all():
         return _failed(unscored, f"the state at {rollout.timestamps_us[np.argmin(finite)]} us is not finite")
@@ -210,9 +220,11 @@ def _score(record: RolloutRecord, unscored: RolloutScore, skip: bool) -> Rollout
 
 def _score_strictly(record: RolloutRecord, skip: bool) -> dict[str, Any]:
     ego, area = ego_box(record), drivable_area_of(record)
-    boxes = [agent_box(agent) for agent in record.agents]
+    agents = tuple(stretches(record.agents))
+    boxes = [agent_box(agent) for agent in agents]
     span = _scored_span(record)
-    collisions, unreachable = find_collisions(ego, record.agents, boxes, *span, skip_unreachable=skip)
+    found = find_collisions(ego, agents, boxes, *span, skip_unreachable=skip, site=site_of(record, area))
+    collisions = found.collisions
     offroad_us = first_departure(area, ego, *span, skip=skip) if area else None
     recorded_m = recorded_length(record)
     progress, left_path_us = _measure_progress(record, recorded_m)
@@ -222,8 +234,10 @@ def _score_strictly(record: RolloutRecord, skip: bool) -> dict[str, Any]:
     reason = "collision_at_fault" if at_fault else "offroad" if left_road else None
     progress_score = 1.0 if recorded_m < SHORT_RECORDING else min(progress / FULL_PROGRESS, 1.0)
     left_out = []
-    if unreachable:
-        left_out.append(Omission("agents in collision tests", "never within reach", unreachable, len(record.agents)))
+    if found.unreachable:
+        left_out.append(Omission("agents in collision tests", "never within reach", found.unreachable, len(agents)))
+    left_out += [Omission(f"contact with {name}", "appeared in contact") for name in found.appeared]
+    left_out += [Omission(f"contact with {name}", "in contact at the hand-over") for name in found.handed_over]
     if not area:
         left_out.append(Omission("road test", "the scene has no drivable area, nor lanes with road edges"))
     return {

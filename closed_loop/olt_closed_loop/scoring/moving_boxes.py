@@ -5,7 +5,9 @@ separates them: the axes of both in the plane (separating axis theorem; Ericson,
 section 4.4.1) and height.
 """
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +15,11 @@ from numpy.typing import NDArray
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array
+
+SHORTEST_GAP_US = 500_000
+USUAL_STEPS = 3
+FASTEST = 100.0
+"""m/s."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,27 @@ def agent_box(agent: Agent) -> MovingBox:
     """An agent's box along its recording."""
     poses = np.column_stack([agent.poses[:, :3], np.unwrap(agent.poses[:, 3])])
     return MovingBox(agent.timestamps_us, poses, 0.5 * np.array([agent.length, agent.width, agent.height]))
+
+
+def stretches(agents: Sequence[Agent]) -> Iterator[Agent]:
+    """Agents over the times without a gap, so that nobody is taken to be where it was not seen.
+
+    A gap is longer than half a second and than three times the agent's usual step, or one that nothing on a road
+    crosses in its time.
+    """
+    for agent in agents:
+        steps = np.diff(agent.timestamps_us)
+        if len(steps) == 0:
+            yield agent
+            continue
+        ways = np.hypot(*np.diff(agent.poses[:, :2], axis=0).T)
+        away = (steps > max(SHORTEST_GAP_US, USUAL_STEPS * float(np.median(steps)))) | (ways > FASTEST * 1e-6 * steps)
+        if not away.any():
+            yield agent
+            continue
+        ends = [0, *(np.flatnonzero(away) + 1).tolist(), len(agent.timestamps_us)]
+        for first, last in pairwise(ends):
+            yield replace(agent, timestamps_us=agent.timestamps_us[first:last], poses=agent.poses[first:last])
 
 
 def separations(ego: Array, ego_half: Array, other: Array, other_half: Array) -> tuple[Array, Array]:

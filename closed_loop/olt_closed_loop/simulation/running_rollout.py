@@ -216,9 +216,10 @@ class RunningRollout:
         plan = next(plan for plan in reversed(self._plans) if plan.timestamps_us[0] <= in_force_us)
         with self._timed("control"):
             control = self._controller.control(before, plan, now_us)
-        low, high = self._parameters.control_limits
+        low, high = self._controller.parameters.control_limits
         self.incidents["saturations"] += bool(np.any((control <= low) | (control >= high)))
         with self._timed("vehicle"):
+            self._stepper.shift(self._controller.parameters.reverse_gear)
             state = self._stepper(before, control)
         if self._agents is not None:
             x, y, yaw, speed = before[: STATE.steering]
@@ -263,6 +264,8 @@ class RunningRollout:
                 solves_late=solves.late,
                 solves_given_up=solves.given_up,
             ),
+            plan_deviation_max=solves.deviation_max if solves.calls else None,
+            plan_deviation_rms=solves.deviation_rms if solves.calls else None,
             failure=self.failure,
             failure_kind=self._failure_kind,
             rendered_images=dict.fromkeys(self._policy.cameras, self._rendered),

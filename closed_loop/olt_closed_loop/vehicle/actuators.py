@@ -4,7 +4,8 @@
 
 While the command is held this has a closed form: a ramp at max_rate until the distance to the command has shrunk to
 lag * max_rate, then an exponential. Explicit integrators use the closed form, so that the lags cost no accuracy and no
-stability; implicit ones use the equation.
+stability; implicit ones use the equation. The closed form also tells when the ramp ends and when the value changes its
+sign, which are the kinks of the motion: explicit sub-steps end there.
 """
 
 from typing import Any
@@ -29,3 +30,18 @@ def actuator_after(time: Any, value: Any, command: Any, lag: Any, max_rate: Any)
     ramped = clip(too_far, -max_rate * time, max_rate * time)
     ramping_time = ca.fmin(ca.fabs(too_far) / max_rate, time)
     return command - (distance - ramped) * ca.exp((ramping_time - time) / lag)
+
+
+def ramp_seconds(value: Any, command: Any, lag: Any, max_rate: Any) -> Any:
+    """How long the ramp lasts; 0 where there is none."""
+    distance = command - value
+    return ca.fmax(ca.fabs(distance) - lag * max_rate, 0.0) / max_rate
+
+
+def seconds_to_zero(value: Any, command: Any, lag: Any, max_rate: Any) -> Any:
+    """When the value changes its sign; 0 where it does not."""
+    ramp = ramp_seconds(value, command, lag, max_rate)
+    ramped = actuator_after(ramp, value, command, lag, max_rate)
+    decaying = ramp + lag * ca.log((command - ramped) / command)
+    seconds = ca.if_else(ramped * command < 0.0, decaying, ca.fabs(value) / max_rate)
+    return ca.if_else(value * command < 0.0, seconds, 0.0)

@@ -1,9 +1,9 @@
 """Explicit steps of whole batches of vehicles in one call: generated C where there is a compiler, else interpreted.
 
 A program is a handful of CasADi functions: explicit sub-steps, and a plan that says for a vehicle at this moment which
-of them to take and how often. `CompiledStep` and `InterpretedStep` run the same program, each vehicle by itself, so a
-vehicle moves alike alone and in any batch, compiled or not. Positions are integrated from the step's start: far
-coordinates cost no precision.
+of them to take, how often, and at which moments a sub-step has to end. `CompiledStep` and `InterpretedStep` run the
+same program, each vehicle by itself, so a vehicle moves alike alone and in any batch, compiled or not. Positions are
+integrated from the step's start: far coordinates cost no precision.
 """
 
 import ctypes
@@ -25,6 +25,8 @@ from olt_generator.poses import Array
 
 MOST_SUBSTEPS = 4096
 """In one step. Where more are needed an implicit method is cheaper."""
+KINKS = 3
+PLAN_SIZE = 3 + KINKS
 
 
 class StepProgram(NamedTuple):
@@ -32,8 +34,11 @@ class StepProgram(NamedTuple):
 
     Attributes:
         substeps: functions (state, control, numbers, length) -> state.
-        plan: (state, control, numbers, step) -> (3,): index into `substeps`; how many; and either 0 or a tolerance
-            in metres, to which the sub-steps are doubled until twice as many change the position by less.
+        plan: (state, control, numbers, step) -> (`PLAN_SIZE`,): index into `substeps`; how many; either 0 or a
+            tolerance in metres, to which the sub-steps are doubled until twice as many change the end by less, be it
+            at once or, by its heading and speeds, a step later;
+            and in rising order the `KINKS` moments within the step (s) at which a sub-step ends, with sub-steps
+            between them no longer than an even share of the step.
     """
 
     substeps: tuple[ca.Function, ...]
@@ -52,14 +57,15 @@ class BatchStep(ABC):
         ways: how many sub-step functions there are.
 
     Attributes:
-        plans: (n, 3) what the last call did, in the form of `StepProgram.plan`.
+        numbers: as given; what is written into them holds from the next call on.
+        plans: (n, `PLAN_SIZE`) what the last call did, in the form of `StepProgram.plan`.
         taken: (sub-step functions + 1, 2) how many steps were taken with each, and how many sub-steps.
     """
 
     def __init__(self, numbers: Array, step: float, state_size: int, ways: int) -> None:
-        self._numbers, self._step = np.ascontiguousarray(numbers, dtype=np.float64), step
+        self.numbers, self._step = np.array(numbers, dtype=np.float64), step
         self._ends = np.zeros((len(numbers), state_size))
-        self.plans, self.taken = np.zeros((len(numbers), 3)), np.zeros((ways + 1, 2))
+        self.plans, self.taken = np.zeros((len(numbers), PLAN_SIZE)), np.zeros((ways + 1, 2))
 
     @abstractmethod
     def __call__(self, states: Array, controls: Array) -> Array:
@@ -73,14 +79,14 @@ class SerialStep(BatchStep):
         """See `BatchStep`."""
         states, controls = np.atleast_2d(states, controls)
         check_finite(states, controls)
-        for index, vehicle in enumerate(zip(states, controls, self._numbers, strict=True)):
+        for index, vehicle in enumerate(zip(states, controls, self.numbers, strict=True)):
             self._ends[index], self.plans[index] = self.step_one(*vehicle)
             self.taken[int(self.plans[index, 0])] += 1.0, self.plans[index, 1]
         return self._ends
 
     @abstractmethod
     def step_one(self, state: Array, control: Array, numbers: Array) -> tuple[Array, Array]:
-        """The state (s,) of one vehicle a step later, and its plan (3,)."""
+        """The state (s,) of one vehicle a step later, and its plan (`PLAN_SIZE`,)."""
 
 
 def make_explicit_step(program: StepProgram, numbers: Array, step: float) -> BatchStep:
@@ -105,7 +111,7 @@ class CompiledStep(BatchStep):
     def __init__(self, library: ctypes.CDLL, program: StepProgram, numbers: Array, step: float) -> None:
         super().__init__(numbers, step, program.plan.size1_in(0), len(program.substeps))
         self._states, self._controls = np.zeros_like(self._ends), np.zeros((len(numbers), program.plan.size1_in(1)))
-        arrays = (self._states, self._controls, self._numbers, self._ends, self.plans, self.taken)
+        arrays = (self._states, self._controls, self.numbers, self._ends, self.plans, self.taken)
         pointers = [ctypes.c_void_p(array.ctypes.data) for array in arrays]
         self._arguments = (ctypes.c_longlong(len(numbers)), ctypes.c_double(step), *pointers)
         self._step_all = library.step_all
@@ -134,7 +140,7 @@ class InterpretedStep(SerialStep):
         while plan[2] and plan[1] <= MOST_SUBSTEPS:
             coarse, plan[1] = end, 2.0 * plan[1]
             end = self._advance(state, control, numbers, plan)
-            if np.hypot(*(end - coarse)[: STATE.yaw]) < plan[2]:
+            if self._difference(end, coarse) < plan[2]:
                 break
         if plan[1] > MOST_SUBSTEPS:
             plan[0] = len(self._substeps)
@@ -142,12 +148,21 @@ class InterpretedStep(SerialStep):
         end[: STATE.yaw] += state[: STATE.yaw]
         return end, plan
 
+    def _difference(self, end: Array, other: Array) -> float:
+        """Metres between two ends of a step, at the rig or a metre from it, now and, as speeds differ, a step later."""
+        off = np.abs(end - other)
+        speeds = off[STATE.speed], abs(end[STATE.speed]) * off[STATE.yaw], *off[STATE.lateral_speed :]
+        return max(np.hypot(off[STATE.x], off[STATE.y]), self._step * max(speeds))
+
     def _advance(self, state: Array, control: Array, numbers: Array, plan: Array) -> Array:
         """The state after the planned sub-steps, its position counted from the start."""
         state = np.concatenate([[0.0, 0.0], state[STATE.yaw :]])
-        if plan[1] <= MOST_SUBSTEPS:
-            for _ in range(int(plan[1])):
-                (state,) = self._substeps[int(plan[0])](state, control, numbers, self._step / plan[1])
+        began = 0.0
+        for ends in (*plan[3:], self._step) if plan[1] <= MOST_SUBSTEPS else ():
+            count = np.ceil((ends - began) / self._step * plan[1])
+            for _ in range(int(count)):
+                (state,) = self._substeps[int(plan[0])](state, control, numbers, (ends - began) / count)
+            began = ends
         return state
 
 
@@ -160,18 +175,30 @@ static const function substeps[] = {{{names}}};
 /* The state after the planned sub-steps, its position counted from the start. */
 static void advance(double step, const double *state, const double *control, const double *numbers,
                     const double *chosen, double *end) {{
-  double work[{work}], buffers[2][{size}], length = step / chosen[1];
-  long long int integers[{integers}], k, count = (long long int) chosen[1];
+  double work[{work}], buffers[2][{size}], began = 0.0, ends, count, length;
+  long long int integers[{integers}], k, kink, reached = 0;
   const double *inputs[{inputs}];
   double *outputs[{outputs}];
   memcpy(buffers[0], state, sizeof(buffers[0]));
   buffers[0][0] = buffers[0][1] = 0.0;
-  for (k = 0; k < count && count <= {most}; ++k) {{
-    inputs[0] = buffers[k % 2]; inputs[1] = control; inputs[2] = numbers; inputs[3] = &length;
-    outputs[0] = buffers[(k + 1) % 2];
-    substeps[(long long int) chosen[0]](inputs, outputs, integers, work, 0);
+  for (kink = 0; kink <= {kinks} && chosen[1] <= {most}; ++kink, began = ends) {{
+    ends = kink < {kinks} ? chosen[3 + kink] : step;
+    count = ceil((ends - began) / step * chosen[1]);
+    length = (ends - began) / count;
+    for (k = 0; k < (long long int) count; ++k, reached = !reached) {{
+      inputs[0] = buffers[reached]; inputs[1] = control; inputs[2] = numbers; inputs[3] = &length;
+      outputs[0] = buffers[!reached];
+      substeps[(long long int) chosen[0]](inputs, outputs, integers, work, 0);
+    }}
   }}
-  memcpy(end, buffers[k % 2], sizeof(buffers[0]));
+  memcpy(end, buffers[reached], sizeof(buffers[0]));
+}}
+
+/* Metres between two ends of a step, at the rig or a metre from it, now and, as speeds differ, a step later. */
+static double difference(double step, const double *end, const double *other) {{
+  double speeds = fmax(fabs(end[3] - other[3]), fabs(end[3]) * fabs(end[2] - other[2]));
+  if ({size} > 6) speeds = fmax(speeds, fmax(fabs(end[6] - other[6]), fabs(end[7] - other[7])));
+  return fmax(hypot(end[0] - other[0], end[1] - other[1]), step * speeds);
 }}
 
 static void step_one(double step, const double *state, const double *control, const double *numbers, double *end,
@@ -188,7 +215,7 @@ static void step_one(double step, const double *state, const double *control, co
     memcpy(coarse, end, sizeof(coarse));
     chosen[1] *= 2.0;
     advance(step, state, control, numbers, chosen, end);
-    if (hypot(end[0] - coarse[0], end[1] - coarse[1]) < chosen[2]) break;
+    if (difference(step, end, coarse) < chosen[2]) break;
   }}
   if (chosen[1] > {most}) {{
     chosen[0] = {count};
@@ -207,10 +234,10 @@ int step_all(long long int count, double step, const double *states, const doubl
   for (i = 0; i < {controls} * count; ++i) if (!isfinite(controls[i])) return 0;
   for (i = 0; i < count; ++i) {{
     step_one(step, states + {size} * i, controls + {controls} * i, numbers + {parameters} * i, ends + {size} * i,
-              plans + 3 * i);
-    which = (long long int) plans[3 * i];
+              plans + {plan_size} * i);
+    which = (long long int) plans[{plan_size} * i];
     taken[2 * which] += 1.0;
-    taken[2 * which + 1] += plans[3 * i + 1];
+    taken[2 * which + 1] += plans[{plan_size} * i + 1];
   }}
   return 1;
 }}
@@ -231,6 +258,8 @@ def compile_program(program: StepProgram) -> ctypes.CDLL | None:
         plan=program.plan.name(),
         count=len(program.substeps),
         most=MOST_SUBSTEPS,
+        kinks=KINKS,
+        plan_size=PLAN_SIZE,
         size=program.plan.size1_in(0),
         controls=program.plan.size1_in(1),
         parameters=program.plan.size1_in(2),

@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 
 from olt_closed_loop.vehicle.buffered import BufferedFunction
-from olt_closed_loop.vehicle.compiled import SerialStep
-from olt_closed_loop.vehicle.models import state_derivative, step_symbols
+from olt_closed_loop.vehicle.compiled import PLAN_SIZE, SerialStep
+from olt_closed_loop.vehicle.models import state_derivative, step_symbols, within_limits
 from olt_closed_loop.vehicle.parameters import Model, VehicleNumbers, model_state_size
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
@@ -47,11 +47,13 @@ def cvodes_function(model: Model, tolerance: float = CVODES_TOLERANCE) -> ca.Fun
 
 def _step_function(model: Model, plugin: str, options: dict[str, Any]) -> ca.Function:
     state, control, numbers, step = step_symbols(model_state_size(model))
-    derivative = step * state_derivative(model, state, control, VehicleNumbers(*ca.vertsplit(numbers)))
+    vehicle = VehicleNumbers(*ca.vertsplit(numbers))
+    derivative = step * state_derivative(model, state, control, vehicle)
     problem = {"x": state, "p": ca.vertcat(control, numbers, step), "ode": derivative}
     integrator = ca.integrator("integrator", plugin, problem, 0.0, 1.0, options)
     arguments = [ca.MX.sym("argument", symbol.numel()) for symbol in (state, control, numbers, step)]
-    end = integrator(x0=arguments[0], p=ca.vertcat(*arguments[1:]))["xf"]
+    start = ca.Function("start", [state, numbers], [within_limits(state, vehicle)])
+    end = integrator(x0=start(arguments[0], arguments[2]), p=ca.vertcat(*arguments[1:]))["xf"]
     return ca.Function(f"{model}_{plugin}", arguments, [end])
 
 
@@ -72,4 +74,4 @@ class ImplicitStep(SerialStep):
                 f"{control.tolist()} over {self._step:g} s; take a shorter step, more elements, or the method auto"
             ) from error
         end[: STATE.yaw] += state[: STATE.yaw]
-        return end, np.zeros(3)
+        return end, np.zeros(PLAN_SIZE)

@@ -7,12 +7,15 @@ The cheapest of the family that moves the vehicle within `tolerance` metres of t
 - Saturation is left out (linear tyres) where its share (`vehicle.tyres`) could not.
 - Sub-steps are as many as stability asks for (rate times sub-step below 2; the limit of Runge-Kutta 4 is 2.8) and as
   the error asks for. For a method of order q with sub-steps of h it is h^q times the sum of three terms: swaying
-  (1 + v) rate slipping, with the steering still to come and the present slip; bending (v yaw rate + acceleration) step
-  (yaw rate)^(q - 1); and pulling, the change of acceleration over lag^(q - 2). The forms follow the leading errors; the
-  constants bound what was measured over the grid of `olt_closed_loop.benchmarks.vehicle_grid`. The cheaper method is
-  taken.
-- Where tyres may slide the error has no such bound. There the drive starts with fewer sub-steps and doubles them until
-  two results agree within the tolerance. With Runge-Kutta 4 the finer one is then some fifteen times closer.
+  (1 + v) rate slipping, with the steering still to come after the ramp, the present slip and that of the bend; bending
+  (v yaw rate + acceleration) step (yaw rate)^(q - 1); and pulling, the change of acceleration over lag^(q - 2). The
+  forms follow the leading errors; the constants bound what was measured over the grid of
+  `olt_closed_loop.benchmarks.vehicle_grid`. The cheaper method is taken.
+- Tyres, and grip that is asked for a good share of what there is, have no such bound. There the drive starts with fewer
+  sub-steps and doubles them until two results agree well within the tolerance. With Runge-Kutta 4 the finer one is then
+  some fifteen times closer. The first must be fine enough to see the grip run out while the wheel is turned.
+- Sub-steps end where the motion has kinks: where a ramp of the actuators ends, and where drive changes to brake. Their
+  moments are known in advance (`vehicle.actuators`).
 """
 
 from functools import lru_cache
@@ -20,9 +23,9 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from olt_closed_loop.vehicle.actuators import clip
+from olt_closed_loop.vehicle.actuators import clip, ramp_seconds, seconds_to_zero
 from olt_closed_loop.vehicle.compiled import MOST_SUBSTEPS
-from olt_closed_loop.vehicle.models import limited_commands, step_symbols
+from olt_closed_loop.vehicle.models import limited_commands, step_symbols, within_limits
 from olt_closed_loop.vehicle.parameters import MODELS, Model, VehicleNumbers, model_state_size
 from olt_closed_loop.vehicle.state import STATE
 from olt_closed_loop.vehicle.substeps import EVALUATIONS, EXPLICIT_METHODS, ExplicitMethod
@@ -44,16 +47,18 @@ ERROR_MODELS: dict[ExplicitMethod, ErrorModel] = {
     "midpoint": ErrorModel(2, swaying=0.05, bending=0.25, pulling=0.2),
     "rk4": ErrorModel(4, swaying=0.4, bending=0.005, pulling=0.02),
 }
+AGREEMENT = 0.3
+"""Of the tolerance, within which two results have to agree: sometimes they are alike by chance."""
 SLIDING = 0.4
-"""Share of the friction limit beyond which the error is measured instead of estimated."""
-FIRST_SHARE = 0.6
-"""Of the estimated sub-steps, those with which measuring starts: one doubling makes up for it."""
+"""Share of the grip beyond which the error of the kinematic model is measured instead of estimated."""
+FIRST_SHARES: dict[Model, float] = {"kinematic": 0.4, "linear": 0.6, "saturating": 1.0}
+"""Of the estimated sub-steps, those with which measuring starts: one doubling does. Where brakes fade: all."""
 
 
 def candidates(model: Model) -> tuple[tuple[Model, ExplicitMethod], ...]:
     """The models and methods that the plan chooses from, in the order of its answers."""
-    family = MODELS[: MODELS.index(model) + 1]
-    return tuple((each, method) for each in family for method in EXPLICIT_METHODS)
+    with_tyres: tuple[tuple[Model, ExplicitMethod], ...] = (("linear", "rk4"), ("saturating", "rk4"))
+    return (("kinematic", "midpoint"), ("kinematic", "rk4"), *with_tyres[: MODELS.index(model)])
 
 
 @lru_cache(maxsize=32)
@@ -81,15 +86,15 @@ def fixed_plan(model: Model, substeps: int) -> ca.Function:
 
 
 def _plan_of(demands: "_Demands", model: Model, tolerance: float) -> Any:
-    """The cheaper of the methods for a model, as an answer of the plan."""
+    """How to integrate a model, as an answer of the plan: measured or, where the estimate holds, the cheaper method."""
     midpoint, rk4 = (demands.substeps(model, method, tolerance) for method in EXPLICIT_METHODS)
+    first_share = ca.if_else(demands.fading, 1.0, FIRST_SHARES[model])
+    measured = ca.vertcat(1 + MODELS.index(model), ca.ceil(first_share * rk4), AGREEMENT * tolerance)
+    if model != "kinematic":
+        return measured
     cheaper = EVALUATIONS["midpoint"] * midpoint < EVALUATIONS["rk4"] * rk4
-    first = len(EXPLICIT_METHODS) * MODELS.index(model)
-    answer = ca.if_else(cheaper, ca.vertcat(first, midpoint, 0.0), ca.vertcat(first + 1, rk4, 0.0))
-    if model == "saturating":
-        measured = ca.vertcat(first + 1, ca.ceil(FIRST_SHARE * rk4), tolerance)
-        return ca.if_else(demands.asked_force() / demands.vehicle.friction > SLIDING, measured, answer)
-    return answer
+    answer = ca.if_else(cheaper, ca.vertcat(0.0, midpoint, 0.0), ca.vertcat(1.0, rk4, 0.0))
+    return ca.if_else(demands.asked_force(model) / demands.vehicle.friction > SLIDING, measured, answer)
 
 
 class _Demands:
@@ -97,11 +102,15 @@ class _Demands:
 
     def __init__(self, model: Model) -> None:
         self.arguments = step_symbols(model_state_size(model))
-        state, control, numbers, self.step = self.arguments
+        given, control, numbers, self.step = self.arguments
         self.vehicle = vehicle = VehicleNumbers(*ca.vertsplit(numbers))
+        state = within_limits(given, vehicle)
         steering_command, acceleration_command = limited_commands(control, vehicle)
         steering, speed = state[STATE.steering], ca.fabs(state[STATE.speed])
+        self.steering = steering, steering_command
+        self.acceleration = state[STATE.acceleration], acceleration_command
         self.steering_change = ca.fabs(steering_command - steering)
+        self.steering_rate = ca.fmin(self.steering_change / vehicle.steering_lag, vehicle.max_steering_rate)
         self.commanded_change = ca.fabs(acceleration_command - state[STATE.acceleration])
         along = vehicle.gear * state[STATE.acceleration], vehicle.gear * acceleration_command
         self.driving, self.braking = ca.fmax(ca.fmax(*along), 0.0), ca.fmax(-ca.fmin(*along), 0.0)
@@ -110,9 +119,15 @@ class _Demands:
         self.lowest_speed = ca.fmax(speed - self.pull * self.step, 0.0)
         self.highest_speed = speed + self.driving * self.step
         # Rolling without slip along the sharpest curve of the step: yaw rate (rad/s), lateral acceleration (m/s^2).
+        turned_through = steering * steering_command < 0.0
+        self.least_steering = ca.if_else(turned_through, 0.0, ca.fmin(ca.fabs(steering), ca.fabs(steering_command)))
         sharpest = ca.fmax(ca.fabs(steering), ca.fabs(steering_command))
         self.turning_rate = self.highest_speed * ca.tan(sharpest) / vehicle.wheelbase
         self.turning = self.highest_speed * self.turning_rate
+        # A pull along a bend turns the vehicle faster and faster; without tyres no faster than grip lets it.
+        self.rolling_up = self.pull * ca.tan(sharpest)
+        self.gripped_rate = ca.fmin(self.turning_rate, vehicle.friction * GRAVITY / self.lowest_speed)
+        self.fading = self.lowest_speed < 4.0 * vehicle.standing_speed
         # How far it is from that now.
         rolling = state[STATE.speed] * ca.tan(steering) / vehicle.wheelbase
         self.has_tyres = model != "kinematic"
@@ -123,40 +138,68 @@ class _Demands:
         self.rear_slip = self.lateral_speed * self.slowness
 
     def plan(self, answer: Any) -> ca.Function:
-        """The plan that answers so."""
-        return ca.Function("plan", list(self.arguments), [ca.densify(ca.cse(answer))])
+        """The plan that answers so, and with the kinks."""
+        return ca.Function("plan", list(self.arguments), [ca.densify(ca.cse(ca.vertcat(answer, self.kinks())))])
+
+    def kinks(self) -> Any:
+        """When the actuators' ramps end and the acceleration changes between drive and brake, in rising order."""
+        vehicle = self.vehicle
+        acceleration = (*self.acceleration, vehicle.acceleration_lag, vehicle.max_jerk)
+        moments = [
+            ramp_seconds(*self.steering, vehicle.steering_lag, vehicle.max_steering_rate),
+            ramp_seconds(*acceleration),
+            seconds_to_zero(*acceleration),
+        ]
+        first, second, third = (ca.fmin(moment, self.step) for moment in moments)
+        first, second = ca.fmin(first, second), ca.fmax(first, second)
+        second, third = ca.fmin(second, third), ca.fmax(second, third)
+        return ca.vertcat(ca.fmin(first, second), ca.fmax(first, second), third)
 
     def tyre_deviation(self) -> Any:
         """Metres by which tyres could move it away from rolling without slip."""
         vehicle, speed = self.vehicle, self.highest_speed
         swinging = speed * self.steering_change / vehicle.steering_lag
         drifting = self.lateral_speed + (0.5 * speed * self.step + vehicle.wheelbase) * self.yaw_rate
-        return 0.5 * (self.turning + swinging) * self.step**2 + drifting * self.step + self.saturation_deviation()
+        return (
+            0.5 * (self.turning + swinging + self.rolling_up) * self.step**2
+            + drifting * self.step
+            + self.saturation_deviation()
+        )
 
     def saturation_deviation(self) -> Any:
         """Metres by which saturation could move it away from linear tyres."""
         if not self.has_tyres:
             return 0.0
-        asked = self.asked_force()
+        asked = self.asked_force("saturating")
         share = asked / self.vehicle.friction
         return 0.5 * GRAVITY * asked * share**4 / 4.0 * self.step**2
 
-    def asked_force(self) -> Any:
+    def asked_force(self, model: Model) -> Any:
         """The largest force that an axle could be asked for, over its load."""
         vehicle, speed = self.vehicle, self.highest_speed
+        braking = self.braking * speed * inverse_speed(speed, vehicle.standing_speed)
+        along = ca.fmax(self.driving, braking) / GRAVITY
+        if model == "kinematic":
+            return self.turning / GRAVITY + along
         front_load = vehicle.mass * GRAVITY * vehicle.rear_axle_to_centre / vehicle.wheelbase
         rear_load = vehicle.mass * GRAVITY - front_load
         front = vehicle.front_stiffness * (self.front_slip + self.steering_change) / front_load
         rear = vehicle.rear_stiffness * self.rear_slip / rear_load + self.turning / GRAVITY
-        braking = self.braking * speed * inverse_speed(speed, vehicle.standing_speed)
-        return ca.fmax(front, rear) + ca.fmax(self.driving, braking) / GRAVITY
+        return ca.fmax(front, rear) + along
 
     def rate(self, model: Model) -> Any:
         """The fastest rate (1/s) at which the model moves or is moved."""
         vehicle = self.vehicle
-        rate = 1.0 / vehicle.steering_lag + self.turning_rate + self.pull / vehicle.standing_speed
+        braking_rate = ca.if_else(self.fading, self.pull / vehicle.standing_speed, 0.0)
         if model == "kinematic":
-            return rate
+            grip = vehicle.wheelbase * vehicle.friction * GRAVITY
+            crossing = self.lowest_speed**2 * ca.tan(self.least_steering) < 3.0 * grip
+            saturating = ca.if_else(crossing, 4.0 * self.highest_speed**2 * self.steering_rate / grip, 0.0)
+            return 1.0 / vehicle.steering_lag + self.gripped_rate + braking_rate + saturating
+        rate = 1.0 / vehicle.steering_lag + self.turning_rate + braking_rate
+        if model == "saturating":
+            front_grip = vehicle.friction * vehicle.mass * GRAVITY * vehicle.rear_axle_to_centre / vehicle.wheelbase
+            rate += 2.0 * vehicle.front_stiffness * self.steering_rate / front_grip
         front, rear = vehicle.front_stiffness, vehicle.rear_stiffness
         lateral = (front + rear) / vehicle.mass
         to_front, to_rear = vehicle.front_axle_to_centre, vehicle.rear_axle_to_centre
@@ -167,13 +210,16 @@ class _Demands:
     def substeps(self, model: Model, method: ExplicitMethod, tolerance: float) -> Any:
         """Sub-steps that stability and the error ask for."""
         rate, errors, vehicle = self.rate(model), ERROR_MODELS[method], self.vehicle
-        slipping = self.steering_change + self.front_slip + self.rear_slip
+        # While it ramps the steering is smooth: what counts is the distance from which it decays.
+        slipping = vehicle.steering_lag * self.steering_rate + self.front_slip + self.rear_slip
+        if model != "kinematic":
+            slipping += vehicle.mass * self.turning / (vehicle.front_stiffness + vehicle.rear_stiffness)
         swaying = errors.swaying * (1.0 + self.highest_speed) * rate * slipping
-        bent = self.highest_speed * self.turning_rate + self.pull
-        bending = errors.bending * bent * self.step * self.turning_rate ** (errors.order - 1)
+        turning_rate = self.gripped_rate if model == "kinematic" else self.turning_rate
+        bent = self.highest_speed * turning_rate + self.pull
+        bending = errors.bending * bent * self.step * turning_rate ** (errors.order - 1)
         # How far the acceleration is from what it will be; close to standstill brakes fade, and all of it may go.
-        fading = self.lowest_speed < 4.0 * vehicle.standing_speed
-        pull_change = ca.if_else(fading, self.pull, self.commanded_change)
+        pull_change = ca.if_else(self.fading, self.pull, self.commanded_change)
         pulling = errors.pulling * pull_change / vehicle.acceleration_lag ** (errors.order - 2)
         stable = rate * self.step / STABLE_RATE_TIMES_LENGTH
         accurate = self.step * ((swaying + bending + pulling) / tolerance) ** (1.0 / errors.order)

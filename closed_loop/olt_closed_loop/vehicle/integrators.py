@@ -7,6 +7,7 @@ it took and what it left out. `olt bench vehicle` holds the error of each agains
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from olt_closed_loop.vehicle.compiled import MOST_SUBSTEPS, BatchStep, StepProgram, make_explicit_step
 from olt_closed_loop.vehicle.implicit import ImplicitStep, cvodes_function, radau_function
 from olt_closed_loop.vehicle.integration_plan import automatic_plan, candidates, fixed_plan, stiffness_plan
-from olt_closed_loop.vehicle.parameters import Model, VehicleParameters, model_state_size
+from olt_closed_loop.vehicle.parameters import Model, VehicleParameters, model_state_size, on_the_brake
 from olt_closed_loop.vehicle.substeps import substep_function
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
@@ -38,7 +39,8 @@ class VehicleStepper:
         method: how to integrate.
         substeps: of `midpoint` and `rk4`, elements of `radau`; None for what the moment asks for (`radau`: 8).
         step: seconds.
-        tolerance: metres of position error in 0.1 s that `auto`, and sub-steps that are not given, stay within.
+        tolerance: metres of position error in 0.1 s that `auto` stays within, and that sub-steps which are not given
+            are estimated for.
 
     Raises:
         InputError: an unknown method, a number that makes no sense, or vehicles of several models.
@@ -63,16 +65,17 @@ class VehicleStepper:
         if len(models) != 1:
             raise InputError(f"a batch of the models {', '.join(sorted(models)) or 'none'}; give vehicles of one model")
         self._step, self._tolerance, self._batched = step, tolerance, batch is vehicles
+        self._vehicles, self._shifted = list(batch), list[int]()
         self._model = model = batch[0].model
-        self._numbers = np.stack([vehicle.numbers for vehicle in batch])
+        numbers = np.stack([vehicle.numbers for vehicle in batch])
         # What the rows of `BatchStep.taken` stand for; the last is the rescue of vehicles that are not moved.
         explicit: tuple[tuple[Model, Any], ...] = candidates(model) if method == "auto" else ((model, method),)
         self._ways = [*(" ".join(way) for way in explicit), f"{model} cvodes"]
         self._batch_step: BatchStep
         if method == "cvodes":
-            self._batch_step = ImplicitStep(cvodes_function(model), self._numbers, step)
+            self._batch_step = ImplicitStep(cvodes_function(model), numbers, step)
         elif method == "radau":
-            self._batch_step = ImplicitStep(radau_function(model, substeps or RADAU_ELEMENTS), self._numbers, step)
+            self._batch_step = ImplicitStep(radau_function(model, substeps or RADAU_ELEMENTS), numbers, step)
         else:
             step_tolerance = tolerance * step / 0.1
             if method == "auto":
@@ -82,7 +85,7 @@ class VehicleStepper:
             else:
                 plan = fixed_plan(model, substeps)
             functions = tuple(substep_function(*way, model_state_size(model)) for way in explicit)
-            self._batch_step = make_explicit_step(StepProgram(functions, plan), self._numbers, step)
+            self._batch_step = make_explicit_step(StepProgram(functions, plan), numbers, step)
 
     def __call__(self, state: Array, control: Array) -> Array:
         """The state (s,) one step later under a control (2,); of a batch (n, s) under (n, 2).
@@ -90,14 +93,26 @@ class VehicleStepper:
         Raises:
             InputError: a state or control is not finite, or the equations cannot be solved from there.
         """
+        if self._shifted:
+            state = np.atleast_2d(state).copy()
+            state[self._shifted] = on_the_brake(state[self._shifted], self._vehicles[0])
+            self._shifted = []
         taken, plans = self._batch_step.taken, self._batch_step.plans
         unmoved = taken[-1, 0]
         ends = self._batch_step(state, control)
         if taken[-1, 0] > unmoved:
             rows = np.flatnonzero(plans[:, 0] == len(self._ways) - 1)
-            implicit = ImplicitStep(cvodes_function(self._model), self._numbers[rows], self._step)
+            implicit = ImplicitStep(cvodes_function(self._model), self._batch_step.numbers[rows], self._step)
             ends[rows] = implicit(np.atleast_2d(state)[rows], np.atleast_2d(control)[rows])
         return ends.copy() if self._batched else ends[0].copy()
+
+    def shift(self, reverse: bool) -> None:
+        """Put all vehicles into a gear; those that shift start their next step on the brake."""
+        rows = [index for index, vehicle in enumerate(self._vehicles) if vehicle.reverse_gear != reverse]
+        if rows:
+            self._vehicles = [replace(vehicle, reverse_gear=reverse) for vehicle in self._vehicles]
+            self._batch_step.numbers[...] = [vehicle.numbers for vehicle in self._vehicles]
+            self._shifted = rows
 
     def taken(self) -> dict[str, tuple[int, int]]:
         """Steps of all vehicles since the stepper was made, and their sub-steps, by model and method.

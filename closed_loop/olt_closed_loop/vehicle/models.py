@@ -7,6 +7,10 @@ Vehicle Dynamics and Control, 2nd ed., section 2.2, with the reference point on 
 
     x' = v cos(yaw)    y' = v sin(yaw)    yaw' = v tan(steering) / wheelbase    v' = a
 
+It has no tyres but it has grip: a and v yaw', the acceleration of the rear axle that is asked for along and across, are
+scaled by the one factor that brings them within the friction circle (`vehicle.tyres`). Beyond it the vehicle turns less
+than it is steered and brakes less than it is asked to.
+
 With tyres: Newton and Euler for the body, with the forces of `vehicle.tyres` in the axes of each wheel (the
 same book, section 2.3, without its small angles). Without slip these are the kinematic equations again, plus the
 energy that turning takes up, so the family has no seam. The acceleration is a force at both axles in proportion to
@@ -63,6 +67,12 @@ def limited_commands(control: Any, vehicle: VehicleNumbers) -> tuple[Any, Any]:
     return steering, clip(control[1], vehicle.min_acceleration, vehicle.max_acceleration)
 
 
+def within_limits(state: Any, vehicle: VehicleNumbers) -> Any:
+    """The state with its actuators cut at the limits of their commands: none stands beyond them."""
+    actuators = limited_commands(state[STATE.steering : STATE.lateral_speed], vehicle)
+    return ca.vertcat(state[: STATE.steering], *actuators, state[STATE.lateral_speed :])
+
+
 def motion_of(state: Any) -> Any:
     """The part of a state that is not an actuator: x, y, yaw, speed and, with tyres, lateral speed and yaw rate."""
     return ca.vertcat(state[: STATE.steering], state[STATE.lateral_speed :])
@@ -76,7 +86,8 @@ def motion_derivative(model: Model, motion: Any, steering: Any, acceleration: An
     pull = vehicle.gear * driving - braking * speed * inverse_speed(speed, vehicle.standing_speed)
     if model == "kinematic":
         yaw_rate = speed * ca.tan(steering) / vehicle.wheelbase
-        return ca.vertcat(speed * ca.cos(yaw), speed * ca.sin(yaw), yaw_rate, pull)
+        given = friction_share(pull, speed * yaw_rate, vehicle.friction * GRAVITY)
+        return ca.vertcat(speed * ca.cos(yaw), speed * ca.sin(yaw), given * yaw_rate, given * pull)
     lateral_speed, yaw_rate = motion[4], motion[5]
     velocity = ca.vertcat(
         speed * ca.cos(yaw) - lateral_speed * ca.sin(yaw), speed * ca.sin(yaw) + lateral_speed * ca.cos(yaw)

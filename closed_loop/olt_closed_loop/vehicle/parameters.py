@@ -11,6 +11,9 @@ from olt_generator.poses import Array
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, VehicleDimensions
 
 DRY_FRICTION = 1.0
+"""Of a dry road. The tyres of CommonRoad's vehicle models have 1.05 across and 1.17 along; this stays below both."""
+STEERING_RATE = 0.4
+"""Of a car's front wheel, rad/s: the limit of all three cars of CommonRoad's vehicle models."""
 
 Model = Literal["kinematic", "linear", "saturating"]
 MODELS: tuple[Model, ...] = ("kinematic", "linear", "saturating")
@@ -25,7 +28,6 @@ class TyreParameters:
         yaw_inertia: about the centre of gravity, kg m^2.
         rear_axle_to_centre: from the rear axle forward to the centre of gravity, metres.
         front_stiffness, rear_stiffness: cornering stiffness of a whole axle, N/rad.
-        friction: between tyres and road; infinite for linear tyres.
         slip_speed: v_slip of `vehicle.tyres`, m/s.
     """
 
@@ -34,7 +36,6 @@ class TyreParameters:
     rear_axle_to_centre: float
     front_stiffness: float
     rear_stiffness: float
-    friction: float = np.inf
     slip_speed: float = 3.0
 
 
@@ -44,7 +45,9 @@ class VehicleParameters:
 
     Lags and acceleration limits are AlpaSim's (docs/formats/alpasim.md). The steering limit is its 45 degrees
     too: on the default wheelbase that is a curvature of 0.35 1/m, just above the 0.33 1/m that a policy can ask for
-    (docs/formats/alpamayo.md), so every plan within the policy's bounds can be steered.
+    (docs/formats/alpamayo.md), so every plan within the policy's bounds can be steered. Grip and steering rate, which
+    AlpaSim does not limit, are those of CommonRoad's vehicle models (Althoff, Koschi, Manzinger, IV 2017; vehicle
+    models 2020a, appendix of parameters).
 
     Attributes:
         wheelbase: metres.
@@ -52,6 +55,7 @@ class VehicleParameters:
         max_steering: largest steering angle to either side, radians.
         min_acceleration, max_acceleration: limits of the acceleration command, m/s^2; the reverse gear swaps them.
         standing_speed: v_stand of `vehicle.models`, m/s.
+        friction: between tyres and road, the radius of the friction circle over the load; infinite for none.
         max_steering_rate: of the front wheel, rad/s.
         max_jerk: of the set acceleration, m/s^3.
         reverse_gear: whether negative acceleration drives and positive brakes.
@@ -65,7 +69,8 @@ class VehicleParameters:
     min_acceleration: float = -8.0
     max_acceleration: float = 6.0
     standing_speed: float = 0.5
-    max_steering_rate: float = np.inf
+    friction: float = DRY_FRICTION
+    max_steering_rate: float = STEERING_RATE
     max_jerk: float = np.inf
     reverse_gear: bool = False
     tyres: TyreParameters | None = None
@@ -80,7 +85,7 @@ class VehicleParameters:
         """The member of the family that these parameters describe."""
         if self.tyres is None:
             return "kinematic"
-        return "saturating" if np.isfinite(self.tyres.friction) else "linear"
+        return "saturating" if np.isfinite(self.friction) else "linear"
 
     @property
     def state_size(self) -> int:
@@ -99,13 +104,14 @@ class VehicleParameters:
     def numbers(self) -> Array:
         """The parameters (`NUMBERS_SIZE`,) in the order of `VehicleNumbers`, SI units; those of absent tyres are 1."""
         (_, low), (_, high) = self.control_limits
-        tyres = self.tyres or TyreParameters(*np.ones(7))
+        tyres = self.tyres or TyreParameters(*np.ones(6))
         return np.array(
             [
                 *(self.wheelbase, self.steering_lag, self.acceleration_lag, self.max_steering, low, high),
-                *(self.standing_speed, self.max_steering_rate, self.max_jerk, -1.0 if self.reverse_gear else 1.0),
+                *(self.standing_speed, self.friction, self.max_steering_rate, self.max_jerk),
+                -1.0 if self.reverse_gear else 1.0,
                 *(tyres.mass, tyres.yaw_inertia, tyres.rear_axle_to_centre),
-                *(tyres.front_stiffness, tyres.rear_stiffness, tyres.friction, tyres.slip_speed),
+                *(tyres.front_stiffness, tyres.rear_stiffness, tyres.slip_speed),
             ]
         )
 
@@ -114,7 +120,7 @@ class VehicleNumbers(
     namedtuple(
         "VehicleNumbers",
         "wheelbase steering_lag acceleration_lag max_steering min_acceleration max_acceleration standing_speed "
-        "max_steering_rate max_jerk gear mass yaw_inertia rear_axle_to_centre front_stiffness rear_stiffness friction "
+        "friction max_steering_rate max_jerk gear mass yaw_inertia rear_axle_to_centre front_stiffness rear_stiffness "
         "slip_speed",
     )
 ):
@@ -142,6 +148,15 @@ def with_rolling_tyres(states: Array, parameters: VehicleParameters) -> Array:
     return np.concatenate([states, np.zeros_like(yaw_rate)[..., None], yaw_rate[..., None]], axis=-1)
 
 
+def on_the_brake(states: Array, parameters: VehicleParameters) -> Array:
+    """States (..., s) as a shift of gear leaves them: what was set, drive or brake, is brake of the new gear."""
+    shifted = states.copy()
+    shifted[..., STATE.acceleration] = np.abs(states[..., STATE.acceleration])
+    if not parameters.reverse_gear:
+        shifted[..., STATE.acceleration] *= -1.0
+    return shifted
+
+
 def vehicle_with_tyres(dimensions: VehicleDimensions, friction: float = DRY_FRICTION) -> VehicleParameters:
     """AlpaSim's car (docs/formats/alpasim.md) scaled to a box; with infinite friction its tyres are linear.
 
@@ -158,6 +173,5 @@ def vehicle_with_tyres(dimensions: VehicleDimensions, friction: float = DRY_FRIC
         # The source gives the stiffness of one tyre, of which an axle has two.
         front_stiffness=2 * 93534.5 * heavier,
         rear_stiffness=2 * 176162.1 * heavier,
-        friction=friction,
     )
-    return replace(VehicleParameters.from_dimensions(dimensions), tyres=tyres)
+    return replace(VehicleParameters.from_dimensions(dimensions), friction=friction, tyres=tyres)

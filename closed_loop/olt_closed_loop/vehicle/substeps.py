@@ -11,7 +11,7 @@ from typing import Any, Literal
 import casadi as ca
 
 from olt_closed_loop.vehicle.actuators import actuator_after
-from olt_closed_loop.vehicle.models import limited_commands, motion_derivative, motion_of, step_symbols
+from olt_closed_loop.vehicle.models import limited_commands, motion_derivative, motion_of, step_symbols, within_limits
 from olt_closed_loop.vehicle.parameters import Model, VehicleNumbers, model_state_size
 from olt_closed_loop.vehicle.state import STATE
 
@@ -47,7 +47,8 @@ def substep_function(model: Model, method: ExplicitMethod, state_size: int) -> c
     roll without slip.
     """
     full, control, numbers, length = step_symbols(state_size)
-    vehicle, state = VehicleNumbers(*ca.vertsplit(numbers)), full[: model_state_size(model)]
+    vehicle = VehicleNumbers(*ca.vertsplit(numbers))
+    state = within_limits(full[: model_state_size(model)], vehicle)
     steering, acceleration = limited_commands(control, vehicle)
 
     def actuators(time: Any) -> tuple[Any, Any]:

@@ -7,7 +7,8 @@ v_slip, is smooth, holds in both directions, and makes a slow tyre a damper with
 Saturation: the forces that an axle is asked for, along (drive and brakes) and across (stiffness times slip), are
 scaled by one factor (1 + s^4)^(-1/4), where s is the length of the asked-for force over friction times load: the
 friction circle, approached smoothly (an isotropic combined-slip tyre; Pacejka, Tyre and Vehicle Dynamics, 3rd ed.,
-chapter 3, in form). At s = 0.3 it takes 0.2 %, at s = 1 it takes 16 %. Loads are those at rest: no load transfer.
+chapter 3, in form). At s = 0.3 it takes 0.2 %, at s = 1 it takes 16 %. Loads are those at rest: no load transfer. The
+kinematic model's accelerations are kept within the same circle.
 """
 
 from typing import Any
@@ -33,5 +34,5 @@ def linear_force(stiffness: Any, lateral_speed: Any, rolling_speed: Any, slip_sp
 
 
 def friction_share(along: Any, across: Any, limit: Any) -> Any:
-    """The factor that brings the asked-for forces (N) within the friction circle of radius `limit` (N)."""
+    """The factor that brings the asked-for forces within the friction circle of radius `limit`, both in N or m/s^2."""
     return share_left((along**2 + across**2) / limit**2)

@@ -3,14 +3,15 @@
 import shutil
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from scipy.stats import binomtest
 
-from olt_datasets.benchmarks.planted_faults import Fault, list_faults
+from olt_datasets.benchmarks.image_faults import ImageFault
+from olt_datasets.benchmarks.planted_faults import FAULTS, Fault
 from olt_datasets.benchmarks.verified_clips import write_clean_store
 from olt_generator.seeds import make_generator
 from olt_toolkit.clips.store import ClipStore
@@ -41,38 +42,42 @@ class StoreMeasure:
     clips: int = 2
 
 
-@dataclass(frozen=True)
-class FaultBench:
-    """Good clips, the faults that are planted into them, and the groups of checks that look at the good ones."""
-
-    write_store: Callable[[Path, int, int], ClipStore]
-    faults: tuple[Fault, ...]
-    groups: tuple[str, ...]
-
-
-FILE_BENCH = FaultBench(write_clean_store, tuple(list_faults()), GROUPS)
-
-
-def measure_store(number: int, seed: int, faults: Sequence[str], bench: FaultBench = FILE_BENCH) -> StoreMeasure:
+def measure_store(number: int, seed: int, faults: Sequence[str]) -> StoreMeasure:
     """Make a store of two good clips, look at it, and plant each of the faults into a copy of its own."""
     use_one_thread()
     with tempfile.TemporaryDirectory(prefix="verify.") as folder:
         good = Path(folder) / "good"
-        store = bench.write_store(good, number, seed)
-        findings, seconds = _look_at_good(store, bench.groups)
+        store = write_clean_store(good, number, seed)
+        findings, seconds = _look_at_good(store)
         outcomes: dict[str, Outcome] = {
             fault.name: _plant(good, Path(folder) / "bad", fault, (number, seed))
-            for fault in bench.faults
+            for fault in FAULTS
             if fault.name in faults
         }
+    return StoreMeasure(outcomes, [each.verdict for each in findings], word_alarms(findings), seconds)
+
+
+def tell_outcome(findings: Sequence[Finding]) -> Outcome:
+    """What the findings of the checks that should find a fault say of it: one that fails is enough."""
+    verdicts = {each.verdict for each in findings}
+    if Verdict.FAILED in verdicts:
+        return "found"
+    return "not compared" if Verdict.NOT_COMPARED in verdicts else "missed"
+
+
+def word_alarms(findings: Sequence[Finding]) -> list[str]:
+    """What failed of a good clip, in words."""
     alarms = [each for each in findings if each.verdict is Verdict.FAILED]
-    words = [f"{each.check}: {each.where.partition('clip ')[2]}: {each.measured} {each.detail}" for each in alarms]
-    return StoreMeasure(outcomes, [each.verdict for each in findings], words, seconds)
+    return [f"{each.check}: {each.where.partition('clip ')[2]}: {each.measured} {each.detail}" for each in alarms]
 
 
-def summarize(measured: Sequence[StoreMeasure], bench: FaultBench = FILE_BENCH) -> dict[str, Any]:
+def summarize(
+    measured: Sequence[StoreMeasure],
+    faults: Sequence[Fault | ImageFault] = FAULTS,
+    groups: Sequence[str] = GROUPS,
+) -> dict[str, Any]:
     """Shares of faults and false alarms with exact (Clopper-Pearson) intervals of 95 %; time by what is looked at."""
-    rows = [_summarize_fault(fault, measured) for fault in bench.faults if fault.name in measured[0].outcomes]
+    rows = [_summarize_fault(fault, measured) for fault in faults if fault.name in measured[0].outcomes]
     verdicts = [verdict for each in measured for verdict in each.clean]
     failed = sum(verdict is Verdict.FAILED for verdict in verdicts)
     compared = sum(verdict is not Verdict.NOT_COMPARED for verdict in verdicts)
@@ -86,17 +91,15 @@ def summarize(measured: Sequence[StoreMeasure], bench: FaultBench = FILE_BENCH) 
             "interval": _interval(failed, compared),
             "false_alarms": [alarm for each in measured for alarm in each.false_alarms],
         },
-        "cost": _summarize_cost(rows, measured, bench.groups),
+        "cost": _summarize_cost(rows, measured, groups),
     }
 
 
-def _look_at_good(store: ClipStore, groups: Sequence[str]) -> tuple[list[Finding], dict[str, float]]:
-    findings: list[Finding] = []
-    seconds: dict[str, float] = {}
-    if STORE_GROUP in groups:
-        start = time.process_time()
-        findings, seconds = list(check_store(store)), {STORE_GROUP: time.process_time() - start}
-    for group in (name for name in CLIP_CHECKS if name in groups):
+def _look_at_good(store: ClipStore) -> tuple[list[Finding], dict[str, float]]:
+    start = time.process_time()
+    findings = list(check_store(store))
+    seconds = {STORE_GROUP: time.process_time() - start}
+    for group in CLIP_CHECKS:
         start = time.process_time()
         for info in store.clips():
             findings += verify_clip(store, info.clip_id, (group,))
@@ -114,13 +117,10 @@ def _plant(good: Path, bad: Path, fault: Fault, seeds: tuple[int, int]) -> Outco
         findings += verify_clip(store, first, fault.groups)
     finally:
         shutil.rmtree(bad)
-    verdicts = {each.verdict for each in findings if each.check in fault.expected_checks}
-    if Verdict.FAILED in verdicts:
-        return "found"
-    return "not compared" if Verdict.NOT_COMPARED in verdicts else "missed"
+    return tell_outcome([each for each in findings if each.check in fault.expected_checks])
 
 
-def _summarize_fault(fault: Fault, measured: Sequence[StoreMeasure]) -> dict[str, Any]:
+def _summarize_fault(fault: Fault | ImageFault, measured: Sequence[StoreMeasure]) -> dict[str, Any]:
     outcomes = [each.outcomes[fault.name] for each in measured]
     found, missed = outcomes.count("found"), outcomes.count("missed")
     return {

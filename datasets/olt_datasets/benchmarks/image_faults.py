@@ -1,76 +1,100 @@
-"""Faults that only a look at the images finds, planted into a store of two rendered clips.
+"""Faults that only a look at the images finds, planted into what a good clip shows and says once it is decoded.
 
-Everything else fits: the files have their checksums, the tables contradict neither themselves nor each other.
+Files, checksums and tables play no part: whoever made these mistakes made them fit. Faults of the files themselves are
+those of `planted_faults`.
 """
 
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from olt_datasets.benchmarks.planted_faults import Fault, Generator, Plant
-from olt_datasets.benchmarks.store_surgery import change_members, change_motion, trust
-from olt_datasets.benchmarks.video_surgery import change_frames
-from olt_toolkit.clips.pai_layout import EGOMOTION, STORED, VIDEO
-from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.clips.verification.camera_checks import CAMERA_NAME, OWN_VIDEO, TELE_INSIDE, TELE_TIMES
+from olt_generator.poses import Array, invert, make_pose
+from olt_generator.trajectory import Trajectory
+from olt_toolkit.clips.clip import EgoMotion
+from olt_toolkit.clips.verification.camera_checks import check_names, check_own_videos, check_tele
+from olt_toolkit.clips.verification.clip_evidence import ClipEvidence
+from olt_toolkit.clips.verification.findings import Finding
+from olt_toolkit.clips.verification.hypotheses import motion_of
+from olt_toolkit.clips.verification.image_evidence import ImageEvidence
+from olt_toolkit.clips.verification.image_steps import CameraImages, follow_points
 from olt_toolkit.clips.verification.motion_checks import (
-    FRAME_ORDER,
-    FRAME_TIMES,
-    MIRRORED,
     MOTION,
     MOTION_SCALE,
     MOTION_SIDES,
     MOTION_TIMES,
-    THIS_CLIP,
+    check_frame_order,
+    check_frame_times,
+    check_mirrored,
+    check_motion,
+    check_this_clip,
 )
+from olt_toolkit.clips.verification.neighbour_checks import check_neighbours
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
 
+Generator = np.random.Generator
+Plant = Callable[[ClipEvidence, ClipEvidence, Generator], ClipEvidence]
+"""From a good clip and another one to a bad clip."""
+Look = Callable[[ClipEvidence], Iterable[Finding]]
 Frames = NDArray[np.uint8]
 
-IMAGES = ("images",)
-_POSITION, _VELOCITY, _ACCELERATION = ["x", "y", "z"], ["vx", "vy", "vz"], ["ax", "ay", "az"]
-_QUATERNION = ["qx", "qy", "qz", "qw"]
+# Left becomes right.
+_MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
-def _video(camera: str, change: Callable[[Frames, Generator], Frames]) -> Plant:
-    def plant(root: Path, clip: str, _: str, generator: Generator) -> None:
-        name = STORED[camera].member(VIDEO, clip)
-        change_members(
-            root,
-            camera,
-            lambda found: found | {name: change_frames(found[name], lambda frames: change(frames, generator))},
-        )
-        trust(root, clip)
+@dataclass(frozen=True)
+class ImageFault:
+    """One kind of fault.
+
+    Attributes:
+        name: in words.
+        plant: makes a bad clip of a good one.
+        looks: the checks that should find it; one that fails is enough.
+        groups: name of the group of these checks.
+    """
+
+    name: str
+    plant: Plant
+    looks: tuple[Look, ...]
+    groups: tuple[str, ...] = ("images",)
+
+
+def _with_images(clip: ClipEvidence, changed: dict[str, CameraImages]) -> ClipEvidence:
+    followed = {camera: ImageEvidence(follow_points(images), clip.ego_motion) for camera, images in changed.items()}
+    return replace(clip, images=clip.images | changed, evidence=clip.evidence | followed)
+
+
+def _with_motion(clip: ClipEvidence, motion: EgoMotion) -> ClipEvidence:
+    evidence = {camera: ImageEvidence(each.steps, motion) for camera, each in clip.evidence.items()}
+    return replace(clip, ego_motion=motion, evidence=evidence)
+
+
+def _showing(camera: CameraImages, other: CameraImages) -> CameraImages:
+    """A camera with the images of another one, as many as both have."""
+    count = min(len(camera.times_us), len(other.times_us))
+    seen = None if other.seen is None else other.seen[:count]
+    return replace(camera, times_us=camera.times_us[:count], grays=other.grays[:count], seen=seen)
+
+
+def _frames(camera: str, change: Callable[[Frames, Generator], Frames]) -> Plant:
+    def plant(clip: ClipEvidence, _: ClipEvidence, generator: Generator) -> ClipEvidence:
+        images = clip.images[camera]
+        changed = np.ascontiguousarray(change(images.grays, generator))
+        return _with_images(clip, {camera: replace(images, grays=changed)})
 
     return plant
 
 
-def _videos_of(first: str, second: str, exchange: bool) -> Plant:
-    """The video of the second camera in place of the first one's, and the other way round where they are exchanged."""
-
-    def plant(root: Path, clip: str, _: str, __: Generator) -> None:
-        store, names = ClipStore(root), {camera: STORED[camera].member(VIDEO, clip) for camera in (first, second)}
-        videos = {camera: store.read_member(clip, camera, VIDEO) for camera in (first, second)}
-        change_members(root, first, lambda found: found | {names[first]: videos[second]})
-        if exchange:
-            change_members(root, second, lambda found: found | {names[second]: videos[first]})
-        trust(root, clip)
-
-    return plant
+def _cameras(*shown: tuple[str, str]) -> Plant:
+    """Cameras that show what others do: pairs of the camera and the other one."""
+    return lambda clip, _, __: _with_images(
+        clip, {camera: _showing(clip.images[camera], clip.images[other]) for camera, other in shown}
+    )
 
 
-def _of_another_clip(feature: str, alias: str) -> Plant:
-    def plant(root: Path, clip: str, other: str, _: Generator) -> None:
-        first, second = (STORED[feature].member(alias, each) for each in (clip, other))
-        change_members(root, feature, lambda found: found | {first: found[second], second: found[first]})
-        for each in (clip, other):
-            trust(root, each)
-
-    return plant
+def _of_other(camera: str) -> Plant:
+    return lambda clip, other, _: _with_images(clip, {camera: _showing(clip.images[camera], other.images[camera])})
 
 
 def _late(frames: int) -> Callable[[Frames, Generator], Frames]:
@@ -78,83 +102,120 @@ def _late(frames: int) -> Callable[[Frames, Generator], Frames]:
     return lambda images, _: images[np.maximum(np.arange(len(images)) - frames, 0)]
 
 
-def _motion(change: Callable[[pd.DataFrame], pd.DataFrame]) -> Plant:
-    return lambda root, clip, _, __: change_motion(root, clip, change)
+def _poses(change: Callable[[Array], Array]) -> Plant:
+    def plant(clip: ClipEvidence, _: ClipEvidence, __: Generator) -> ClipEvidence:
+        said = clip.ego_motion.trajectory
+        changed = Trajectory(said.timestamps_us, change(said.T_world_rig))
+        return _with_motion(clip, EgoMotion.from_trajectory(changed))
+
+    return plant
 
 
-def _scaled(factor: float) -> Callable[[pd.DataFrame], pd.DataFrame]:
-    """All lengths in another unit, so that no table contradicts another."""
+def _delayed(seconds: float) -> Plant:
+    def plant(clip: ClipEvidence, _: ClipEvidence, __: Generator) -> ClipEvidence:
+        said = clip.ego_motion
+        late = Trajectory(said.trajectory.timestamps_us + round(seconds * 1e6), said.trajectory.T_world_rig)
+        return _with_motion(clip, replace(said, trajectory=late))
 
-    def change(table: pd.DataFrame) -> pd.DataFrame:
-        table[[*_POSITION, *_VELOCITY, *_ACCELERATION]] *= factor
-        return table.assign(curvature=table["curvature"] / factor)
-
-    return change
-
-
-def _mirrored(table: pd.DataFrame) -> pd.DataFrame:
-    """Left-handed: y to the right, yaw and roll with the other sign, consistently."""
-    for name in ("y", "vy", "ay", "qx", "qz", "curvature"):
-        table[name] = -table[name]
-    return table
+    return plant
 
 
-def _backward(table: pd.DataFrame) -> pd.DataFrame:
-    """The whole motion backward in time, begun at the origin, consistently."""
-    for columns, sign in ((_POSITION, 1), (_QUATERNION, 1), (_VELOCITY, -1), (_ACCELERATION, 1), (["curvature"], -1)):
-        table[columns] = sign * table[columns].to_numpy()[::-1]
-    start = Rotation.from_quat(np.array(table[_QUATERNION].iloc[0])).inv()
-    table[_POSITION] = start.apply(np.array(table[_POSITION] - table[_POSITION].iloc[0]))
-    table[_QUATERNION] = (start * Rotation.from_quat(np.array(table[_QUATERNION]))).as_quat()
-    for columns in (_VELOCITY, _ACCELERATION):
-        table[columns] = start.apply(np.array(table[columns]))
-    return table
+def _scaled(factor: float) -> Plant:
+    return _poses(lambda poses: make_pose(poses[:, :3, :3], factor * poses[:, :3, 3]))
 
 
-def _delayed(seconds: float) -> Callable[[pd.DataFrame], pd.DataFrame]:
-    return lambda table: table.assign(timestamp=table["timestamp"] + round(seconds * 1e6))
+def _motion_of_other(clip: ClipEvidence, other: ClipEvidence, _: Generator) -> ClipEvidence:
+    exchanged = {other.clip_id: motion_of(clip.ego_motion)}
+    return replace(_with_motion(clip, other.ego_motion), other_motions=exchanged)
 
 
-IMAGE_FAULTS: tuple[Fault, ...] = (
-    Fault("left and right video exchanged", _videos_of(CROSS_LEFT, CROSS_RIGHT, True), (CAMERA_NAME, MIRRORED), IMAGES),
-    Fault("front and left video exchanged", _videos_of(FRONT_WIDE, CROSS_LEFT, True), (CAMERA_NAME,), IMAGES),
-    Fault("front and tele video exchanged", _videos_of(FRONT_WIDE, FRONT_TELE, True), (TELE_INSIDE,), IMAGES),
-    Fault("left video in place of the right", _videos_of(CROSS_RIGHT, CROSS_LEFT, False), (OWN_VIDEO,), IMAGES),
-    Fault("left images mirrored", _video(CROSS_LEFT, lambda frames, _: frames[:, :, ::-1]), (MIRRORED,), IMAGES),
-    Fault("front images mirrored", _video(FRONT_WIDE, lambda frames, _: frames[:, :, ::-1]), (TELE_INSIDE,), IMAGES),
-    Fault("left frames reversed", _video(CROSS_LEFT, lambda frames, _: frames[::-1]), (FRAME_ORDER,), IMAGES),
-    Fault("front frames reversed", _video(FRONT_WIDE, lambda frames, _: frames[::-1]), (FRAME_ORDER,), IMAGES),
-    Fault(
+def _one(check: Callable[[ClipEvidence, str], Finding], camera: str) -> Look:
+    return lambda clip: [check(clip, camera)]
+
+
+def _names(*cameras: str) -> Look:
+    return lambda clip: [each for each in check_names(clip) if each.where in cameras]
+
+
+def _motion(check: str) -> Look:
+    return lambda clip: [each for each in check_motion(clip) if each.check == check]
+
+
+_NAMES_OF_SIDES = (_names(CROSS_LEFT, CROSS_RIGHT), _one(check_mirrored, CROSS_LEFT), _one(check_mirrored, CROSS_RIGHT))
+_LEFT_TIMES = (_one(check_frame_times, CROSS_LEFT), check_neighbours)
+
+IMAGE_FAULTS: tuple[ImageFault, ...] = (
+    ImageFault(
+        "left and right video exchanged",
+        _cameras((CROSS_LEFT, CROSS_RIGHT), (CROSS_RIGHT, CROSS_LEFT)),
+        _NAMES_OF_SIDES,
+    ),
+    ImageFault(
+        "front and left video exchanged",
+        _cameras((FRONT_WIDE, CROSS_LEFT), (CROSS_LEFT, FRONT_WIDE)),
+        (_names(FRONT_WIDE, CROSS_LEFT), check_tele),
+    ),
+    ImageFault(
+        "front and tele video exchanged", _cameras((FRONT_WIDE, FRONT_TELE), (FRONT_TELE, FRONT_WIDE)), (check_tele,)
+    ),
+    ImageFault("left video in place of the right", _cameras((CROSS_RIGHT, CROSS_LEFT)), (check_own_videos,)),
+    ImageFault(
+        "left images mirrored",
+        _frames(CROSS_LEFT, lambda frames, _: frames[:, :, ::-1]),
+        (_one(check_mirrored, CROSS_LEFT), check_neighbours),
+    ),
+    ImageFault(
+        "front images mirrored",
+        _frames(FRONT_WIDE, lambda frames, _: frames[:, :, ::-1]),
+        (check_tele, _one(check_mirrored, FRONT_WIDE)),
+    ),
+    ImageFault(
+        "left frames reversed",
+        _frames(CROSS_LEFT, lambda frames, _: frames[::-1]),
+        (_one(check_frame_order, CROSS_LEFT), check_neighbours),
+    ),
+    ImageFault(
+        "front frames reversed",
+        _frames(FRONT_WIDE, lambda frames, _: frames[::-1]),
+        (_one(check_frame_order, FRONT_WIDE), check_tele),
+    ),
+    ImageFault(
         "right frames shuffled",
-        _video(CROSS_RIGHT, lambda frames, generator: frames[generator.permutation(len(frames))]),
-        (FRAME_ORDER,),
-        IMAGES,
+        _frames(CROSS_RIGHT, lambda frames, generator: frames[generator.permutation(len(frames))]),
+        (_one(check_frame_order, CROSS_RIGHT),),
     ),
-    Fault(
+    ImageFault(
         "left frames frozen half way",
-        _video(CROSS_LEFT, lambda frames, _: frames[np.minimum(np.arange(len(frames)), len(frames) // 2)]),
-        (FRAME_ORDER,),
-        IMAGES,
+        _frames(CROSS_LEFT, lambda frames, _: frames[np.minimum(np.arange(len(frames)), len(frames) // 2)]),
+        (_one(check_frame_order, CROSS_LEFT),),
     ),
-    Fault("left video of another clip", _of_another_clip(CROSS_LEFT, VIDEO), (THIS_CLIP,), IMAGES),
-    Fault("front video of another clip", _of_another_clip(FRONT_WIDE, VIDEO), (TELE_INSIDE, THIS_CLIP), IMAGES),
-    Fault("tele video of another clip", _of_another_clip(FRONT_TELE, VIDEO), (TELE_INSIDE,), IMAGES),
-    Fault("tele 0.1 s late", _video(FRONT_TELE, _late(1)), (TELE_TIMES,), IMAGES),
-    Fault("tele 1 s late", _video(FRONT_TELE, _late(10)), (TELE_TIMES, TELE_INSIDE), IMAGES),
-    Fault("left 0.3 s late", _video(CROSS_LEFT, _late(3)), (FRAME_TIMES,), IMAGES),
-    Fault("left 1 s late", _video(CROSS_LEFT, _late(10)), (FRAME_TIMES,), IMAGES),
-    Fault(
+    ImageFault(
+        "left video of another clip", _of_other(CROSS_LEFT), (_one(check_this_clip, CROSS_LEFT), check_neighbours)
+    ),
+    ImageFault("front video of another clip", _of_other(FRONT_WIDE), (check_tele, _one(check_this_clip, FRONT_WIDE))),
+    ImageFault("tele video of another clip", _of_other(FRONT_TELE), (check_tele,)),
+    ImageFault("tele 0.1 s late", _frames(FRONT_TELE, _late(1)), (check_tele,)),
+    ImageFault("tele 0.3 s late", _frames(FRONT_TELE, _late(3)), (check_tele,)),
+    ImageFault("tele 1 s late", _frames(FRONT_TELE, _late(10)), (check_tele,)),
+    ImageFault("left 0.3 s late", _frames(CROSS_LEFT, _late(3)), _LEFT_TIMES),
+    ImageFault("left 1 s late", _frames(CROSS_LEFT, _late(10)), _LEFT_TIMES),
+    ImageFault(
         "left at half the rate",
-        _video(CROSS_LEFT, lambda frames, _: frames[np.arange(len(frames)) // 2]),
-        (FRAME_ORDER, FRAME_TIMES),
-        IMAGES,
+        _frames(CROSS_LEFT, lambda frames, _: frames[np.arange(len(frames)) // 2]),
+        (_one(check_frame_order, CROSS_LEFT), _one(check_frame_times, CROSS_LEFT)),
     ),
-    Fault("motion left-handed", _motion(_mirrored), (MOTION_SIDES,), IMAGES),
-    Fault("motion backward in time", _motion(_backward), (MOTION,), IMAGES),
-    Fault("motion in cm", _motion(_scaled(100.0)), (MOTION_SCALE,), IMAGES),
-    Fault("motion of half the length", _motion(_scaled(0.5)), (MOTION_SCALE,), IMAGES),
-    Fault("motion of twice the length", _motion(_scaled(2.0)), (MOTION_SCALE,), IMAGES),
-    Fault("motion 0.3 s late", _motion(_delayed(0.3)), (MOTION_TIMES,), IMAGES),
-    Fault("motion 1 s late", _motion(_delayed(1.0)), (MOTION_TIMES,), IMAGES),
-    Fault("motion of another clip, trusted", _of_another_clip(EGOMOTION, EGOMOTION), (MOTION,), IMAGES),
+    ImageFault("motion left-handed", _poses(lambda poses: _MIRROR @ poses @ _MIRROR), (_motion(MOTION_SIDES),)),
+    ImageFault(
+        "rotations transposed",
+        _poses(lambda poses: make_pose(np.swapaxes(poses[:, :3, :3], 1, 2), poses[:, :3, 3])),
+        (_motion(MOTION_SIDES),),
+    ),
+    ImageFault("motion backward in time", _poses(lambda poses: invert(poses[-1]) @ poses[::-1]), (_motion(MOTION),)),
+    ImageFault("motion in cm", _scaled(100.0), (_motion(MOTION_SCALE),)),
+    ImageFault("motion in feet", _scaled(3.281), (_motion(MOTION_SCALE),)),
+    ImageFault("motion of half the length", _scaled(0.5), (_motion(MOTION_SCALE),)),
+    ImageFault("motion of twice the length", _scaled(2.0), (_motion(MOTION_SCALE),)),
+    ImageFault("motion 0.3 s late", _delayed(0.3), (_motion(MOTION_TIMES),)),
+    ImageFault("motion 1 s late", _delayed(1.0), (_motion(MOTION_TIMES),)),
+    ImageFault("motion of another clip", _motion_of_other, (_motion(MOTION),)),
 )

@@ -33,7 +33,9 @@ def export(
     image_size: Annotated[
         str | None, typer.Option(metavar="WIDTHxHEIGHT", help="Resize the images of a LeRobot data set.")
     ] = None,
-    keep_going: Annotated[bool, typer.Option("--keep-going", help="Leave out damaged clips and list them.")] = False,
+    keep_going: Annotated[
+        bool, typer.Option("--keep-going", help="Leave out clips that are damaged or fail verification, and list them.")
+    ] = False,
     no_verify: NoVerifyOption = False,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,

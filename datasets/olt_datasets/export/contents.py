@@ -5,7 +5,7 @@ several times, each time under an id of its own; uses beyond that (a sample draw
 """
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from operator import attrgetter, itemgetter
@@ -64,6 +64,14 @@ class Contents:
     def items(self) -> list[ExportItem]:
         """All items in the order of their groups."""
         return [item for group in self.groups for item in group.items]
+
+    def without(self, clip_ids: Collection[str]) -> "Contents":
+        """The same without some clips; groups of which nothing is left are left out."""
+        groups = [
+            replace(group, items=tuple(item for item in group.items if item.clip_id not in clip_ids))
+            for group in self.groups
+        ]
+        return replace(self, groups=tuple(group for group in groups if group.items))
 
     def with_one_item_per_clip(self) -> "Contents":
         """The same, with all sample times of a clip in one item: for layouts that hold many samples of a clip."""

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 
 from olt_datasets.export.contents import Contents, ExportItem
 from olt_datasets.export.image_sizes import Sizes, only_sizes, read_image_sizes, tell_resized, word_size
-from olt_datasets.export.look import halves, look_at_export
+from olt_datasets.export.look import halves, leave_out_failing, look_at_export
 from olt_datasets.export.writing import finished_part, note_finished, write_export
 from olt_datasets.verification.file_list import write_file_list
 from olt_datasets.verification.lerobot import verify_lerobot
@@ -226,6 +226,9 @@ def export_lerobot(
             fails; names the file.
     """
     on_written, on_verified = halves(on_progress, verify)
+    failing: dict[str, str] = {}
+    if verify and keep_going:
+        contents, failing = leave_out_failing(contents, out, workers, silent, engine)
     contents = contents.with_one_item_per_clip()
     true_sizes = read_image_sizes(contents)
     sizes = dict.fromkeys(contents.contract.cameras, image_size) if image_size else only_sizes(true_sizes)
@@ -248,7 +251,7 @@ def export_lerobot(
         columns = _write_data(root, episodes, tasks)
         _write_meta(root, contents, episodes, tasks, columns, _features(sizes, resized))
         pairs = zip(contents.items, clips, strict=True)
-        failures = {item.clip_id: reason for item, reason in pairs if isinstance(reason, str)}
+        failures = failing | {item.clip_id: reason for item, reason in pairs if isinstance(reason, str)}
         told = {"image_sizes": {camera: word_size(size) for camera, size in sizes.items()}, "resized_from": resized}
         write_file_list(root)
         verified = look_at_export(verify_lerobot, root, out, workers, on_verified, engine) if verify else None
@@ -319,6 +322,7 @@ def _write_meta(
     for name, values in columns.items():
         if values.dtype != np.bool_:
             rows = values.reshape(len(values), -1)
+            rows = rows.astype(np.float64) if rows.dtype == np.float32 else rows
             stats[name] = {each: getattr(np, each)(rows, axis=0).tolist() for each in ("min", "max", "mean", "std")}
             quantiles = np.quantile(rows, list(QUANTILES.values()), axis=0).tolist()
             stats[name] |= {"count": [len(rows)]} | dict(zip(QUANTILES, quantiles, strict=True))

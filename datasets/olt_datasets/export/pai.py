@@ -17,7 +17,7 @@ import pandas as pd
 
 from olt_datasets.export.chunks import ExportChunk, divide_into_chunks, write_chunk
 from olt_datasets.export.contents import Contents, ExportItem
-from olt_datasets.export.look import halves, look_at_export
+from olt_datasets.export.look import halves, leave_out_failing, look_at_export
 from olt_datasets.export.writing import write_export
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
@@ -48,7 +48,7 @@ def export_pai(
     """Write the clips to `out`, which appears when it is complete; an interrupted export goes on when it is repeated.
 
     Args:
-        keep_going: leave out damaged clips and list them, instead of stopping at the first.
+        keep_going: leave out clips that are damaged or fail verification and list them, instead of stopping.
         workers, engine: number of processes and where they run.
         on_progress: told the finished part, 0 to 1.
         verify: look at every clip of the export before it appears.
@@ -61,6 +61,9 @@ def export_pai(
             cannot be written, or a check fails; names the file.
     """
     on_written, on_verified = halves(on_progress, verify)
+    failing: dict[str, str] = {}
+    if verify and keep_going:
+        contents, failing = leave_out_failing(contents, out, workers, silent, engine)
 
     def write(root: Path) -> dict[str, Any]:
         chunks = divide_into_chunks(contents.groups)
@@ -72,7 +75,8 @@ def export_pai(
             raise InputError(f"{out}: no clip could be exported: {next(iter(failures.values()))}")
         infos = _write_tables(root, rows)
         verified = look_at_export(verify_store, root, out, workers, on_verified, engine) if verify else None
-        return _summarize(contents, chunks, results, rows, infos) | {"failures": failures, "verification": verified}
+        told = {"failures": failing | failures, "verification": verified}
+        return _summarize(contents, chunks, results, rows, infos) | told
 
     return write_export("pai", contents, {"verify": verify}, out, write)
 

@@ -12,6 +12,7 @@ from typing import Any
 import polars as pl
 
 from olt_datasets.tables.leak_report import ClipPlace, Leak
+from olt_datasets.tables.near_duplicate_match import Match
 from olt_generator.files import write_whole
 
 TOLD = 1000
@@ -21,6 +22,7 @@ _OTHER = tuple(f"{name}_other" for name in PLACE)
 SCHEMA = pl.Schema(
     dict.fromkeys(("rule", *PLACE, *_OTHER, "kind", "kind_other", "source"), pl.String)
     | dict.fromkeys(("from_us", "to_us", "pairs"), pl.Int64)
+    | {"score": pl.Float64, "lag_s": pl.Float64, "mirrored": pl.Boolean}
 )
 """Columns of a table of leaks: docs/concepts.md, Leaks."""
 _ORDER = ("rule", "scene_id", "clip_id", "scene_id_other", "clip_id_other", "store", "kind", "split", "split_other")
@@ -57,7 +59,9 @@ class LeakListing:
         """The first of each rule, in the order in which rules were added."""
         rules = list(self.counts)
         told = sorted(self._first.iter_rows(named=True), key=lambda row: rules.index(row["rule"]))
-        return tuple(Leak(row["rule"], row["scene_id"], *self._describe(row), row["pairs"]) for row in told)
+        return tuple(
+            Leak(row["rule"], row["scene_id"], *self._describe(row), row["pairs"], _match(row)) for row in told
+        )
 
     def _describe(self, row: dict[str, Any]) -> tuple[str, tuple[ClipPlace, ...]]:
         """What was found, in words, and its clips."""
@@ -71,11 +75,15 @@ class LeakListing:
             return f"source {row['source']} is external: it is never trained on", (place,)
         other = ClipPlace(*(row[name] for name in _OTHER))
         if row["rule"] == "near-duplicate":
-            return f"{place} looks like {other}", (place, other)
+            return f"{place} looks like {other}: {_match(row)}", (place, other)
         return (
             f"its {kind} clips in split {place.split} and its {other_kind} clips in {other.split} both show "
             f"moments from {row['from_us'] / 1e6:.6g} to {row['to_us'] / 1e6:.6g} s"
         ), (place, other)
+
+
+def _match(row: dict[str, Any]) -> Match | None:
+    return None if row["score"] is None else Match(row["score"], row["lag_s"], row["mirrored"])
 
 
 @contextmanager

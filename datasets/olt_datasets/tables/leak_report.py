@@ -5,6 +5,8 @@ from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from olt_datasets.tables.near_duplicate_match import Match
+
 SHOWN = 3
 NO_FINGERPRINT = "no fingerprint"
 NOTHING_TO_SEE = "images too plain to compare (fog, night, a wall)"
@@ -29,7 +31,7 @@ class Leak:
     """A scene that breaks a rule of `leaks.find_leaks`, and what was found, for people.
 
     `clips` is the clip and, where two are alike, the other one; of the first pair where there are more. `pairs` is the
-    number of clips, or of pairs of clips, that break the rule in this way.
+    number of clips, or of pairs of clips, that break the rule in this way. `match` is how alike near-duplicates are.
     """
 
     rule: str
@@ -37,6 +39,7 @@ class Leak:
     detail: str
     clips: tuple[ClipPlace, ...] = ()
     pairs: int = 1
+    match: Match | None = None
 
     def __str__(self) -> str:
         return f"scene {self.scene_id}: {self.detail}"

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from olt_datasets.tables.fingerprints import is_telling, search_near_duplicates
+from olt_datasets.tables.fingerprints import Search, is_telling, search_near_duplicates
 from olt_datasets.tables.leak_listing import PLACE, LeakListing, Write, write_leaks
 from olt_datasets.tables.leak_report import (
     NO_FINGERPRINT,
@@ -62,7 +62,7 @@ def find_leaks(
     listing.add(find_shared_moments(clips, others), rule)
     seen, guard = (frame.select(*PLACE, "fingerprint", never=never) for frame in (clips, guarded))
     search = search_near_duplicates(seen, guard)
-    listing.add(_find_near_duplicates(seen, guard, search.pairs), "near-duplicate")
+    listing.add(_find_near_duplicates(seen, guard, search), "near-duplicate")
     comparisons = [
         Comparison("split", "clips with the split of the mixture", mine),
         _compare_names("held out", "clips with the {} held-out scenes", mine, held_out_scenes),
@@ -122,12 +122,12 @@ def _find_sources(wrong: pl.LazyFrame) -> pl.DataFrame:
     return groups.collect(engine="streaming").unnest("first").sort("scene_id", "source")
 
 
-def _find_near_duplicates(mine: pl.LazyFrame, theirs: pl.LazyFrame, pairs: NDArray[np.int64]) -> Iterator[pl.DataFrame]:
-    """Pairs of clips that look alike and may not, of those at places (m, 2) of two tables."""
-    for start in range(0, len(pairs), _PAIRS_AT_ONCE):
-        part = pairs[start : start + _PAIRS_AT_ONCE]
+def _find_near_duplicates(mine: pl.LazyFrame, theirs: pl.LazyFrame, search: Search) -> Iterator[pl.DataFrame]:
+    """Pairs of clips of two tables that look alike and may not, and how alike they are."""
+    for start in range(0, len(search.pairs), _PAIRS_AT_ONCE):
+        part, matches = search.pairs[start : start + _PAIRS_AT_ONCE], search.matches.slice(start, _PAIRS_AT_ONCE)
         here, there = (_take(frame, part[:, side]) for side, frame in enumerate((mine, theirs)))
-        alike = here.hstack(there.select(pl.all().name.suffix("_other")))
+        alike = here.hstack(there.select(pl.all().name.suffix("_other"))).hstack(matches)
         yield alike.filter(pl.col("split").ne_missing(pl.col("split_other")) | pl.col("never_other"))
 
 

@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.tables.thumbnail_warps import SparseMatrix, Warp, list_crops, stack_warps
+from olt_datasets.tables.time_lines import list_lines
 from olt_toolkit.clips.fingerprint import COLUMNS, ROWS
 
 SCALES = (0.8, 0.9, 1.0, 1.11, 1.25)
 SHIFTS = (-1.0, -0.5, 0.0, 0.5, 1.0)
-SPEEDS = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.11, 1.25, 1.43, 1.67, 2.0)
 # Warps that are tried along lines in time: those that are best with each image on any other.
 _WARPS_KEPT = 6
-_LEAST_SHARE = 0.35
-"""Of the images of the shorter sequence that must be matched."""
 # A mean over few images is high by chance more often: by this over the root of their number.
 _FEW_IMAGES = 0.35
 _LEAST_SCORE, _LEAST_SCORE_OF_DIM = 0.55, 0.8
+# What is less alike before the second is stretched, moved and turned is not so after.
+_LEAST_ROUGH_SCORE = 0.25
 _STANDING = 0.06
 _LEAST_ALIKE_STANDING = 0.94
 _WEIGHT_OF_CHANGES = 2.0
@@ -66,36 +66,47 @@ class Likeness:
         moving: correlation of their differences from the mean of the matched images, -1 ... 1.
         activity: those differences' share of the energy, in the sequence where it is smaller: 0 for a standing clip.
         matched: how many images of the shorter sequence were matched.
+        lag_s: how much later the second shows what the first shows, as the median over the matched images.
     """
 
     alike: float
     moving: float
     activity: float
     matched: int
+    lag_s: float = 0.0
+
+    @property
+    def score(self) -> float:
+        """What decides, between about 0 for other places and 1.25 for the same images; less where few are matched."""
+        return float(self.moving + 0.25 * self.alike + 0.5 * min(self.activity, 0.3) - 0.6 / np.sqrt(self.matched))
 
 
-def is_alike(first: Sequence, second: Sequence) -> bool:
-    """Whether two sequences show one drive: what changes is alike, or next to nothing changes and all is alike.
+def find_likeness(first: Sequence, second: Sequence) -> Likeness | None:
+    """How alike two sequences are if they show one drive: what changes is alike, or next to nothing changes and all is.
 
-    The limits are chosen on drives of KITTI and a dashcam and on synthetic worlds, among them pairs by night and pairs
-    with the same bonnet and words on them; docs/benchmarks.md tells what they give on others.
+    None where they do not. The limits are chosen on drives of KITTI and a dashcam and on synthetic worlds, among them
+    pairs by night and pairs with the same bonnet and words on them; docs/benchmarks.md tells what they give on others.
     """
-    found = compare(first, second)
-    score = found.moving + 0.25 * found.alike + 0.5 * min(found.activity, 0.3) - 0.6 / np.sqrt(found.matched)
+    rough, warp, line = _find_warp_and_line(*sorted((first, second), key=_duration))
+    if rough < _LEAST_ROUGH_SCORE:
+        return None
+    found = _refine(first, second, warp, line)
     least = _LEAST_SCORE_OF_DIM if first.dim or second.dim else _LEAST_SCORE
-    return bool(score >= least or (found.activity < _STANDING and found.alike >= _LEAST_ALIKE_STANDING))
+    standing = found.activity < _STANDING and found.alike >= _LEAST_ALIKE_STANDING
+    return found if found.score >= least or standing else None
 
 
 def compare(first: Sequence, second: Sequence) -> Likeness:
     """How alike two sequences are where they are most so; mirrored ones are for the caller to try."""
-    short, long = sorted((first, second), key=_duration)
-    warp, line = _find_warp_and_line(short, long)
-    hit = line < len(long.signs)
-    return _refine(short.signs[hit], long.signs[line[hit]], warp)
+    _, warp, line = _find_warp_and_line(*sorted((first, second), key=_duration))
+    return _refine(first, second, warp, line)
 
 
-def _find_warp_and_line(short: Sequence, long: Sequence) -> tuple[Warp, NDArray[np.int64]]:
-    """The crop, and which image of the longer sequence lies on each of the shorter (k,), its length for none."""
+def _find_warp_and_line(short: Sequence, long: Sequence) -> tuple[float, Warp, NDArray[np.int64]]:
+    """A score, the crop, and which image of the longer sequence lies on each of the shorter (k,), its length for none.
+
+    The score is infinite where one of them stands.
+    """
     crops = list_crops(SCALES, SHIFTS)
     stacked, filled = stack_warps(crops)
     warped = _warp(stacked, short.signs)
@@ -110,15 +121,22 @@ def _find_warp_and_line(short: Sequence, long: Sequence) -> tuple[Warp, NDArray[
     moving = _correlate_changes_along(warped[kept], long.signs * filled[kept, None], lines)
     score = (alike + _WEIGHT_OF_CHANGES * moving) * (1.0 - _FEW_IMAGES / np.sqrt(counts))
     warp, line = np.unravel_index(score.argmax(), score.shape)
-    return crops[kept[warp]], lines[line]
+    standing = min(_activity(short), _activity(long)) < 2.0 * _STANDING
+    rough = np.inf if standing else np.max(moving + 0.25 * alike - 0.6 / np.sqrt(counts))
+    return float(rough), crops[kept[warp]], lines[line]
 
 
-def _refine(mine: Floats, theirs: Floats, warp: Warp) -> Likeness:
-    """How alike matched images (n, cells) are where the second are stretched, moved and turned a little as well."""
+def _refine(first: Sequence, second: Sequence, warp: Warp, line: NDArray[np.int64]) -> Likeness:
+    """How alike they are along a line where the longer is stretched, moved and turned a little as well."""
+    short, long = sorted((first, second), key=_duration)
+    hit = line < len(long.signs)
+    mine, theirs = short.signs[hit], long.signs[line[hit]]
     stacked, filled = stack_warps((warp,))
     warped = _warp(stacked, mine)
     best, _ = _try(warped, filled, theirs, _NEAR)
-    return _try(warped, filled, theirs, _list_turned(best))[1]
+    lag_s = float(np.median(long.seconds[line[hit]] - short.seconds[hit]))
+    likeness = _try(warped, filled, theirs, _list_turned(best))[1]
+    return replace(likeness, lag_s=lag_s if short is first else -lag_s)
 
 
 def _try(warped: Floats, filled: Floats, theirs: Floats, near: tuple[Warp, ...]) -> tuple[Warp, Likeness]:
@@ -140,6 +158,11 @@ def _list_turned(warp: Warp) -> tuple[Warp, ...]:
     )
 
 
+def _activity(sequence: Sequence) -> float:
+    """Share of the energy that is in the differences from the mean image."""
+    return float(1.0 - np.mean(sequence.signs.mean(axis=0) ** 2))
+
+
 def _duration(sequence: Sequence) -> float:
     return float(sequence.seconds[-1] - sequence.seconds[0])
 
@@ -155,28 +178,10 @@ def _bounds(correlations: Floats) -> Floats:
     return best[:, best.shape[1] // 2 :].mean(axis=1)
 
 
-@lru_cache(maxsize=4096)
+@lru_cache(maxsize=256)
 def _lines(short: bytes, long: bytes) -> NDArray[np.int64]:
-    """Which image of the longer sequence (lines, k) lies on each image of the shorter; its length for none.
-
-    Times as bytes, so that sequences with equal times share their lines.
-    """
-    mine, theirs = (np.frombuffer(each) - np.frombuffer(each).mean() for each in (short, long))
-    my_step, their_step = (np.ptp(each) / max(len(each) - 1, 1) for each in (mine, theirs))
-    fewest = min(len(mine), len(theirs))
-    least = max(min(2, fewest), _LEAST_SHARE * fewest)
-    between = 0.5 * (theirs[1:] + theirs[:-1])
-    lines = []
-    for speed in SPEEDS:
-        step = max(their_step, my_step * speed)
-        reach = 0.5 * (np.ptp(mine) * speed + np.ptp(theirs))
-        offsets = np.arange(-reach, reach + _TINY, 0.5 * step) if step > 0.0 else np.zeros(1)
-        moments = mine * speed + offsets[:, None]
-        nearest = np.searchsorted(between, moments)
-        near = np.abs(moments - theirs[nearest]) <= 0.5 * step + _TINY
-        found = np.where(near, nearest, len(theirs))
-        lines.append(found[near.sum(axis=1) >= least])
-    return np.concatenate(lines)
+    """`time_lines.list_lines` of times as bytes, so that sequences with equal times share their lines."""
+    return list_lines(np.frombuffer(short), np.frombuffer(long))
 
 
 def _sum_along(values: Floats, lines: NDArray[np.int64]) -> Floats:

@@ -15,15 +15,17 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from olt_datasets.verification.file_list import check_file_list
+from olt_datasets.verification.image_statistics import check_image_statistics
 from olt_datasets.verification.pose_columns import check_pose_columns
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.origin_files import decode_origin
 from olt_toolkit.clips.pai_tables import read_table
+from olt_toolkit.clips.verification.decoded_videos import decode_video
 from olt_toolkit.clips.verification.findings import Finding, judge, not_compared, state
 from olt_toolkit.clips.verification.report import Report
 from olt_toolkit.clips.verification.verify import GROUPS, STORE_GROUP
-from olt_toolkit.clips.verification.video_checks import check_decoded, decode_video
+from olt_toolkit.clips.verification.video_checks import check_decoded
 from olt_toolkit.runtime.threads import use_one_thread
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
@@ -61,10 +63,12 @@ def verify_lerobot(
     if "motion" in groups:
         report.add(check_pose_columns(info, episodes, data, str(root / "data")))
     if "videos" in groups:
-        for findings in map_parallel(
-            partial(check_video, root), list_videos(info, episodes, root), workers, on_progress, engine
-        ):
+        jobs = list_videos(info, episodes, root)
+        for findings in map_parallel(partial(check_video, root), jobs, workers, on_progress, engine):
             report.add(findings)
+        for key in videos:
+            of_key = [(path, frames) for name, path, frames, *_ in jobs if name == key]
+            report.add(check_image_statistics(root, key, of_key))
     report.clips = len(set(episodes["clip_id"].to_pylist())) if "clip_id" in episodes.column_names else 0
     if "images" in groups:
         why = "a LeRobot data set tells no lens and no mounting; verify the clip stores that it was made of"
@@ -114,7 +118,8 @@ def check_statistics(root: Path, info: dict[str, Any], data: pa.Table) -> Iterat
         if feature["dtype"] in ("video", "bool") or name not in data.column_names:
             continue
         values = column_values(data, name).reshape(len(data), -1)
-        spread = values.std(axis=0) + 1e-6 * np.abs(values).max(axis=0) + 1e-9
+        # Of numbers that are rounded to float32, as columns are and as writers take means of them.
+        spread = values.std(axis=0) + 1e-3 * np.abs(values).max(axis=0) + 1e-9
         found = {each: getattr(values, each)(axis=0) for each in ("min", "max", "mean", "std")}
         try:
             errors = [np.abs(np.array(stats[name][each], float) - found[each]) / spread for each in found]

@@ -14,6 +14,7 @@ from olt_toolkit.clips.pai_layout import CLIP_INDEX
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.table import CLIP_TABLE
 from olt_toolkit.clips.verification.findings import Finding, judge, state
+from olt_toolkit.clips.verification.public_folder import verify_public_folder
 from olt_toolkit.clips.verification.report import Report
 from olt_toolkit.clips.verification.verify import GROUPS, verify_store
 from olt_toolkit.runtime.workers import Engine
@@ -29,7 +30,7 @@ def verify(
     """Look at all that a target holds.
 
     Args:
-        target: a clip store, an export, or the file of a mixture.
+        target: a clip store, an export, a PhysicalAI-AV folder as it is published, or the file of a mixture.
         groups: which checks are made, of `olt_toolkit.clips.verification.verify.GROUPS`.
         workers, engine: number of processes and where they run.
         on_progress: told the share of the clips that are done.
@@ -43,11 +44,10 @@ def verify(
         return verify_lerobot(target, groups, workers, on_progress, engine)
     if target.is_file() and target.suffix in MIXTURE_SUFFIXES:
         return _verify_mixture(target, groups, workers, on_progress, engine)
-    missing = f"a folder with {CLIP_TABLE} or {INFO_FILE}, or a mixture ({' or '.join(MIXTURE_SUFFIXES)})"
     if (target / CLIP_INDEX).is_file():
-        raise InputError(
-            f"{target}: public PhysicalAI-AV data without {CLIP_TABLE}; build a store of it, then verify that"
-        )
+        return verify_public_folder(target, groups, workers, on_progress, engine)
+    tables = f"{CLIP_TABLE}, {CLIP_INDEX} or {INFO_FILE}"
+    missing = f"a folder with {tables}, or a mixture ({' or '.join(MIXTURE_SUFFIXES)})"
     raise InputError(f"{target}: nothing that can be verified; give {missing}")
 
 

@@ -51,7 +51,9 @@ def test_curves_are_tracked_at_every_speed(speed):
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.3])
-@pytest.mark.parametrize("name", ["curve at 60 m/s", "15 m/s to rest", "jump of 1 m at 30 m/s"])
+@pytest.mark.parametrize(
+    "name", ["curve at 60 m/s", "15 m/s to rest", "backwards from the forward gear", "forwards and back"]
+)
 def test_slippery_roads_are_driven(friction, name):
     case = next(case for case in control_extremes.cases(friction) if case.name == name)
     driven = control_extremes.drive(case, alpasim_vehicle(friction), "linear")

@@ -11,7 +11,12 @@ from olt_toolkit.bench.runner import load_benchmark
 
 @pytest.mark.parametrize(
     ("name", "default"),
-    [("score", "strict, 100 ms"), ("contacts", "continuous, 100 ms"), ("score_traffic", "strict, 20 agents")],
+    [
+        ("score", "strict, 100 ms"),
+        ("contacts", "continuous, 100 ms"),
+        ("fault", "100 ms"),
+        ("score_traffic", "strict, 20 agents"),
+    ],
 )
 def test_the_benchmarks_are_registered_and_have_one_default(name, default):
     settings = load_benchmark(name).settings()

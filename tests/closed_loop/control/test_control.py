@@ -50,7 +50,7 @@ def constant(value):
 @pytest.mark.parametrize(("speed", "radius"), [(7.7, 20.0), (12.2, 50.0), (15.0, 100.0), (40.0, 600.0)])
 def test_a_circle_is_tracked_within_a_decimetre_and_then_a_centimetre(speed, radius):
     reference = make_reference(constant(speed), constant(speed / radius))
-    states, _ = track(reference, speed)
+    states, _ = track(reference, speed, steering=np.arctan(PARAMETERS.wheelbase / radius))
     errors = distances(states, reference)
     assert errors.max() < 0.1
     assert errors[30:].max() < 0.01

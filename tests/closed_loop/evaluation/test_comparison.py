@@ -81,7 +81,7 @@ def test_a_baseline_that_is_as_good_is_warned_of():
 
 
 def test_baselines_are_the_four_without_the_policy_itself(straight_scene):
-    driven = run_baselines([straight_scene()], "route", settings=SHORT, definition="alpasim@challenge-2026-09")
+    driven = run_baselines(["nominal:0"], "route", settings=SHORT, definition="alpasim@challenge-2026-09")
     assert list(driven) == ["constant speed", "go straight", "stop"]
     ((rollout, score),) = driven["go straight"]
     assert rollout.policy == BASELINES["go straight"] == "constant_velocity"

@@ -3,6 +3,8 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import get_args
 
+import cv2
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -10,6 +12,7 @@ from olt_closed_loop import commands
 from olt_closed_loop.commands import app
 from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.tracking import ControlMethod, ControlSettings
+from olt_closed_loop.evaluation import evaluation
 from olt_closed_loop.evaluation.evaluation import (
     count_left_out,
     count_vehicle_steps,
@@ -17,6 +20,7 @@ from olt_closed_loop.evaluation.evaluation import (
     pass_gate,
     run_closed_loop,
 )
+from olt_closed_loop.evaluation.gate import check_gate
 from olt_closed_loop.evaluation.run_folder import save_results
 from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout import Traffic
@@ -154,6 +158,61 @@ def test_no_scene_is_scored_where_the_recording_itself_collides(straight_scene, 
     assert [result.scene for result in pass_gate([straight_scene()])] == ["straight"]
     with pytest.raises(InputError, match=r"gate fails on scene blocked \(replay scores 1: score 0\.0000"):
         pass_gate([straight_scene(), blocked])
+
+
+def test_a_bad_scene_loses_itself_only(straight_scene, moving_agent):
+    blocked = replace(straight_scene((moving_agent("in the way", (30.0, 0.0)),)), name="blocked", category="dense")
+    alone = run_closed_loop([straight_scene()], "constant_velocity", settings=SHORT)
+    for workers in (1, 2):
+        results = run_closed_loop(
+            [blocked, "absent.usda", straight_scene(duration=1.5), straight_scene()],
+            "constant_velocity",
+            settings=SHORT,
+            workers=workers,
+        )
+        assert [(score.scene, score.category, score.valid) for _, score in results[::2]] == [
+            ("blocked", "dense", False),
+            ("absent.usda", "unknown", False),
+            ("straight", "nominal", False),
+            ("straight", "nominal", True),
+        ]
+        reasons = [score.reason for _, score in results[:6:2]]
+        assert all(
+            text in why
+            for text, why in zip(("in the way at 2.37 s", "absent.usda", "after the warm-up"), reasons, strict=True)
+        )
+        assert all(score.score is None for _, score in results[:6])
+        for (rollout, score), (other, expected) in zip(results[6:], alone, strict=True):
+            np.testing.assert_array_equal(rollout.states, other.states)
+            assert score.to_dict() == expected.to_dict()
+    table = summarize_scores([score for _, score in results])
+    assert (table.overall.rollouts, table.overall.valid) == (8, 2)
+
+
+def test_the_gate_is_not_asked_again_of_scenes_on_which_it_holds(straight_scene, monkeypatch):
+    asked = []
+    monkeypatch.setattr(evaluation, "check_gate", lambda scene, *rest: asked.append(scene) or check_gate(scene, *rest))
+    first, again = (
+        run_closed_loop([straight_scene()], "constant_velocity", 1, settings=SHORT, gated=gated)[0][1]
+        for gated in (False, True)
+    )
+    assert len(asked) == 1 and first == again
+
+
+def test_the_gate_command_names_what_it_refuses(tmp_path):
+    arguments = ["gate", str(tmp_path / "absent.json.gz"), "cyclists:3", "--definition", "alpasim", "--json"]
+    result = CliRunner().invoke(app, arguments)
+    refused, passed = json.loads(result.stdout)["gate"]
+    assert result.exit_code == 1 and not refused["passed"] and "absent.json.gz" in refused["refusal"]
+    assert passed["passed"] and passed["narrow"][0]["metres"] > 1.0
+
+
+def test_the_gate_command_draws_what_it_could_read(tmp_path):
+    picture = tmp_path / "gate.png"
+    CliRunner().invoke(app, ["gate", str(tmp_path / "absent.json.gz"), "cyclists:3", "--picture", str(picture)])
+    image = cv2.imread(str(picture))
+    assert image.shape[1] > image.shape[0] > 300 and len(np.unique(image.reshape(-1, 3), axis=0)) > 20
+    assert CliRunner().invoke(app, ["gate", "cyclists:3", "--picture", str(tmp_path / "gate.gif")]).exit_code == 2
 
 
 def test_the_command_prints_a_table_and_writes_files(tmp_path):

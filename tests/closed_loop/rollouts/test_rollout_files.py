@@ -56,6 +56,18 @@ def test_lines_get_points_and_keep_their_own(texts, spacing, resample):
     assert np.linalg.norm(np.diff(edge, axis=0), axis=1).sum() == pytest.approx(3.0 * spacing)
 
 
+def test_lights_are_red_as_written_and_unknown_where_nothing_is_written(texts):
+    values = texts.rollout(texts.along_x())
+    values["map"]["lanes"][0]["red_us"] = [[0, 5], [7, 9]]
+    assert [lane.red_us is None for lane in parse_rollout(values, "drive").lanes] == [False, True]
+    np.testing.assert_array_equal(parse_rollout(values, "drive").lanes[0].red_us, [[0, 5], [7, 9]])
+    values["map"]["lanes"][0]["red_us"] = []
+    assert parse_rollout(values, "drive").lanes[0].red_us.shape == (0, 2)
+    values["map"]["lanes"][0]["red_us"] = [[5, 5]]
+    with pytest.raises(InputError, match=r"red_us: a phase ends before it begins"):
+        parse_rollout(values, "drive")
+
+
 def test_resampling_by_zero_leaves_lines_alone(texts):
     road = {"lanes": [], "road_edges": [[[0.0, 0.0], [50.0, 0.0]]], "resample_m": 0}
     (edge,) = parse_rollout(texts.rollout(texts.along_x(), map=road), "drive").road_edges

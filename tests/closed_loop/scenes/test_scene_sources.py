@@ -1,16 +1,13 @@
 """Recorded drives as scenes, on small invented files of the data sets' formats."""
 
-import gzip
-import json
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
-import pyarrow as pa
 import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
-from pyarrow import feather, parquet
+from pyarrow import feather
 
 from olt_closed_loop.evaluation.gate import check_gate
 from olt_closed_loop.scenes.scene import Lane
@@ -26,68 +23,21 @@ from olt_closed_loop.scenes.sources.roads import (
     outlines,
     route_along,
 )
+from olt_closed_loop.scenes.sources.swath import add_room
 from olt_generator.errors import InputError
 from olt_generator.poses import yaw_of
 
-STEPS = 60
-SPEED = 8.0
-CITY = np.array([5000.0, 2000.0, 70.0])
-
-
-def points(rows):
-    return [{"x": float(x), "y": float(y), "z": float(z)} for x, y, z in rows]
-
-
-def city_map():
-    """Two lanes in a row along x from 20 m behind the start, on a road 12 m wide."""
-
-    def segment(name, start, end, successors, kind="VEHICLE"):
-        left, right = ([np.add(CITY, (x, y, 0.0)) for x in (start, end)] for y in (1.8, -1.8))
-        lines = {"left_lane_boundary": points(left), "right_lane_boundary": points(right)}
-        return {"id": name, "lane_type": kind, "successors": successors, **lines}
-
-    corners = [np.add(CITY, (x, y, 0.0)) for x, y in ((-20, -6), (-20, 6), (300, 6), (300, -6))]  # clockwise
-    return {
-        "lane_segments": {
-            "1": segment(1, -20.0, 40.0, [2]),
-            "2": segment(2, 40.0, 300.0, []),
-            "3": segment(3, -20.0, 40.0, [], "BIKE"),
-        },
-        "drivable_areas": {"7": {"id": 7, "area_boundary": points(corners)}},
-    }
+from .recordings import SPEED, STEPS, scenario, write_motion_scenario, write_scenario, write_sensor_log
 
 
 @pytest.fixture
 def sensor_log(tmp_path):
-    """An ego that drives along x; a parked car 20 m ahead and 3.5 m to the left, annotated in the ego's frame."""
-    folder = tmp_path / "log"
-    (folder / "map").mkdir(parents=True)
-    (folder / "map" / "log_map_archive_x.json").write_text(json.dumps(city_map()))
-    fine = 10**18 + 50_000_000 * np.arange(2 * STEPS, dtype=np.int64)
-    x = CITY[0] + SPEED * 0.05 * np.arange(2 * STEPS)
-    still = {"qw": np.ones_like(x), "qx": 0 * x, "qy": 0 * x, "qz": 0 * x}
-    poses = {"timestamp_ns": fine, **still, "tx_m": x, "ty_m": 0 * x + CITY[1], "tz_m": 0 * x + CITY[2]}
-    feather.write_feather(pa.table(poses), folder / "city_SE3_egovehicle.feather")
-    seen = slice(4, 100, 2)
-    count = len(fine[seen])
-    turn = np.full(count, 0.3)
-    boxes = {
-        "timestamp_ns": fine[seen],
-        "track_uuid": ["parked"] * count,
-        "category": ["REGULAR_VEHICLE"] * count,
-        "length_m": np.full(count, 4.5),
-        "width_m": np.full(count, 1.8),
-        "height_m": np.full(count, 1.5),
-        "qw": np.cos(turn / 2),
-        "qx": 0 * turn,
-        "qy": 0 * turn,
-        "qz": np.sin(turn / 2),
-        "tx_m": CITY[0] + 20.0 - x[seen],
-        "ty_m": np.full(count, 3.5),
-        "tz_m": np.full(count, 0.75 - AXLE_HEIGHT),
-    }
-    feather.write_feather(pa.table(boxes), folder / "annotations.feather")
-    return folder
+    return write_sensor_log(tmp_path / "log")
+
+
+@pytest.fixture
+def motion_scenario(tmp_path):
+    return write_motion_scenario(tmp_path / "scenario")
 
 
 def test_a_sensor_log_is_read_into_the_world_frame(sensor_log):
@@ -133,29 +83,6 @@ def test_damaged_files_of_a_log_are_named(sensor_log, name):
         read_recording(sensor_log)
 
 
-@pytest.fixture
-def motion_scenario(tmp_path):
-    folder = tmp_path / "scenario"
-    folder.mkdir()
-    (folder / "log_map_archive_x.json").write_text(json.dumps(city_map()))
-    tracks = {"AV": ("vehicle", 0.0, 0.0), "9": ("cyclist", 12.0, 4.0), "8": ("background", 3.0, 9.0)}
-    rows = [
-        {
-            "track_id": name,
-            "object_type": kind,
-            "timestep": step,
-            "position_x": CITY[0] + ahead + SPEED * 0.1 * step,
-            "position_y": CITY[1] + left,
-            "heading": 0.0,
-            "scenario_id": "abc",
-        }
-        for step in reversed(range(STEPS))
-        for name, (kind, ahead, left) in tracks.items()
-    ]
-    parquet.write_table(pa.Table.from_pylist(rows), folder / "scenario_abc.parquet")
-    return folder
-
-
 def test_a_motion_scenario_gets_sizes_by_class(motion_scenario):
     scene = read_recording(motion_scenario)
     assert scene.name == "argoverse2_abc"
@@ -164,41 +91,6 @@ def test_a_motion_scenario_gets_sizes_by_class(motion_scenario):
     np.testing.assert_allclose(scene.agents[0].poses[:, 0], 12.0 + SPEED * scene.ego.times, atol=1e-6)
     assert any("1 tracks of unknown size" in text for text in scene.assumptions)
     assert check_gate(scene).passed
-
-
-def scenario(turned=False):
-    times = 0.1 * np.arange(STEPS)
-
-    def state(x, y, size, valid, heading=0.0):
-        return {
-            "position": np.column_stack([1000.0 + x, 500.0 + y + 0 * x, 3.0 + 0 * x]).tolist(),
-            "heading": (heading + 0 * x).tolist(),
-            "valid": valid,
-            **{name: [[value]] * STEPS for name, value in zip(("length", "width", "height"), size, strict=True)},
-        }
-
-    along = np.linspace(-20.0, 300.0, 40)
-    lane = {"type": "LANE_SURFACE_STREET", "polyline": np.column_stack([1000 + along, 500 + 0 * along, along]).tolist()}
-    wide = [[980.0, 497.0], [1300.0, 497.0], [1300.0, 503.0], [980.0, 503.0]]
-    seen = [0] * 10 + [1] * (STEPS - 10)
-    tracks = {
-        "ego": {"metadata": {"type": "vehicle.car"}, "state": state(SPEED * times, 0.0, (1.7, 4.1, 1.6), [1] * STEPS)},
-        "bus": {
-            "metadata": {"type": "vehicle.bus.rigid"},
-            "state": state(60.0 + 0 * times, 8.0, (11, 2.9, 3.4), seen, 3.0),
-        },
-    }
-    features = {"with area": {**lane, "polygon": wide}, "line": {"type": "ROAD_LINE", "polyline": [[0, 0], [1, 1]]}}
-    if turned:  # only a centre line 1.5 m beside the drive, whose usual width does not hold the ego
-        beside = np.column_stack([1000 + along, 501.5 + 0 * along]).tolist()
-        features = {"without area": {"type": "LANE_SURFACE_STREET", "polyline": beside}}
-    metadata = {"ts": (12.5 + times).tolist(), "sdc_id": "ego"}
-    return {"id": "scene-1", "metadata": metadata, "tracks": tracks, "map_features": features}
-
-
-def write_scenario(path: Path, content) -> Path:
-    path.write_bytes(gzip.compress(json.dumps(content).encode()))
-    return path
 
 
 def test_a_nuscenes_scenario_is_put_on_flat_ground(tmp_path):
@@ -213,10 +105,31 @@ def test_a_nuscenes_scenario_is_put_on_flat_ground(tmp_path):
     assert check_gate(scene).passed
 
 
-def test_where_the_recorded_ego_drove_is_drivable(tmp_path):
+def test_where_the_recorded_ego_drove_is_drivable_and_nobody_else_could(tmp_path):
     scene = read_recording(write_scenario(tmp_path / "one.json.gz", scenario(turned=True)))
     assert any(f"({STEPS} of its {STEPS} poses" in text for text in scene.assumptions)
-    assert check_gate(scene).passed
+    result = check_gate(scene)
+    assert result.checks[0].passed and "off the road" in result.failed[-1].finding
+    assert result.narrow[0].metres == pytest.approx(0.0, abs=2e-3)
+
+
+@pytest.mark.parametrize(("room", "passes"), [(0.05, False), (0.2, True)])
+def test_room_about_the_recorded_ego_is_told(tmp_path, room, passes):
+    scene = read_recording(write_scenario(tmp_path / "one.json.gz", scenario(turned=True)))
+    roomy = add_room(scene, room)
+    assert f"{room} m about the recorded ego are drivable" in roomy.assumptions[-1]
+    result = check_gate(roomy)
+    assert result.passed is passes and result.narrow[0].metres == pytest.approx(room, abs=2e-3)
+
+
+def test_room_that_is_there_changes_nothing(tmp_path):
+    scene = read_recording(write_scenario(tmp_path / "one.json.gz", scenario()))
+    assert add_room(scene, 0.2) is scene
+    for room in (0.0, -1.0, 3.0, float("nan")):
+        with pytest.raises(InputError, match="give more than 0 and at most 2 m"):
+            add_room(scene, room)
+    with pytest.raises(InputError, match="no drivable area"):
+        add_room(replace(scene, drivable=()), 0.2)
 
 
 @pytest.mark.parametrize(
@@ -268,6 +181,12 @@ def test_a_lane_around_a_line_has_its_borders_to_the_left_and_right(yaw, half_wi
     across = np.array([-np.sin(yaw), np.cos(yaw)])
     np.testing.assert_allclose((lane.left - lane.center)[:, :2] @ across, half_width, atol=1e-9)
     np.testing.assert_allclose((lane.right - lane.center)[:, :2] @ across, -half_width, atol=1e-9)
+
+
+def test_a_lane_around_a_line_that_folds_back_is_finite():
+    lane = lane_around("a", np.array([[0.0, 0.0, 0.0], [10.0, 0.0, 0.0], [0.0, 0.0, 0.0]]), 1.8)
+    assert np.isfinite(lane.left).all() and np.isfinite(lane.right).all()
+    np.testing.assert_allclose(np.linalg.norm(lane.left - lane.center, axis=1), 1.8)
 
 
 @given(yaw=st.floats(-np.pi, np.pi))

@@ -60,8 +60,9 @@ def test_a_bridge_above_the_road(judge, texts):
 @pytest.mark.parametrize("yaw", [0.0, np.pi / 2, np.pi, -1.0])
 def test_hit_ahead_and_behind_at_once(texts, yaw):
     """Heading west AlpaSim names the hit behind alone, because of where the agents are."""
-    tail = behind(texts.along_x()[31:], 0.1)
-    agents = {"parked": standing_agent(texts, 36.7), "tail": texts.agent(tail, 31)}
+    tail = behind(texts.along_x()[30:], 0.1)
+    tail[0, 0] -= 0.5
+    agents = {"parked": standing_agent(texts, 36.7), "tail": texts.agent(tail, 30)}
     record = parse_rollout(texts.turned(texts.rollout(texts.along_x(), agents=agents), yaw), "drive")
     strict = score_record(record)
     assert {(c.agent_id, c.side, c.at_fault) for c in strict.collisions} == {
@@ -76,8 +77,9 @@ def test_hit_ahead_and_behind_at_once(texts, yaw):
 
 
 def test_tapped_from_behind_and_then_driving_into_a_parked_car(judge, texts):
-    tap = behind(texts.along_x()[25:28], 0.15)
-    agents = {"tap": texts.agent(tap, 25), "parked": standing_agent(texts, 60.0)}
+    tap = behind(texts.along_x()[24:28], 0.15)
+    tap[0, 0] -= 0.5
+    agents = {"tap": texts.agent(tap, 24), "parked": standing_agent(texts, 60.0)}
     strict, alpasim = judge(texts.along_x(), agents=agents)
     assert (strict.score, strict.reason, strict.incidents, strict.incidents_at_fault) == (
         0.0,
@@ -89,7 +91,7 @@ def test_tapped_from_behind_and_then_driving_into_a_parked_car(judge, texts):
 
 
 def test_a_standing_ego_that_is_hit_from_the_side(judge, texts):
-    comes = np.array([[1.4, 10.0 - 0.5 * index, -np.pi / 2] for index in range(81)])
+    comes = np.array([[1.4, 15.0 - 0.5 * index, -np.pi / 2] for index in range(81)])
     strict, alpasim = judge(texts.along_x(speed=0.0), agents={"comes": texts.agent(comes)})
     assert strict.collided and not strict.collided_at_fault
     assert alpasim.collided_at_fault

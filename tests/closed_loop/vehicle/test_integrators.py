@@ -34,11 +34,18 @@ def drive_along(stepper, state, controls):
     return np.stack(states)
 
 
-@pytest.mark.parametrize("model", ["kinematic", pytest.param("saturating", marks=pytest.mark.slow)])
-@pytest.mark.parametrize(("method", "substeps", "order"), [("midpoint", 64, 2), ("rk4", 16, 4)])
+@pytest.mark.parametrize(
+    ("model", "method", "substeps", "order"),
+    [
+        ("kinematic", "midpoint", 64, 2),
+        ("kinematic", "rk4", 8, 4),
+        pytest.param("saturating", "midpoint", 64, 2, marks=pytest.mark.slow),
+        pytest.param("saturating", "rk4", 16, 4, marks=pytest.mark.slow),
+    ],
+)
 def test_methods_converge_to_the_reference_at_their_order(model, method, substeps, order):
-    # The first four manoeuvres, which are smooth.
-    coarse, fine = (position_errors(model, method, factor * substeps)[:4] for factor in (1, 2))
+    # The first three manoeuvres, which are smooth. Few sub-steps: soon the fourth order is at rounding.
+    coarse, fine = (position_errors(model, method, factor * substeps)[:3] for factor in (1, 2))
     np.testing.assert_allclose(np.log2(coarse / fine), order, atol=0.8)
 
 

@@ -14,6 +14,7 @@ from olt_closed_loop.vehicle.state import STATE, steering_for
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 PARAMETERS = VehicleParameters.from_dimensions(DEFAULT_VEHICLE)
+GRIPPING = replace(PARAMETERS, friction=np.inf)
 
 
 def make_state(speed=0.0, steering=0.0, acceleration=0.0):
@@ -35,23 +36,31 @@ def test_equations_are_built_once():
 
 def test_steady_circle_has_the_radius_of_the_wheelbase_and_steering():
     steering = 0.2
-    states = drive(make_state(speed=8.0, steering=steering), [steering, 0.0], 10.0)
+    states = drive(make_state(speed=8.0, steering=steering), [steering, 0.0], 10.0, GRIPPING)
     radius = DEFAULT_VEHICLE.wheelbase / np.tan(steering)
     distances = np.hypot(states[:, STATE.x], states[:, STATE.y] - radius)
     np.testing.assert_allclose(distances, radius, atol=1e-6)
 
 
+def test_at_the_limit_a_circle_has_the_radius_that_grip_allows():
+    speed, friction = 30.0, 0.8
+    states = drive(make_state(speed=speed, steering=0.3), [0.3, 0.0], 3.0, replace(PARAMETERS, friction=friction))
+    # The demand is twelve times the grip: nothing is left of the difference.
+    radius = speed**2 / (friction * 9.81)
+    np.testing.assert_allclose(np.hypot(states[:, STATE.x], states[:, STATE.y] - radius), radius, atol=2e-2)
+
+
 def test_lags_reach_63_percent_after_one_time_constant():
-    state = drive(make_state(speed=10.0), [0.3, 2.0], 0.1)[-1]
+    state = drive(make_state(speed=10.0), [0.03, 2.0], 0.1)[-1]
     share = 1.0 - np.exp(-1.0)
-    assert state[STATE.steering] == pytest.approx(0.3 * share, rel=1e-6)
+    assert state[STATE.steering] == pytest.approx(0.03 * share, rel=1e-6)
     assert state[STATE.acceleration] == pytest.approx(2.0 * share, rel=1e-6)
 
 
 def test_each_actuator_has_its_own_lag():
     vehicle = replace(PARAMETERS, steering_lag=0.05, acceleration_lag=0.3)
-    state = drive(make_state(speed=10.0), [0.3, 2.0], 0.1, vehicle)[-1]
-    assert state[STATE.steering] == pytest.approx(0.3 * (1.0 - np.exp(-2.0)), rel=1e-6)
+    state = drive(make_state(speed=10.0), [0.02, 2.0], 0.1, vehicle)[-1]
+    assert state[STATE.steering] == pytest.approx(0.02 * (1.0 - np.exp(-2.0)), rel=1e-6)
     assert state[STATE.acceleration] == pytest.approx(2.0 * (1.0 - np.exp(-1.0 / 3.0)), rel=1e-6)
 
 
@@ -76,8 +85,13 @@ def test_braking_stops_and_never_reverses(speed, command, steering):
 
 def test_full_braking_takes_the_distance_of_its_deceleration():
     states = drive(make_state(speed=20.0, acceleration=-8.0), [0.0, -8.0], 10.0)
-    # The integral of (v^4 + v_stand^4)^(1/4) / 8 over the speeds.
-    distance, _ = quad(lambda v: (v**4 + PARAMETERS.standing_speed**4) ** 0.25 / 8.0, 0.0, 20.0)
+
+    def slowness(speed):
+        """Speed over deceleration: what brakes ask for, fading, and what is left of it within the grip."""
+        asked = 8.0 / (speed**4 + PARAMETERS.standing_speed**4) ** 0.25
+        return (1.0 + (asked * speed / 9.81) ** 4) ** 0.25 / asked
+
+    distance, _ = quad(slowness, 0.0, 20.0)
     assert states[-1, STATE.x] == pytest.approx(distance, abs=1e-5)
     assert states[-1, STATE.speed] < 1e-6
 
@@ -221,7 +235,7 @@ def test_rate_limits_are_kept_and_reached():
 
 
 def test_presets_follow_the_box():
-    assert vehicle_with_tyres(DEFAULT_VEHICLE, np.inf) == alpasim_vehicle()
+    assert replace(vehicle_with_tyres(DEFAULT_VEHICLE, np.inf), max_steering_rate=np.inf) == alpasim_vehicle()
     bigger = vehicle_with_tyres(replace(DEFAULT_VEHICLE, length=7.0, height=2.5, wheelbase=4.0))
     tyres, ours = bigger.tyres, alpasim_vehicle().tyres
     assert tyres is not None and ours is not None

@@ -8,7 +8,10 @@ import pytest
 from olt_datasets.benchmarks.copies import KINDS, Drive, copy_window
 from olt_datasets.benchmarks.near_duplicates import fingerprint
 from olt_datasets.tables import fingerprints as module
+from olt_datasets.tables import thumbnail_index
 from olt_datasets.tables.fingerprints import find_near_duplicates, is_telling, search_near_duplicates
+from olt_datasets.tables.near_duplicate_match import Match
+from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
 
 
@@ -40,6 +43,15 @@ def series(drives):
     return pl.Series([fingerprint(drive) for drive in drives], dtype=pl.Binary)
 
 
+def search(first, second):
+    return search_near_duplicates(
+        *(
+            pl.LazyFrame({"fingerprint": series(each)}).with_columns(scene_id=pl.lit(None, pl.String))
+            for each in (first, second)
+        )
+    )
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_changed_copy_is_found_among_other_drives(drives, kind):
     pairs = [copy_window(drive, kind, make_generator(kind, drive.name)) for drive in drives]
@@ -53,6 +65,25 @@ def test_a_changed_copy_is_found_among_other_drives(drives, kind):
 def test_other_drives_are_not_alike(drives):
     names = pl.Series([drive.name for drive in drives])
     assert find_near_duplicates(series(drives), series(drives), names, names).tolist() == []
+
+
+def test_how_alike_two_clips_are_is_told(drives):
+    """The copy starts 1.18 s later, so that what it shows comes so much later in the other."""
+    window, late = drives[0].window(0.0, 0.6), drives[0].window(0.1, 0.6)
+    mirrored = Drive("mirrored", late.frames[:, :, ::-1], late.times_us)
+    score, lag_s, turned = search([window], [window]).matches.row(0)
+    assert score == pytest.approx(1.25, abs=0.15) and (lag_s, turned) == (0.0, False)
+    less, late_s, turned = search([mirrored], [window]).matches.row(0)
+    assert late_s == pytest.approx(1.18, abs=0.4) and turned and less < score
+    _, early_s, turned = search([window], [mirrored]).matches.row(0)
+    assert early_s == pytest.approx(-1.18, abs=0.4)
+    assert str(Match(0.9, -1.2, mirrored=True)) == "score 0.90 of 1.25, 1.2 s earlier, mirrored"
+
+
+def test_a_fingerprint_of_another_form_is_refused(drives):
+    looks = pl.Series([fingerprint(drives[0]), b"1234567"], dtype=pl.Binary)
+    with pytest.raises(InputError, match="row 1: its fingerprint has 7 bytes"):
+        find_near_duplicates(looks, looks)
 
 
 def test_clips_of_one_scene_are_no_pair_and_those_of_unknown_scenes_are(drives):
@@ -96,7 +127,7 @@ def test_clips_with_more_candidates_than_are_compared_are_told(drives):
 def test_the_search_in_parts_finds_what_it_finds_at_once(drives, monkeypatch):
     looks = series(drives)
     found = find_near_duplicates(looks, looks).tolist()
-    monkeypatch.setattr(module, "_KEYS_AT_ONCE", 16 * 8 * 2)
+    monkeypatch.setattr(thumbnail_index, "_KEYS_AT_ONCE", 16 * 8 * 2)
     monkeypatch.setattr(module, "_PROBES_AT_ONCE", 16 * 8 * 6)
-    monkeypatch.setattr(module, "_ROWS_AT_ONCE", 3)
+    monkeypatch.setattr(thumbnail_index, "_ROWS_AT_ONCE", 3)
     assert find_near_duplicates(looks, looks).tolist() == found == [[place, place] for place in range(len(drives))]

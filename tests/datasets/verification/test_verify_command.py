@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import zipfile
 
 import numpy as np
 import pyarrow as pa
@@ -9,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-from olt_datasets.benchmarks.store_surgery import change_motion
+from olt_datasets.benchmarks.store_surgery import change_motion, chunk_path
 from olt_datasets.benchmarks.verified_clips import write_clean_store
 from olt_datasets.commands.data import app
 from olt_datasets.export.contents import contents_of_stores
@@ -20,7 +21,10 @@ from olt_datasets.mixtures.mixture_file import write_mixture
 from olt_datasets.mixtures.recipe import RECIPE_VERSION, Component, Recipe
 from olt_datasets.tables.clip_frame import read_clip_tables
 from olt_generator.errors import InputError
+from olt_toolkit.clips.pai_layout import CAMERA_INTRINSICS, EGOMOTION, STORED, VIDEO
 from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.table import CLIP_TABLE
+from olt_toolkit.rigs.rig import FRONT_WIDE
 
 SIZE = (36, 64)
 
@@ -116,7 +120,14 @@ def test_a_good_lerobot_set(lerobot):
     status, out = run(lerobot, "--json")
     checks = json.loads(out)["checks"]
     assert status == 0
-    for check in ("statistics", "history continues future", "checksums", "video decodes", "rows of episodes"):
+    for check in (
+        "statistics",
+        "image statistics",
+        "history continues future",
+        "checksums",
+        "video decodes",
+        "rows of episodes",
+    ):
         assert checks[check]["passed"] > 0 and checks[check]["failed"] == 0
 
 
@@ -195,3 +206,83 @@ def test_faults_in_a_lerobot_set_are_found(lerobot, tmp_path, plant, checks, gro
     status, out = run(tmp_path / "bad", "--checks", group, "--json")
     found = {each["check"] for each in json.loads(out)["failures"]}
     assert status == 1 and checks <= found
+
+
+@pytest.fixture
+def published(store, tmp_path):
+    shutil.copytree(store, tmp_path / "published")
+    (tmp_path / "published" / CLIP_TABLE).unlink()
+    return tmp_path / "published"
+
+
+def test_a_published_folder_is_looked_at_and_what_is_not_told_is_named(published):
+    status, out = run(published, "--json")
+    checks = json.loads(out)["checks"]
+    assert status == 0 and json.loads(out)["clips"] == 2
+    assert checks["along the heading"]["passed"] + checks["along the heading"]["not_compared"] == 2
+    assert checks["video decodes"]["passed"] == 8 and checks["safe member names"]["passed"] == 5
+    assert checks["clip table"]["not_compared"] == 1
+    assert not {"checksums", "duration", "sample times"} & set(checks)
+
+
+def test_a_published_folder_with_a_fault(published, store):
+    clip = ClipStore(store).clips()[0].clip_id
+    chunk = chunk_path(published, FRONT_WIDE)
+    with zipfile.ZipFile(chunk) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    name = STORED[FRONT_WIDE].member(VIDEO, clip)
+    members[name] = members[name][: len(members[name]) // 2]
+    with zipfile.ZipFile(chunk, "w") as archive:
+        for each, data in members.items():
+            archive.writestr(each, data)
+    status, out = run(published, "--checks", "videos")
+    assert status == 1 and "failed: video decodes" in out and clip in out
+
+
+def test_a_folder_that_was_fetched_in_part_is_looked_at_in_part(published):
+    for name in (CAMERA_INTRINSICS, FRONT_WIDE):
+        chunk_path(published, name).unlink()
+    status, out = run(published, "--json")
+    checks = json.loads(out)["checks"]
+    assert status == 0
+    assert checks["chunk file"]["not_compared"] >= 2 and checks["cameras and calibration"]["not_compared"] == 2
+    assert checks["speed"]["passed"] == 2 and "video decodes" not in checks
+    chunk_path(published, EGOMOTION).unlink()
+    status, out = run(published, "--json")
+    assert status == 0 and json.loads(out)["clips"] == 0
+    assert json.loads(out)["checks"]["clips of the index"]["not_compared"] == 1
+
+
+def test_an_export_that_goes_on_leaves_out_clips_that_fail(bad_store, tmp_path):
+    first = ClipStore(bad_store).clips()[0].clip_id
+    contents = contents_of_stores([bad_store], "train")
+    summary = export_pai(contents, tmp_path / "pai", keep_going=True)
+    assert list(summary["failures"]) == [first] and "speed" in summary["failures"][first]
+    assert summary["clips"] == 1 and first not in ClipStore(tmp_path / "pai")
+    summary = export_lerobot(contents, tmp_path / "lerobot", keep_going=True)
+    assert list(summary["failures"]) == [first] and summary["clips"] == 1
+
+
+def test_an_export_of_which_every_clip_fails_is_refused(bad_store, tmp_path):
+    second = ClipStore(bad_store).clips()[1].clip_id
+    change_motion(bad_store, second, lambda table: table.assign(x=100.0 * table["x"]))
+    with pytest.raises(InputError, match=r"every clip failed verification.*speed"):
+        export_pai(contents_of_stores([bad_store], "train"), tmp_path / "pai", keep_going=True)
+    assert not (tmp_path / "pai").exists()
+
+
+@pytest.mark.parametrize("fault", ["levels to 255", "spread doubled", "missing"])
+def test_image_statistics_of_a_lerobot_set_are_held_against_its_frames(lerobot, tmp_path, fault):
+    shutil.copytree(lerobot, tmp_path / "bad")
+    path = tmp_path / "bad" / "meta" / "stats.json"
+    stats = json.loads(path.read_text())
+    of_front = stats[f"observation.images.{FRONT_WIDE}"]
+    if fault == "levels to 255":
+        of_front["mean"] = (255.0 * np.array(of_front["mean"])).tolist()
+    elif fault == "spread doubled":
+        of_front["std"] = (2.0 * np.array(of_front["std"])).tolist()
+    else:
+        del of_front["mean"]
+    path.write_text(json.dumps(stats))
+    status, out = run(tmp_path / "bad", "--checks", "videos")
+    assert status == 1 and "failed: image statistics" in out and FRONT_WIDE in out

@@ -171,6 +171,13 @@ def test_label_noise_is_measured_where_there_are_labels(tmp_path, drive, source,
     assert "acceleration (m/s2)" in text
 
 
+def test_measured_motion_is_smoothed_where_that_is_asked_for(tmp_path, drive):
+    smoothed = build(drive, "--out", tmp_path / "clips", "--poses", "reference", "--labels", "smoothed", "--json")
+    assert json.loads(smoothed.stdout)["given_motion"]["labels"] == "smoothed"
+    refused = build(drive, "--out", tmp_path / "clips", "--labels", "smoothed")
+    assert "--poses reference" in str(refused.exception)
+
+
 def test_the_motion_comes_from_where_it_is_said_to(tmp_path, drive):
     reference = build(drive, "--out", tmp_path / "clips", "--poses", "reference", "--json")
     summary = json.loads(reference.stdout)

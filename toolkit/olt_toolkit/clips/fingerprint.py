@@ -64,6 +64,11 @@ def fingerprint_images(frames: NDArray[np.uint8], times_us: NDArray[np.int64]) -
     return records[telling].tobytes()
 
 
+def unpack_signs(signs: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """-1 or 1 (..., 200) of the bits of images (..., 25)."""
+    return 2.0 * np.unpackbits(signs, axis=-1).astype(np.float32) - 1.0
+
+
 def _local_contrast(grey: NDArray[np.uint8]) -> NDArray[np.float32]:
     """How much brighter the cells (ROWS, COLUMNS) of an image (H, W) are than their surroundings, in grey levels."""
     size = (_OVERSAMPLING * COLUMNS, _OVERSAMPLING * ROWS)

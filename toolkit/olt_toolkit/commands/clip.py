@@ -18,6 +18,7 @@ from olt_toolkit.commands.clip_options import (
 )
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.commands.trajectory import trajectory
+from olt_toolkit.rigs.names import MotionLabels
 from olt_toolkit.runtime.workers import Engine
 
 if TYPE_CHECKING:
@@ -42,6 +43,12 @@ def build(
     name: Annotated[str | None, typer.Option(help="Name of the clip; that of the recording by default.")] = None,
     category: Annotated[str | None, typer.Option(help="Long-tail category, or nominal; unlabelled by default.")] = None,
     factor: Annotated[list[str] | None, typer.Option(help="A scene factor; repeat for more than one.")] = None,
+    labels: Annotated[
+        MotionLabels,
+        typer.Option(
+            help="With --poses reference: measured motion as it is, or as a car that does not slip drives it."
+        ),
+    ] = MotionLabels.AS_MEASURED,
     duration: DurationOption = 20.0,
     all_frames: AllFramesOption = False,
     seed: Annotated[int, typer.Option(help="Goes into the clip's id; nothing is drawn by chance.")] = 0,
@@ -59,13 +66,18 @@ def build(
     from olt_generator.errors import InputError
     from olt_generator.files import make_folder
     from olt_toolkit.clips.build_job import BuildJob
+    from olt_toolkit.clips.estimators import PoseEstimator
     from olt_toolkit.clips.views import BuildOptions
     from olt_toolkit.recordings.drives import WHOLE, find_drives, list_left_out
     from olt_toolkit.recordings.labels import UNLABELLED
+    from olt_toolkit.recordings.recording import refuse_unused
 
     if name is not None and Path(name).name != name:
         raise InputError(f"--name {name!r}: pictures are named after the clip; give a name without slashes")
     estimators = building.estimators()
+    if estimators.poses is not PoseEstimator.REFERENCE:
+        why = "motion that is recovered is smoothed in any case; measured motion is taken with --poses reference"
+        refuse_unused({"--labels": labels is not MotionLabels.AS_MEASURED}, why)
     options = BuildOptions(
         width=building.width,
         height=building.height,
@@ -75,6 +87,7 @@ def build(
         name=name,
         category=category or UNLABELLED,
         factors=tuple(factor or ()),
+        labels=labels,
         seed=seed,
     )
     store, opening = make_folder(out), building.opening(duration)

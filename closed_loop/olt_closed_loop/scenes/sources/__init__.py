@@ -1,8 +1,10 @@
 """Recorded drives of public data sets as scenes. What a recording does not say, and was assumed, a scene tells itself.
 
+What they must hold, and what is refused: docs/formats/recorded_drives.md.
+
 | source | recognised by |
 | --- | --- |
-| Argoverse 2 sensor log | a folder with `city_SE3_egovehicle.feather` and `annotations.feather` |
+| Argoverse 2 sensor log | a folder with `city_SE3_egovehicle.feather`, and `annotations[_with_ego].feather` in it |
 | Argoverse 2 motion scenario | a folder with `scenario_*.parquet` |
 | nuScenes scenario (ScenarioNet) | a file `*.json.gz` or `*.json`, or a folder of them |
 """
@@ -23,11 +25,13 @@ def find_recordings(path: Path) -> list[Path]:
         raise InputError(f"{path}: no such file or folder; give a recorded drive")
     if _is_scenario(path) or _is_sensor_log(path) or any(path.glob("scenario_*.parquet")):
         return [path]
-    found = sorted(file for file in path.glob("*.json.gz") if _is_scenario(file)) if path.is_dir() else []
+    found = sorted(path.glob("*.json.gz")) or sorted(path.glob("*.json")) if path.is_dir() else []
     if not found:
+        pickled = path.suffix == ".pkl" or (path.is_dir() and any(path.glob("*.pkl")))
+        why = "; pickles are not opened, as they can run code: write what they hold as JSON" if pickled else ""
         raise InputError(
             f"{path}: no recorded drive; give the folder of an Argoverse 2 sensor log or motion scenario, "
-            "or a nuScenes scenario (.json.gz)"
+            f"or a nuScenes scenario (.json.gz){why}"
         )
     return found
 
@@ -55,4 +59,4 @@ def _is_scenario(path: Path) -> bool:
 
 
 def _is_sensor_log(path: Path) -> bool:
-    return (path / "city_SE3_egovehicle.feather").is_file() and (path / "annotations.feather").is_file()
+    return (path / "city_SE3_egovehicle.feather").is_file()

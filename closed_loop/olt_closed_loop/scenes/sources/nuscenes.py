@@ -8,6 +8,7 @@ sideways, and it equals nuScenes' own ego pose), its box in the file has length 
 import gzip
 import io
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,27 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from olt_closed_loop.scenes.actors import footprints
 from olt_closed_loop.scenes.polylines import length_of, without_repeats
 from olt_closed_loop.scenes.scene import Agent, Lane, Scene
-from olt_closed_loop.scenes.sources.roads import edges, lane_around, link_by_place, outlines, route_along
+from olt_closed_loop.scenes.sources.fields import FARTHEST, coordinates, expect, member, numbers
+from olt_closed_loop.scenes.sources.roads import NO_ROAD, edges, lane_around, link_by_place, outlines, route_along
+from olt_closed_loop.scenes.sources.swath import ego_swath
+from olt_closed_loop.scenes.sources.tracks import (
+    FARTHEST_FROM_EGO,
+    MOST_GAP_US,
+    Times,
+    agents_of,
+    check_motion,
+    check_times,
+    listed,
+    longest_stretch,
+    whole_microseconds,
+    word_away,
+)
 from olt_generator.errors import InputError
 from olt_generator.files import read_bounded
-from olt_generator.poses import Array, planar_pose
+from olt_generator.omissions import Omission, word_omission
+from olt_generator.poses import Array, planar_pose, yaw_of
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
 from olt_toolkit.runtime.json_files import MOST_BYTES, parse_json
@@ -33,19 +48,21 @@ RENAULT_ZOE = VehicleDimensions(
 LANE_WIDTH = 3.7
 """Metres, for lanes of which only the centre line is recorded (AlpaSim's: docs/formats/alpasim.md)."""
 
+_EGO = ("vehicle.ego", "ego_vehicle")
+# nuScenes' categories; after them, for tracks without one, the types of ScenarioNet.
 _LABELS = {
     kind: label
     for label, kinds in {
         "animal": "animal",
-        "automobile": "vehicle.car",
-        "barrier": "movable_object.barrier",
+        "automobile": "vehicle.car vehicle",
+        "barrier": "movable_object.barrier traffic_barrier guardrail",
         "bus": "vehicle.bus",
-        "cone": "movable_object.trafficcone",
+        "cone": "movable_object.trafficcone traffic_cone",
         "heavy_truck": "vehicle.truck",
         "other_vehicle": "vehicle.construction vehicle.emergency",
-        "person": "human.pedestrian",
-        "protruding_object": "movable_object static_object",
-        "rider": "vehicle.bicycle vehicle.motorcycle",
+        "person": "human.pedestrian pedestrian",
+        "protruding_object": "movable_object static_object traffic_object",
+        "rider": "vehicle.bicycle vehicle.motorcycle cyclist",
         "stroller": "human.pedestrian.stroller",
         "trailer": "vehicle.trailer",
     }.items()
@@ -56,8 +73,12 @@ _LABELS = {
 def read_scenario(path: Path) -> Scene:
     """Read one scenario.
 
+    Steps in which the ego is not valid are no poses: a gap of up to `tracks.MOST_GAP_US` is bridged on a line, of a
+    drive with a longer one the longest stretch is kept. Agents that are never valid are left out, and one that is away
+    for longer is another agent when it is back. The scene's assumptions say all that.
+
     Raises:
-        InputError: the file is not such a scenario.
+        InputError: the file is not such a scenario; it names the track or map feature, the field and the time.
     """
     try:
         scenario = parse_json(_read_content(path), str(path))
@@ -65,10 +86,8 @@ def read_scenario(path: Path) -> Scene:
         raise InputError(f"{path}: cannot be read ({error}); give a scenario as .json or .json.gz") from error
     try:
         return _make_scene(scenario)
-    except (KeyError, ValueError, TypeError, IndexError, AttributeError) as error:
-        raise InputError(
-            f"{path}: not a ScenarioNet scenario of nuScenes ({error!r}); give an unchanged copy"
-        ) from error
+    except InputError as error:
+        raise InputError(f"{path}: not a ScenarioNet scenario of nuScenes ({error}); give an unchanged copy") from error
 
 
 def _read_content(path: Path) -> bytes:
@@ -83,69 +102,175 @@ def _read_content(path: Path) -> bytes:
 
 
 def _make_scene(scenario: Any) -> Scene:
-    seconds = np.array(scenario["metadata"]["ts"], dtype=np.float64)
-    times_us = np.round((seconds - seconds[0]) * 1e6).astype(np.int64)
-    tracks = dict(scenario["tracks"])
-    driven = tracks.pop(scenario["metadata"]["sdc_id"])["state"]
-    origin = np.array(driven["position"], dtype=np.float64)[0, :2]
-    x, y, yaw = _motion(driven, origin).T
-    ego = Trajectory(times_us, planar_pose(x, y, yaw))
-    lanes, areas = _read_lanes(scenario["map_features"], origin)
-    swath, beyond = _ego_swath(ego, areas)
+    metadata = member(scenario, "metadata", dict, "scenario")
+    dataset = str(metadata.get("dataset", "nuscenes"))
+    if not dataset.lower().startswith("nuscenes"):
+        raise InputError(f"metadata: dataset is {dataset:.40}, of which neither the car nor the frame is known")
+    times_us = _read_times(metadata)
+    tracks = dict(member(scenario, "tracks", dict, "scenario"))
+    driver = member(metadata, "sdc_id", str, "metadata")
+    if driver not in tracks:
+        raise InputError(f"tracks: {driver:.80} is missing, which is the ego (metadata: sdc_id)")
+    ego, first, origin, ego_notes = _read_ego(tracks.pop(driver), f"track {driver:.80}", times_us)
+    agents, agent_notes = _read_agents(tracks, times_us - times_us[first], origin, int(ego.timestamps_us[-1]))
+    lanes, areas = _read_lanes(member(scenario, "map_features", dict, "scenario"), origin)
+    swath, beyond = ego_swath(ego, RENAULT_ZOE, areas) if areas else ([], 0)
+    road = (
+        f"drivable area: the lanes, {LANE_WIDTH:g} m wide where only a centre line is recorded, and where the "
+        f"recorded ego drove ({beyond} of its {len(ego)} poses reach beyond the lanes)"
+    )
     return Scene(
-        name=f"nuscenes_{scenario['id']}",
+        name=f"nuscenes_{scenario.get('id', driver)!s:.200}",
         category="recorded",
         factors=(),
         vehicle=RENAULT_ZOE,
         ego=ego,
-        agents=tuple(_agent(name, track, times_us, origin) for name, track in tracks.items()),
+        agents=tuple(agents),
         lanes=tuple(lanes),
         road_edges=edges([*areas, *swath]),
         drivable=outlines([*areas, *swath]),
-        route=route_along(ego.positions, float(yaw[-1]), lanes),
+        route=route_along(ego.positions, float(yaw_of(ego.T_world_rig[-1])), lanes),
         assumptions=(
             "ego box: data sheet of a Renault Zoe",
             "flat ground, all boxes on it",
-            f"drivable area: the lanes, {LANE_WIDTH:g} m wide where only a centre line is recorded, and where the "
-            f"recorded ego drove ({beyond} of its {len(ego)} poses reach beyond the lanes)",
+            *ego_notes,
+            *agent_notes,
+            road if areas else NO_ROAD,
         ),
     )
 
 
-def _motion(state: dict[str, Any], origin: Array) -> Array:
-    """x, y and heading (n, 3) at all steps."""
-    position = np.array(state["position"], dtype=np.float64)[:, :2] - origin
-    return np.column_stack([position, np.array(state["heading"], dtype=np.float64)])
+def _read_times(metadata: dict[str, Any]) -> Times:
+    """Microseconds (n,) from the first step on."""
+    where = "metadata: ts"
+    seconds = numbers(member(metadata, "ts", list, "metadata"), where)
+    if seconds.ndim != 1 or len(seconds) == 0 or not np.isfinite(seconds).all():
+        raise InputError(f"{where} is no row of one or more finite seconds")
+    times_us = whole_microseconds(seconds)
+    check_times(times_us, where)
+    return times_us
 
 
-def _agent(name: str, track: dict[str, Any], times_us: NDArray[np.int64], origin: Array) -> Agent:
-    state = track["state"]
-    valid = np.array(state["valid"]) > 0
-    length, width, height = (
-        float(np.median(np.array(state[size], dtype=np.float64).ravel()[valid]))
-        for size in ("length", "width", "height")
-    )
-    x, y, yaw = _motion(state, origin)[valid].T
-    poses = np.column_stack([x, y, np.full_like(x, 0.5 * height), yaw])
-    # The longest known beginning of a category such as `vehicle.bus.rigid`.
-    words = track["metadata"]["type"].split(".")
-    labels = [_LABELS.get(".".join(words[:count])) for count in range(len(words), 0, -1)]
-    label = next(filter(None, labels), None)
+def _read_ego(track: Any, where: str, times_us: Times) -> tuple[Trajectory, int, Array, list[str]]:
+    """The ego's drive from its first pose on, the step and place (2,) of that, and what was left out."""
+    valid, motion = _read_motion(track, where, times_us)
+    if len(valid) == 0:
+        raise InputError(f"{where} is never valid, and it is the ego")
+    kept = longest_stretch(times_us[valid])
+    steps, poses = valid[kept], motion[kept]
+    if len(steps) < 2:
+        raise InputError(f"{where}: the ego is valid in {len(steps)} step at a time; a drive has more")
+    first, origin = int(steps[0]), poses[0, :2].copy()
+    x, y = (poses[:, :2] - origin).T
+    ego = Trajectory(times_us[steps] - times_us[first], planar_pose(x, y, poses[:, 2]))
+    check_motion(ego, where)
+    return ego, first, origin, list(_word_gaps(steps, valid, times_us))
+
+
+def _word_gaps(steps: NDArray[np.intp], valid: NDArray[np.intp], times_us: Times) -> Iterator[str]:
+    count, span = len(times_us), times_us[[steps[0], steps[-1]]] * 1e-6
+    longest = f"{MOST_GAP_US * 1e-6:g} s"
+    if len(valid) < count:
+        left_out = Omission("steps of the ego", "not valid; the way between is straight", count - len(valid), count)
+        yield word_omission(left_out)
+    if len(steps) < len(valid):
+        yield f"only {span[0]:.1f} to {span[1]:.1f} s of the recording: beside it the ego is away for over {longest}"
+
+
+def _read_motion(track: Any, where: str, times_us: Times) -> tuple[NDArray[np.intp], Array]:
+    """The valid steps (k,) of a track, and x, y and heading (k, 3) at them."""
+    state = member(track, "state", dict, where)
+    valid = np.flatnonzero(_column(state, "valid", where, len(times_us)) > 0)
+    position = numbers(member(state, "position", list, where), f"{where}: position")
+    if position.ndim != 2 or len(position) != len(times_us) or position.shape[1] < 2:
+        raise InputError(f"{where}: position has no x and y for each of the {len(times_us)} steps")
+    heading = _column(state, "heading", where, len(times_us))
+    motion = np.column_stack([position[:, :2], heading])[valid]
+    wrong = ~(np.abs(motion) <= FARTHEST).all(axis=1)
+    if wrong.any():
+        index = int(np.argmax(wrong))
+        values = ", ".join(f"{value:g}" for value in motion[index])
+        time = times_us[valid[index]] * 1e-6
+        raise InputError(f"{where} is valid at {time:.2f} s, where its position x, y and heading are {values}")
+    return valid, motion
+
+
+def _column(state: dict[str, Any], name: str, where: str, count: int) -> Array:
+    """One number for each step (count,)."""
+    values = numbers(member(state, name, list, where), f"{where}: {name}").ravel()
+    if len(values) != count:
+        raise InputError(f"{where}: {name} has {len(values)} values for {count} steps")
+    return values
+
+
+def _read_agents(tracks: dict[str, Any], times_us: Times, origin: Array, end_us: int) -> tuple[list[Agent], list[str]]:
+    """All agents of a drive that begins at time 0 and `origin` (2,), and what was left out and taken apart."""
+    agents: list[Agent] = []
+    never, apart, doubles = [], [], 0
+    for name, track in tracks.items():
+        kinds = _kinds(track, f"track {name:.80}")
+        if any(kind in _EGO for kind in kinds):
+            doubles += 1
+            continue
+        parts = list(_read_agent(name, track, kinds, times_us, origin, end_us))
+        if not parts:
+            never.append(name)
+        if len(parts) > 1:
+            apart.append(name)
+        agents += parts
+    notes = []
+    if never:
+        notes.append(
+            word_omission(
+                Omission(f"agents ({listed(never)})", "valid at no time of the drive", len(never), len(tracks))
+            )
+        )
+    if apart:
+        notes.append(word_away(apart))
+    if doubles:
+        notes.append(word_omission(Omission("tracks", "of the ego's class: the ego itself", doubles, len(tracks))))
+    return agents, notes
+
+
+def _kinds(track: Any, where: str) -> list[str]:
+    """What a track may be, the most particular first: beginnings of its category, else its type."""
+    described = track.get("metadata") if isinstance(track, dict) else None
+    category = described.get("type") if isinstance(described, dict) else None
+    words = (category if isinstance(category, str) else member(track, "type", str, where)).lower().split(".")
+    return [".".join(words[:count]) for count in range(len(words), 0, -1)]
+
+
+def _read_agent(
+    name: str, track: Any, kinds: list[str], times_us: Times, origin: Array, end_us: int
+) -> Iterator[Agent]:
+    where = f"track {name:.80}"
+    label = next((_LABELS[kind] for kind in kinds if kind in _LABELS), None)
     if label is None:
-        raise ValueError(f"category {'.'.join(words)} is not known")
-    return Agent(name, label, length, width, height, times_us[valid], poses)
+        raise InputError(f"{where}: category {kinds[0]:.80} is not known")
+    valid, motion = _read_motion(track, where, times_us)
+    if len(valid) == 0:
+        return
+    state = member(track, "state", dict, where)
+    length, width, height = (
+        float(np.median(_column(state, size, where, len(times_us))[valid])) for size in ("length", "width", "height")
+    )
+    poses = np.column_stack([motion[:, :2] - origin, np.full(len(valid), 0.5 * height), motion[:, 2]])
+    yield from agents_of(Agent(name, label, length, width, height, times_us[valid], poses), end_us, where)
 
 
 def _read_lanes(features: dict[str, Any], origin: Array) -> tuple[list[Lane], list[shapely.Polygon]]:
     """Lanes with their successors, and the area of each."""
     lanes, areas = [], []
     for name, feature in features.items():
-        center = np.array(feature["polyline"], dtype=np.float64)[:, :2] - origin
-        center = without_repeats(center)
-        if not feature["type"].startswith("LANE") or len(center) < 2:
+        where = f"map feature {name:.80}"
+        if not member(feature, "type", str, where).startswith("LANE"):
             continue
-        if feature.get("polygon"):
-            area = shapely.Polygon(np.array(feature["polygon"], dtype=np.float64)[:, :2] - origin)
+        center = without_repeats(_near(member(feature, "polyline", list, where), f"{where}: polyline", origin))
+        if len(center) < 2:
+            continue
+        border = expect(feature.get("polygon") or [], list, f"{where}: polygon")
+        area = shapely.Polygon(_near(border, f"{where}: polygon", origin, fewest=3)) if border else None
+        if area is not None and area.area > 0.0:
             width = area.area / length_of(center)
         else:
             area, width = shapely.LineString(center).buffer(0.5 * LANE_WIDTH), LANE_WIDTH
@@ -154,14 +279,11 @@ def _read_lanes(features: dict[str, Any], origin: Array) -> tuple[list[Lane], li
     return link_by_place(lanes), areas
 
 
-def _ego_swath(ego: Trajectory, areas: list[shapely.Polygon]) -> tuple[list[shapely.Polygon], int]:
-    """What the ego's box swept between successive poses, where it leaves the areas, and how many poses do."""
-    x, y, yaw = ego.T_world_rig[:, 0, 3], ego.T_world_rig[:, 1, 3], np.arctan2(*ego.T_world_rig[:, 1::-1, 0].T)
-    ahead = RENAULT_ZOE.rear_axle_to_bbox_center
-    centers = np.column_stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), np.zeros_like(x), yaw])
-    boxes = footprints(centers, RENAULT_ZOE.length, RENAULT_ZOE.width)
-    union = shapely.union_all([shapely.make_valid(area) for area in areas])
-    beyond = ~shapely.covers(union, boxes)
-    touched = beyond[:-1] | beyond[1:]
-    pairs = shapely.union(boxes[:-1][touched], boxes[1:][touched])
-    return list(shapely.convex_hull(pairs)), int(beyond.sum())
+def _near(values: Any, where: str, origin: Array, fewest: int = 0) -> Array:
+    """Points (n, 2) from the origin of the drive, within FARTHEST_FROM_EGO."""
+    points = coordinates(values, where, fewest=fewest) - origin
+    if np.any(np.abs(points) > FARTHEST_FROM_EGO):
+        raise InputError(
+            f"{where} is more than {FARTHEST_FROM_EGO * 1e-3:g} km from the ego; not the map of this drive"
+        )
+    return points

@@ -12,6 +12,7 @@ from olt_generator.poses import Array
 
 ROUTE_BEYOND = 400.0
 """Metres that a route goes on after the recording ends: 20 s at 20 m/s."""
+NO_ROAD = "the map holds no lanes and no drivable area: leaving the road is not measured"
 _ROUTE_SPACING = 0.2
 _LANE_DISTANCE, _LANE_TURN = 4.0, np.radians(22.5)
 """How near a lane must be, and how well aligned, to be the one that is driven on (docs/formats/alpasim.md)."""
@@ -28,8 +29,10 @@ def lane_between(name: str, left: Array, right: Array, successors: tuple[str, ..
 
 
 def lane_around(name: str, center: Array, half_width: float) -> Lane:
-    """A lane of constant width around its centre line (n, 3), n >= 2."""
+    """A lane of constant width around its centre line (n, 3), n >= 2, without repeated points."""
     direction = np.gradient(center[:, :2], axis=0)
+    ahead = np.diff(center[:, :2], axis=0, append=2.0 * center[-1:, :2] - center[-2:-1, :2])
+    direction = np.where(np.any(direction, axis=1, keepdims=True), direction, ahead)  # where the line folds back
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     to_left = half_width * np.column_stack([-direction[:, 1], direction[:, 0], np.zeros(len(center))])
     return Lane(name, center, center + to_left, center - to_left)
@@ -57,6 +60,8 @@ def _ring(ring: BaseGeometry) -> Array:
 
 def link_by_place(lanes: Sequence[Lane]) -> list[Lane]:
     """The lanes with those as successors that begin where they end and go on in about the same direction."""
+    if not lanes:
+        return []
     starts, ends = (np.stack([lane.center[at, :2] for lane in lanes]) for at in (0, -1))
     first = np.array([heading_at(lane.center, 0.0) for lane in lanes])
     last = np.array([heading_at(lane.center, length_of(lane.center)) for lane in lanes])

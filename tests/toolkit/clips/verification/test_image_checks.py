@@ -9,6 +9,7 @@ from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.camera_checks import CAMERA_NAME, OWN_VIDEO, TELE_INSIDE, TELE_TIMES
+from olt_toolkit.clips.verification.decoded_videos import ClipVideos
 from olt_toolkit.clips.verification.findings import Verdict
 from olt_toolkit.clips.verification.image_checks import check_images
 from olt_toolkit.clips.verification.motion_checks import (
@@ -59,7 +60,7 @@ def look(tmp_path, *clips):
     for clip in clips:
         store.prepare(clip)
     store.commit([clip.clip_id for clip in clips])
-    return list(check_images(store, clips[0].clip_id))
+    return list(check_images(store, clips[0].clip_id, ClipVideos(store, clips[0].clip_id)))
 
 
 def failed(findings):

@@ -11,6 +11,7 @@ from olt_generator.poses import Array, planar_pose
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.calibration_checks import field_of_view
+from olt_toolkit.clips.verification.decoded_videos import ClipVideos
 from olt_toolkit.clips.verification.gains import STRETCHES, Gain, over_cameras, stretch_gains, sum_up
 from olt_toolkit.clips.verification.hypotheses import motion_of
 from olt_toolkit.clips.verification.image_evidence import AS_SAID, Hypothesis, ImageEvidence
@@ -18,7 +19,7 @@ from olt_toolkit.clips.verification.image_steps import CameraImages, follow_poin
 from olt_toolkit.rigs.rig import MountedCamera
 
 # Motions that are tried where none is believed: speeds (m/s) and yaw rates (rad/s).
-SPEEDS: Array = np.array([-3.0, 0.0, 1.0, 2.0, 3.5, 5.0, 7.0, 9.0, 11.5, 14.0, 17.0, 20.0, 24.0, 28.0, 33.0, 39.0])
+SPEEDS: Array = np.array([-3.0, 0.0, 1.0, 2.5, 5.0, 8.0, 12.0, 17.0, 24.0, 34.0])
 YAW_RATES: Array = np.array([-0.7, -0.5, -0.35, -0.24, -0.16, -0.1, -0.05, 0.0, 0.05, 0.1, 0.16, 0.24, 0.35, 0.5, 0.7])
 # Of the steps and of their points, only one in so many is held against each of these motions.
 THINNED_STEPS, THINNED_POINTS = 2, 2
@@ -39,7 +40,8 @@ def is_narrow(lens: Camera) -> bool:
 class ClipEvidence:
     """The cameras of a clip, their images, and the evidence of each; in the order of the clip table.
 
-    `other_motions` are those of clips beside it in its store, by name.
+    `other_motions` are those of clips beside it in its store, by name. `agreeing` are the cameras that show what the
+    ones beside them show where both look, at the same time: what moves in them otherwise than the vehicle is traffic.
     """
 
     clip_id: str
@@ -48,6 +50,7 @@ class ClipEvidence:
     images: dict[str, CameraImages]
     evidence: dict[str, ImageEvidence]
     other_motions: dict[str, Hypothesis]
+    agreeing: frozenset[str] = frozenset()
 
     @cached_property
     def said(self) -> dict[str, Array]:
@@ -111,14 +114,14 @@ class ClipEvidence:
         return np.where(np.isfinite(best[:, :1]), best, [np.nan, 0.0, np.nan, np.nan])
 
 
-def gather_evidence(store: ClipStore, clip_id: str, cameras: Sequence[str]) -> ClipEvidence:
-    """Decode the images of some cameras of a clip and follow points in them.
+def gather_evidence(store: ClipStore, clip_id: str, cameras: Sequence[str], videos: ClipVideos) -> ClipEvidence:
+    """Read the images of some cameras of a clip and follow points in them.
 
     Raises:
         InputError: the clip's files are damaged.
     """
     ego_motion = store.read_ego_motion(clip_id)
-    images = {camera: read_camera_images(store, clip_id, camera) for camera in cameras}
+    images = {camera: read_camera_images(store, clip_id, camera, videos) for camera in cameras}
     return ClipEvidence(
         clip_id,
         ego_motion,

@@ -94,7 +94,7 @@ class ImageEvidence:
         first_us, second_us = self._step_times(hypothesis)
         low, high = hypothesis.span_us or self.ego_motion.span_us
         known = (np.minimum(first_us, second_us) >= low) & (np.maximum(first_us, second_us) <= high)
-        before, after = (hypothesis.motion(self._poses, times_us) for times_us in (first_us, second_us))
+        before, after = np.split(hypothesis.motion(self._poses, np.concatenate([first_us, second_us])), 2)
         likelihood = self.of_motion(invert(before) @ after, hypothesis)
         return np.where(known[self.steps.step], likelihood, np.nan)
 

@@ -7,21 +7,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_generator.cameras import Camera
+from olt_generator.errors import InputError
 from olt_generator.motion.features import Pixels, detect_corners, track_corners
 from olt_generator.poses import Array
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips.images import resize_masks
 from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.verification.decoded_videos import ClipVideos, looked_at
 
-# Images are looked at with at most so many columns, at most so often, and so many of them.
-WIDEST = 480
-LEAST_GAP_US = 80_000
-MOST_IMAGES = 250
 # Points are followed over so many steps of a clip, spread evenly over it, and over none that is longer.
-MOST_STEPS = 40
+MOST_STEPS = 24
 LONGEST_STEP_US = 250_000
 # Of the points of an image at most so many are followed.
-MOST_POINTS = 70
+MOST_POINTS = 50
 # A point lies so many pixels or more away from what no camera saw.
 _MASK_MARGIN = 9
 
@@ -69,41 +67,25 @@ class ImageSteps:
     moved: Array
 
 
-def read_camera_images(store: ClipStore, clip_id: str, camera: str) -> CameraImages:
-    """Decode small images of one camera over the whole clip, about ten a second.
+def read_camera_images(store: ClipStore, clip_id: str, camera: str, videos: ClipVideos) -> CameraImages:
+    """Small images of one camera over the whole clip, about ten a second.
 
     Raises:
         InputError: the clip's files are damaged.
     """
     mounted = store.read_camera(clip_id, camera)
     timestamps_us = store.read_timestamps(clip_id, camera)
-    indices = spaced_indices(timestamps_us)
-    width = min(WIDEST, mounted.camera.width)
-    height = round(mounted.camera.height * width / mounted.camera.width)
-    colours = store.read_images(clip_id, camera, indices, (height, width))
-    grays = np.stack([cv2.cvtColor(np.moveaxis(image, 0, -1), cv2.COLOR_RGB2GRAY) for image in colours])
-    times_us = timestamps_us[indices]
+    times_us = timestamps_us[looked_at(timestamps_us)]
+    video = videos.decode(camera)
+    if video.problem is not None or len(video.kept) != len(times_us):
+        why = video.problem or f"{len(video.numbers)} frames for {len(timestamps_us)} timestamps"
+        raise InputError(f"{store.root}: clip {clip_id}: {camera}: {why}; build the clip again")
+    height, width = video.kept.shape[1:]
     seen = None
     if not store.info(clip_id).views[camera].is_seen_whole:
         origin = resize_masks(store.read_origin(clip_id, camera, times_us), width, height)
         seen = (origin == PixelOrigin.SAME_FRAME) | (origin == PixelOrigin.OTHER_FRAME)
-    return CameraImages(
-        camera,
-        mounted.camera.resized(width, height),
-        mounted.T_rig_camera,
-        times_us,
-        np.asarray(grays, np.uint8),
-        seen,
-    )
-
-
-def spaced_indices(timestamps_us: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Numbers (m,) of the frames at times (n,) that lie far enough apart, from the first on."""
-    kept = [0]
-    for index, time_us in enumerate(timestamps_us.tolist()):
-        if time_us - timestamps_us[kept[-1]] >= LEAST_GAP_US:
-            kept.append(index)
-    return np.array(kept[:MOST_IMAGES])
+    return CameraImages(camera, mounted.camera.resized(width, height), mounted.T_rig_camera, times_us, video.kept, seen)
 
 
 def follow_points(images: CameraImages) -> ImageSteps:

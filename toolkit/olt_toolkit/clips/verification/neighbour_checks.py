@@ -1,6 +1,6 @@
 """Checks of whether neighbouring cameras show the same where they look over the same ground, and at the same time."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import combinations
 
 import numpy as np
@@ -31,7 +31,18 @@ def check_neighbours(clip: ClipEvidence) -> Iterator[Finding]:
     if not found:
         yield not_compared(NEIGHBOURS, ", ".join(clip.images), "no two cameras see enough in common")
     for (first, second), match in found.items():
-        yield _judge(match, f"{first} and {second}", clip.way)
+        yield _judge(match, _name_pair(first, second), clip.way)
+
+
+def find_agreeing(clip: ClipEvidence, findings: Iterable[Finding]) -> frozenset[str]:
+    """Cameras that some pair of `check_neighbours` finds to show what another one shows."""
+    passed = {each.where for each in findings if each.verdict is Verdict.PASSED}
+    pairs = [pair for pair in combinations(clip.images, 2) if _name_pair(*pair) in passed]
+    return frozenset(camera for pair in pairs for camera in pair)
+
+
+def _name_pair(first: str, second: str) -> str:
+    return f"{first} and {second}"
 
 
 def _judge(match: NeighbourMatch, where: str, way: float) -> Finding:
@@ -61,7 +72,8 @@ def _judge(match: NeighbourMatch, where: str, way: float) -> Finding:
             "belongs to another clip or camera"
         )
         return Finding(NEIGHBOURS, where, Verdict.FAILED, detail, said, ABSENT)
-    if surely_above(here - match.mirrored, MARGIN):
+    # As many tries for what is said as for what is not: the best of several times would often beat one mirrored view.
+    if said >= ABSENT and surely_above(match.as_said - match.mirrored, MARGIN):
         detail = f"where both look they correlate {said:.2f}, mirrored {mirrored:.2f}"
         return Finding(NEIGHBOURS, where, Verdict.PASSED, detail, said, mirrored)
     return not_compared(NEIGHBOURS, where, f"what both see is too near or too even: {said:.2f} as said")

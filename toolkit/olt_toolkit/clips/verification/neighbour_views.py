@@ -17,7 +17,7 @@ from olt_toolkit.clips.verification.image_steps import CameraImages
 from olt_toolkit.clips.verification.shared_view import LONGEST_APART_US, SHIFTS, nearest_images, turned_detail
 
 # Pairs of images that are compared, spread over the clip.
-MOST_PAIRS = 16
+MOST_PAIRS = 10
 # Pixels a degree of the common view, its height in degrees, and the overlap of two cameras that is worth a look.
 PIXELS_PER_DEGREE, HEIGHT_DEGREES, LEAST_OVERLAP = 3.0, 24.0, 16.0
 # Degrees that are left out at the borders of what both see.
@@ -28,6 +28,8 @@ PATCH, ASIDE, UPWARD = 20, 12, 5
 LEAST_CONTRAST = 2.5
 # A common view with fewer patches tells nothing.
 LEAST_PATCHES = 4
+# Of more patches than this, some that are spread over the view are looked for.
+MOST_PATCHES = 12
 
 
 @dataclass(frozen=True)
@@ -97,13 +99,14 @@ def _patches(view: NDArray[np.float32], both: NDArray[np.bool_]) -> list[tuple[i
     height, width = view.shape
     rows = range(UPWARD, height - PATCH - UPWARD + 1, PATCH)
     columns = range(ASIDE, width - PATCH - ASIDE + 1, PATCH // 2)
-    return [
+    places = [
         (row, column)
         for row in rows
         for column in columns
         if both[row : row + PATCH, column : column + PATCH].all()
         and view[row : row + PATCH, column : column + PATCH].std() > LEAST_CONTRAST
     ]
+    return places[:: -(-len(places) // MOST_PATCHES) or 1]
 
 
 def _correlate(

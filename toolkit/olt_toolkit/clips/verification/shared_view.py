@@ -19,7 +19,7 @@ from olt_toolkit.clips.verification.image_steps import CameraImages
 Table = tuple[NDArray[np.float32], NDArray[np.bool_]]
 
 # Pairs of images that are compared, spread over the clip.
-MOST_PAIRS = 16
+MOST_PAIRS = 10
 # Images of a pair are at most so far apart in time.
 LONGEST_APART_US = 60_000
 # Width of the compared tele image, and how far around its place the front view is searched, in its widths.

@@ -30,10 +30,10 @@ def check_store(store: ClipStore) -> Iterator[Finding]:
     clips = read_clip_table(root / CLIP_TABLE)
     yield from _check_index(root, clips, chunks)
     yield from _check_metadata(root, clips)
-    yield _check_features(root)
+    yield check_features(root)
     by_id = {info.clip_id: info for info in clips}
     for feature in STORED.values():
-        yield from _check_feature(root, feature, by_id, chunks)
+        yield from check_feature(root, feature, by_id, chunks)
     yield _check_strangers(root, chunks)
 
 
@@ -91,7 +91,8 @@ def _check_presence(path: Path, table: pd.DataFrame, clips: Sequence[ClipInfo]) 
     return _list("presence", str(path), wrong, "entries that are not as the clip table has them")
 
 
-def _check_features(root: Path) -> Finding:
+def check_features(root: Path) -> Finding:
+    """Whether `features.csv` names the files of the layout."""
     path = root / layout.FEATURE_TABLE
     expected = pd.DataFrame(layout.feature_rows()).fillna("").set_index("feature")
     try:
@@ -102,7 +103,7 @@ def _check_features(root: Path) -> Finding:
     return _list("features", str(path), wrong, "rows that are missing or name other files than the layout's")
 
 
-def _check_feature(
+def check_feature(
     root: Path, feature: Feature, clips: dict[str, ClipInfo], chunks: dict[int, list[str]]
 ) -> Iterator[Finding]:
     """The chunks of one feature: archives that are safe, and in each the clips that should be there."""

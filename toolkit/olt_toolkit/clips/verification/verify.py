@@ -11,9 +11,10 @@ from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.calibration_checks import check_calibration
+from olt_toolkit.clips.verification.decoded_videos import ClipVideos
 from olt_toolkit.clips.verification.file_checks import check_files
 from olt_toolkit.clips.verification.findings import Finding, Verdict, state
-from olt_toolkit.clips.verification.image_checks import IMAGE_CHECKS
+from olt_toolkit.clips.verification.image_checks import check_images
 from olt_toolkit.clips.verification.motion_table import check_motion
 from olt_toolkit.clips.verification.report import Report
 from olt_toolkit.clips.verification.store_checks import check_store
@@ -22,15 +23,15 @@ from olt_toolkit.clips.verification.video_checks import check_videos
 from olt_toolkit.runtime.threads import use_one_thread
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
-ClipCheck = Callable[[ClipStore, str], Iterable[Finding]]
+ClipCheck = Callable[[ClipStore, str, ClipVideos], Iterable[Finding]]
 
-CLIP_CHECKS: dict[str, tuple[ClipCheck, ...]] = {
-    "files": (check_files,),
-    "times": (check_times,),
-    "motion": (check_motion,),
-    "calibration": (check_calibration,),
-    "videos": (check_videos,),
-    "images": IMAGE_CHECKS,
+CLIP_CHECKS: dict[str, ClipCheck] = {
+    "files": lambda store, clip_id, _: check_files(store, clip_id),
+    "times": lambda store, clip_id, _: check_times(store, clip_id),
+    "motion": lambda store, clip_id, _: check_motion(store, clip_id),
+    "calibration": lambda store, clip_id, _: check_calibration(store, clip_id),
+    "videos": check_videos,
+    "images": check_images,
 }
 """The checks of one clip, by the name of their group, the cheap ones first."""
 STORE_GROUP = "tables"
@@ -49,12 +50,12 @@ def check_groups(names: Sequence[str]) -> tuple[str, ...]:
 def verify_clip(store: ClipStore, clip_id: str, groups: Collection[str] = GROUPS) -> list[Finding]:
     """All findings about one clip; what cannot be read is a failure and no error."""
     findings: list[Finding] = []
-    for group, checks in CLIP_CHECKS.items():
-        for check in checks if group in groups else ():
-            try:
-                findings += check(store, clip_id)
-            except InputError as error:
-                findings.append(state(f"readable for {group}", f"{store.root}: clip {clip_id}", False, str(error)))
+    videos = ClipVideos(store, clip_id)
+    for group in (name for name in CLIP_CHECKS if name in groups):
+        try:
+            findings += CLIP_CHECKS[group](store, clip_id, videos)
+        except InputError as error:
+            findings.append(state(f"readable for {group}", f"{store.root}: clip {clip_id}", False, str(error)))
     return findings
 
 

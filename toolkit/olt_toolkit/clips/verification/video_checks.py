@@ -1,21 +1,16 @@
 """Whether videos decode, to the frames that their tables promise, as the public reader counts them."""
 
-import io
 from collections.abc import Iterator
-from dataclasses import dataclass
 
-import av
-import av.error
 import numpy as np
-from av.video.reformatter import VideoReformatter
 from numpy.typing import NDArray
 
 from olt_generator.poses import Array
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.clips.origin_files import OriginRuns
-from olt_toolkit.clips.pai_layout import VIDEO
 from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.verification.decoded_videos import ClipVideos, DecodedVideo
 from olt_toolkit.clips.verification.findings import Finding, judge, not_compared, state
 
 RATE_FACTOR = 1.5
@@ -23,69 +18,20 @@ RATE_FACTOR = 1.5
 LONGEST_STILL = 0.095
 """s for which one image may be shown while the vehicle moves: the images of a sample are 0.1 s apart."""
 
-_SHRINK = 4  # along both sides, before images are compared
 _SAME_IMAGE = 0.02  # of the usual change from image to image
 _LEAST_CHANGE = 0.3  # grey levels, of most changes; below, images are too plain to tell
 _SLOWEST = 2.0  # m/s at which images of a moving vehicle change
 _LEAST_SEEN = 0.1  # share of a frame that was observed and not invented
 
 
-@dataclass(frozen=True)
-class DecodedVideo:
-    """What decoding a whole video told.
-
-    Attributes:
-        sizes: width and height of the frames, one pair if all are alike.
-        numbers: (n,) what the public reader takes each frame for, in the order of decoding.
-        rate: frames per second that the container states; 0.0 where it states none.
-        change: (n - 1,) mean absolute difference of each image from the one before, grey levels.
-        problem: what stopped the decoder, and at which frame; None where nothing did.
-    """
-
-    sizes: frozenset[tuple[int, int]]
-    numbers: NDArray[np.int64]
-    rate: float
-    change: Array
-    problem: str | None
-
-
-def decode_video(data: bytes) -> DecodedVideo:
-    """Decode a video from its first frame to its last; what cannot be decoded is told, not raised."""
-    sizes: set[tuple[int, int]] = set()
-    numbers, change = [], []
-    rate, problem, before = 0.0, None, None
-    reformatter = VideoReformatter()
-    try:
-        with av.open(io.BytesIO(data), "r") as container:
-            stream = container.streams.video[0]
-            stream.codec_context.thread_count = 1
-            rate = float(stream.average_rate or 0.0)
-            ticks = int(1 / stream.average_rate / stream.time_base) if stream.average_rate and stream.time_base else 1
-            for frame in container.decode(stream):
-                if frame.is_corrupt:
-                    problem = f"frame {len(numbers)} is damaged"
-                    break
-                sizes.add((frame.width, frame.height))
-                small = max(frame.width // _SHRINK, 1), max(frame.height // _SHRINK, 1)
-                image = reformatter.reformat(frame, *small, "gray", interpolation="AREA", threads=1).to_ndarray()
-                image = image.astype(np.int16)
-                if before is not None and before.shape == image.shape:
-                    change.append(float(np.abs(image - before).mean()))
-                before = image
-                numbers.append(round((frame.pts or 0) / max(ticks, 1)))
-    except (av.error.FFmpegError, IndexError, OSError, ValueError) as error:
-        problem = f"decoding stops after {len(numbers)} frames ({error})"
-    return DecodedVideo(frozenset(sizes), np.array(numbers, np.int64), rate, np.array(change), problem)
-
-
-def check_videos(store: ClipStore, clip_id: str) -> Iterator[Finding]:
+def check_videos(store: ClipStore, clip_id: str, videos: ClipVideos) -> Iterator[Finding]:
     """Decode the video of every camera and hold it against timestamps, lens and motion."""
     motion = store.read_ego_motion(clip_id)
     for camera in store.info(clip_id).views:
         where = f"{store.root}: clip {clip_id}: {camera}"
         times_us = store.read_timestamps(clip_id, camera)
         lens = store.read_camera(clip_id, camera).camera
-        video = decode_video(store.read_member(clip_id, camera, VIDEO))
+        video = videos.decode(camera)
         yield from check_decoded(video, times_us, (lens.width, lens.height), where)
         if video.problem is None and len(video.change) == len(times_us) - 1:
             yield check_repeated_images(video, times_us, motion, store.read_origin_runs(clip_id, camera), where)
