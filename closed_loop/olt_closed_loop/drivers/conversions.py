@@ -4,7 +4,6 @@ Convention: the wire's poses are float32, with quaternions w, x, y, z; ours are 
 unsigned on the wire.
 """
 
-import io
 from collections.abc import Iterable
 from typing import Any, Literal
 
@@ -16,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from olt_closed_loop.drivers import contract
 from olt_generator.errors import InputError
 from olt_generator.lenses.ftheta import FthetaCamera
-from olt_generator.poses import Array, make_pose, pose_from_quaternion
+from olt_generator.poses import Array, pose_from_quaternion
+from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import MountedCamera
 
 LATEST_TIME_US = 2**62
@@ -76,6 +76,17 @@ def _read_poses(poses: list[Any], what: str) -> Array:
         index = int(np.argmax(wrong))
         raise InputError(f"{what}: the quaternion of pose {index} has length {lengths[index]:.3g} instead of 1")
     return pose_from_quaternion(numbers[:, 3:], numbers[:, :3])
+
+
+def poses_at(times_us: NDArray[np.int64], poses: Array, wanted_us: NDArray[np.int64]) -> Array:
+    """Poses (m, 4, 4) at times within those of known ones (n, 4, 4); times that are all known need no interpolation.
+
+    Raises:
+        InputError: a wanted time lies outside, or known times do not increase.
+    """
+    trajectory = Trajectory(times_us, poses)
+    index = np.minimum(np.searchsorted(times_us, wanted_us), len(times_us) - 1)
+    return poses[index] if np.array_equal(times_us[index], wanted_us) else trajectory.interpolate(wanted_us)
 
 
 def write_vector(vector: Iterable[float]) -> Any:
@@ -154,10 +165,3 @@ def _fit(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
     middle = pixels[top : top + kept_rows, left : left + kept_columns]
     interpolation = cv2.INTER_AREA if factor < 1.0 else cv2.INTER_LINEAR
     return np.asarray(cv2.resize(middle, (width, height), interpolation=interpolation), np.uint8)
-
-
-def ahead(distance: Array) -> Array:
-    """Poses (n, 4, 4) ahead by distances (n,) along x, metres."""
-    positions = np.zeros((len(distance), 3))
-    positions[:, 0] = distance
-    return make_pose(np.eye(3), positions)

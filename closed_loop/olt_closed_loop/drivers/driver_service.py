@@ -57,8 +57,8 @@ class DriverService:
     def get_version(self, request: Any, context: grpc.ServicerContext) -> Any:
         """Name and version, and in metadata what the policy needs to be shown."""
         height, width = self.traits.image_size
-        told = [(CAMERAS_KEY, ",".join(self.traits.cameras) or "none")]
-        context.send_initial_metadata(told + ([(SIZE_KEY, f"{height}x{width}")] if self.traits.cameras else []))
+        told = ((CAMERAS_KEY, ",".join(self.traits.cameras) or "none"),)
+        context.send_initial_metadata(told + (((SIZE_KEY, f"{height}x{width}"),) if self.traits.cameras else ()))
         return contract.version_of(self.traits.name)
 
     def start_session(self, request: Any, context: grpc.ServicerContext) -> Any:

@@ -13,12 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.drivers.contract import CallRefused
-from olt_closed_loop.drivers.conversions import LATEST_TIME_US, ahead, decode_image, read_trajectory, read_vector
+from olt_closed_loop.drivers.conversions import LATEST_TIME_US, decode_image, poses_at, read_trajectory, read_vector
 from olt_closed_loop.simulation.policy_hosts import PolicyTraits
 from olt_generator.errors import InputError
-from olt_generator.poses import Array, invert, transform
+from olt_generator.poses import Array, invert, planar_pose, transform
 from olt_generator.seeds import derive_seed
-from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.contract import HISTORY_STEPS, IMAGE_FRAMES, STEP_US, Observation
 from olt_toolkit.rigs.rig import CAMERA_INDEX
 
@@ -140,13 +139,13 @@ class DriveSession:
 
     def _poses_at(self, times_us: NDArray[np.int64]) -> Array:
         known = np.array(sorted(self._poses), dtype=np.int64)
-        trajectory = Trajectory(known, np.stack([self._poses[time_us] for time_us in known.tolist()]))
         first_us = int(known[0])
-        poses = trajectory.interpolate(np.maximum(times_us, first_us))
+        stacked = np.stack([self._poses[time_us] for time_us in known.tolist()])
+        poses = poses_at(known, stacked, np.maximum(times_us, first_us))
         earlier = times_us < first_us
         if earlier.any():
             seconds = (times_us[earlier] - first_us) * 1e-6
-            poses[earlier] = poses[earlier] @ ahead(seconds * self._first_speed(known))
+            poses[earlier] = poses[earlier] @ planar_pose(seconds * self._first_speed(known), 0.0, 0.0)
         return poses
 
     def _first_speed(self, known: NDArray[np.int64]) -> float:

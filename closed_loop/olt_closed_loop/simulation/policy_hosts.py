@@ -73,6 +73,7 @@ class PolicyTraits:
     answers_batches: bool = False
     uses_route: bool = True
     resets: bool = False
+    closes: bool = False
 
     @classmethod
     def of(cls, policy: Policy) -> "PolicyTraits":
@@ -95,7 +96,8 @@ class PolicyTraits:
             raise InputError(f"{who}: image_size is {size}; give the height and width of its images")
         batches = isinstance(policy, BatchPolicy)
         route = policy.uses_route if isinstance(policy, BatchPolicy) else True
-        return cls(name, cameras, (size[0], size[1]), batches, route, isinstance(policy, Resettable))
+        resets, closes = isinstance(policy, Resettable), isinstance(policy, ClosablePolicy)
+        return cls(name, cameras, (size[0], size[1]), batches, route, resets, closes)
 
 
 @runtime_checkable
@@ -164,6 +166,7 @@ class LocalPolicy:
             policy = self._policy
             return _guard(lambda: policy.reset(seed, scene), self._watched)[1]
         if self._used and not self.traits.answers_batches:
+            self.close()
             self._policy, fault = _guard(self._make, self._watched)
             return fault
         self._used = True

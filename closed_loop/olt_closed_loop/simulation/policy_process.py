@@ -70,7 +70,7 @@ class PolicyProcess:
         kept = self._process is not None
         fault = self._reset(seed, scene)
         if fault and kept:  # by what an earlier rollout left behind
-            self.close()
+            self._end()
             fault = self._reset(seed, scene)
         return fault
 
@@ -93,7 +93,14 @@ class PolicyProcess:
         return [fault] * count if fault else self._ask(("plan_batch", observations), count, self._limits.call_seconds)
 
     def close(self) -> None:
-        """End the process, and those that it started."""
+        """End the process, and those that it started; its policy closes first what it holds (`ClosablePolicy`)."""
+        if self._process is not None and self.traits.closes and not self._failed:
+            with suppress(OSError):
+                self._connection.send(("close",))
+                self._connection.poll(_SECONDS_TO_DIE)
+        self._end()
+
+    def _end(self) -> None:
         if self._process is None:
             return
         self._ending()
@@ -129,10 +136,10 @@ class PolicyProcess:
             raise PolicyNotStarted(told)
         values = json.loads(told)
         if "refused" in values:
-            self.close()
+            self._end()
             raise InputError(values["refused"])
         if "fault" in values:
-            self.close()
+            self._end()
             raise PolicyNotStarted(PolicyFault(**values["fault"]))
         traits = values["traits"]
         self.traits = PolicyTraits(
@@ -152,7 +159,7 @@ class PolicyProcess:
     def _receive(self, count: int, seconds: float) -> bytes | PolicyFault:
         try:
             if not self._connection.poll(seconds):
-                self.close()
+                self._end()
                 return PolicyFault("policy_timeouts", f"gave no answer within {seconds:g} s")
             return self._connection.recv_bytes(_LONGEST_LINE + 8 * _PLAN_VALUES * count)
         except (EOFError, OSError):
@@ -165,7 +172,7 @@ class PolicyProcess:
             raise RuntimeError("the policy's process was not started")
         process.join(_SECONDS_TO_DIE)
         code = process.exitcode
-        self.close()
+        self._end()
         if code is None:
             how = "closed its connection"
         elif code < 0:
