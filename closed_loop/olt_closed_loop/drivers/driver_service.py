@@ -18,8 +18,9 @@ from olt_closed_loop.drivers.contract import CallRefused
 from olt_closed_loop.drivers.conversions import write_trajectory
 from olt_closed_loop.drivers.remote_driver import CAMERAS_KEY, SIZE_KEY
 from olt_closed_loop.drivers.sessions import DriveSession
-from olt_closed_loop.simulation.answers import PolicyFault
+from olt_closed_loop.simulation.answers import PolicyFault, PolicyFaulted
 from olt_closed_loop.simulation.policy_hosts import LocalPolicy, PolicySource
+from olt_generator.errors import InputError
 from olt_generator.poses import make_pose
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_US
 
@@ -49,7 +50,7 @@ class DriverService:
             InputError: the policy is not known, does not keep the contract, or cannot be copied.
         """
         self._source, self._most = policy, sessions
-        first = LocalPolicy(policy)
+        first = _build(policy)
         self._idle, self.traits = [first], first.traits
         self._open: dict[str, _Open] = {}
         self._lock, self._calls = threading.Lock(), threading.Lock()
@@ -68,27 +69,39 @@ class DriverService:
             raise CallRefused(grpc.StatusCode.INVALID_ARGUMENT, "session without a session_uuid")
         cameras = [camera.logical_id for camera in request.rollout_spec.vehicle.available_cameras]
         session = DriveSession(request.random_seed, scene, cameras, self.traits)
-        with self._lock:
-            if name in self._open:
-                raise CallRefused(grpc.StatusCode.ALREADY_EXISTS, f"session {name!r} is open")
-            self._make_room()
-            policy = self._idle.pop() if self._idle else LocalPolicy(self._source)
-            self._open[name] = _Open(session, policy)
-        with self._calls:
-            fault = policy.begin(request.random_seed, scene)
+        opened = _Open(session, self._take_policy())
+        try:
+            self._add(name, opened)
+            with self._calls:
+                fault = opened.policy.begin(request.random_seed, scene)
+        except CallRefused:
+            self._idle.append(opened.policy)
+            raise
         if fault:
             self._close(name)
             raise CallRefused(grpc.StatusCode.FAILED_PRECONDITION, f"the policy {fault.what}: {fault.detail}")
         return contract.SessionRequestStatus()
 
-    def _make_room(self) -> None:
-        if len(self._open) < self._most:
-            return
+    def _take_policy(self) -> LocalPolicy:
+        with self._lock:
+            if self._idle:
+                return self._idle.pop()
+        return _build(self._source)
+
+    def _add(self, name: str, opened: _Open) -> None:
+        with self._lock:
+            if name in self._open:
+                raise CallRefused(grpc.StatusCode.ALREADY_EXISTS, f"session {name!r} is open")
+            if len(self._open) >= self._most:
+                self._forget_idle()
+            if len(self._open) >= self._most:
+                raise CallRefused(grpc.StatusCode.RESOURCE_EXHAUSTED, f"{self._most} sessions are open; close one")
+            self._open[name] = opened
+
+    def _forget_idle(self) -> None:
         forgotten = time.monotonic() - IDLE_SECONDS
         for name in [name for name, each in self._open.items() if each.heard < forgotten]:
             self._idle.append(self._open.pop(name).policy)
-        if len(self._open) >= self._most:
-            raise CallRefused(grpc.StatusCode.RESOURCE_EXHAUSTED, f"{self._most} sessions are open; close one")
 
     def close_session(self, request: Any, context: grpc.ServicerContext) -> Any:
         """End a session; one that is not open has ended."""
@@ -155,3 +168,10 @@ class DriverService:
             raise CallRefused(grpc.StatusCode.NOT_FOUND, f"session {request.session_uuid!r} is not open")
         opened.heard = time.monotonic()
         return opened
+
+
+def _build(source: PolicySource) -> LocalPolicy:
+    try:
+        return LocalPolicy(source)
+    except PolicyFaulted as error:
+        raise InputError(str(error)) from error
