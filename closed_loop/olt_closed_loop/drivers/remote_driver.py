@@ -2,8 +2,8 @@
 
 The rig at the first plan is the origin of the local frame in which the driver is told poses and answers. Where the rig
 stands in it later is reckoned from what every policy is shown, its own past poses. In every step the driver gets the
-new frames, the new poses with rates that are differences of them, and the route, at once and in no certain order; when
-all are taken it is asked to drive. What it answers must reach from now over the second that control looks ahead
+new poses with rates that are differences of them, the route, and the new frames; when all are taken it is asked to
+drive. What it answers must reach from now over the second that control looks ahead
 (`observations.SHORTEST_PLAN`); past its end it goes on as it ended.
 
 The messages that a driver gets are those of the contract, so it may run anywhere and be written in anything. What it
@@ -15,11 +15,13 @@ are not looked at.
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from functools import cached_property
 from typing import Any
 from uuid import uuid4
 
 import grpc
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_closed_loop.drivers import contract
 from olt_closed_loop.drivers.addresses import DriverAddress, read_cameras, read_size
@@ -45,45 +47,57 @@ DEFAULT_IMAGE_SIZE = (320, 576)
 """Height and width; the drivers of Alpamayo refuse smaller images (docs/formats/alpasim_services.md)."""
 CAMERAS_KEY, SIZE_KEY = "openlongtail-cameras", "openlongtail-image-size"
 """Metadata in which a policy served by `olt closed-loop serve` tells what it needs."""
-_CLOSING_SECONDS = 2.0
+_CONNECTING_SECONDS, _CLOSING_SECONDS = 10.0, 2.0
 
 
 class RemoteDriver:
     """See the module. One session at the driver for each rollout."""
 
-    def __init__(self, address: DriverAddress, start_seconds: float = 30.0, call_seconds: float = 30.0) -> None:
-        """Wait for the driver and ask who it is.
-
-        Raises:
-            PolicyFaulted: it does not answer.
-        """
+    def __init__(self, address: DriverAddress, start_seconds: float = 300.0, call_seconds: float = 30.0) -> None:
         self._address = address
         self.limit_time(call_seconds, start_seconds)
         self._channel = grpc.insecure_channel(address.target, options=contract.CHANNEL_OPTIONS)
         self._stub = contract.Stub(self._channel, contract.EGODRIVER)
         self._session: str | None = None
+
+    @cached_property
+    def _told(self) -> tuple[str, tuple[str, ...], tuple[int, int]]:
+        """Name, cameras and image size that the driver tells, or what it is taken to want.
+
+        Raises:
+            PolicyFaulted: it does not answer, or in no known words.
+        """
+        seconds = min(self._start_seconds, _CONNECTING_SECONDS)
         try:
-            version, told = self._ask_version()
+            grpc.channel_ready_future(self._channel).result(seconds)
+        except grpc.FutureTimeoutError as error:
+            where = f"could not be reached at {self._address.target} within {seconds:g} s"
+            raise PolicyFaulted(PolicyFault("policy_deaths", where)) from error
+        with self._faults(self._start_seconds):
+            version, call = self._stub.get_version.with_call(contract.Empty(), timeout=self._start_seconds)
+        told = {key: value for key, value in call.initial_metadata() if isinstance(value, str)}
+        try:
             cameras = read_cameras(told.get(CAMERAS_KEY, DEFAULT_CONTRACT.name), CAMERAS_KEY)
             size = read_size(told[SIZE_KEY], SIZE_KEY) if SIZE_KEY in told else DEFAULT_IMAGE_SIZE
-        except PolicyFaulted:
-            self._channel.close()
-            raise
         except InputError as error:
-            self._channel.close()
             fault = PolicyFault("wrong_answers", "told what it needs in no known words", str(error))
             raise PolicyFaulted(fault) from error
-        self.name = version.version_id or "driver"
-        self.cameras = cameras if address.cameras is None else address.cameras
-        self.image_size = address.image_size or size
+        return version.version_id or "driver", cameras, size
 
-    def _ask_version(self) -> tuple[Any, dict[str, str]]:
-        # A driver that still loads its model is waited for.
-        with self._faults(self._start_seconds):
-            version, call = self._stub.get_version.with_call(
-                contract.Empty(), timeout=self._start_seconds, wait_for_ready=True
-            )
-        return version, {key: value for key, value in call.initial_metadata() if isinstance(value, str)}
+    @property
+    def name(self) -> str:
+        """Name and version, as the driver tells."""
+        return self._told[0]
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """What is rendered for the driver."""
+        return self._told[1] if self._address.cameras is None else self._address.cameras
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Height and width of its images."""
+        return self._address.image_size or self._told[2]
 
     def limit_time(self, call_seconds: float, start_seconds: float) -> None:
         """See `simulation.policy_hosts.TimedPolicy`."""
@@ -126,16 +140,17 @@ class RemoteDriver:
         steps, T_local_rig = self._move_to(observation)
         now_us, deadline = observation.time_us, time.monotonic() + self._call_seconds
         with self._faults(self._call_seconds):
-            # Images take long to decode at the other end: all at once. A call that is waited for at once costs less.
-            images = [
-                self._stub.submit_image_observation.future(image, timeout=deadline - time.monotonic())
-                for image in self._images(observation, steps)
-            ]
             self._tell("submit_egomotion_observation", write_egomotion(observation, steps, T_local_rig), deadline)
             for route in write_routes(observation):
                 self._tell("submit_route", route, deadline)
-            for image in images:
-                image.result()
+            for frames in self._frames(observation, steps):
+                # Those of one moment at once, as images take long to decode at the other end.
+                calls = [
+                    self._stub.submit_image_observation.future(frame, timeout=max(0.0, deadline - time.monotonic()))
+                    for frame in frames
+                ]
+                for call in calls:
+                    call.result()
             request = contract.DriveRequest(time_now_us=now_us, time_query_us=now_us + STEP_US)
             answer = self._tell("drive", request, deadline)
         if answer.terminate_session:
@@ -162,18 +177,21 @@ class RemoteDriver:
         except grpc.RpcError as error:
             raise PolicyFaulted(_fault_of(error, self._address.target, seconds)) from error
 
-    def _images(self, observation: Observation, steps: int) -> Iterator[Any]:
-        """The new frames, the oldest first."""
+    def _frames(self, observation: Observation, steps: int) -> Iterator[list[Any]]:
+        """The new frames of all cameras, the oldest first."""
         if observation.images is None:
             return
-        new = min(steps, IMAGE_FRAMES)
-        for name, frames in zip(self.cameras, observation.images[:, IMAGE_FRAMES - new :], strict=True):
-            for back, frame in zip(reversed(range(new)), frames, strict=True):
-                message = contract.RolloutCameraImage(session_uuid=self._session)
-                image = message.camera_image
-                image.frame_start_us = image.frame_end_us = observation.time_us - back * STEP_US
-                image.logical_id, image.image_bytes = name, encode_image(frame, self._address.coding)
-                yield message
+        for back in reversed(range(min(steps, IMAGE_FRAMES))):
+            time_us, newest = observation.time_us - back * STEP_US, IMAGE_FRAMES - 1
+            frames = zip(self.cameras, observation.images[:, newest - back], strict=True)
+            yield [self._frame(name, frame, time_us) for name, frame in frames]
+
+    def _frame(self, name: str, frame: NDArray[np.uint8], time_us: int) -> Any:
+        message = contract.RolloutCameraImage(session_uuid=self._session)
+        image = message.camera_image
+        image.frame_start_us = image.frame_end_us = time_us
+        image.logical_id, image.image_bytes = name, encode_image(frame, self._address.coding)
+        return message
 
     def close(self) -> None:
         """End the session and the connection."""
@@ -205,6 +223,5 @@ def load_grpc(argument: str | None) -> RemoteDriver:
 
     Raises:
         InputError: it is no address.
-        PolicyFaulted: nobody answers there.
     """
     return RemoteDriver(DriverAddress.parse(argument or ""))
