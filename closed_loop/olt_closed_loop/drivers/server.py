@@ -1,6 +1,7 @@
 """Serving over gRPC, on the loopback interface unless told otherwise: the contract has neither names nor passwords."""
 
 import signal
+import sys
 import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -39,7 +40,8 @@ def serving(servicer: Servicer, host: str = LOOPBACK, port: int = 0) -> Iterator
 
 
 def wait_for_end() -> None:
-    """Return when this process is told to end, by Ctrl-C or SIGTERM."""
+    """Return when this process is told to end, by Ctrl-C or SIGTERM; what was printed before is out by then."""
+    sys.stdout.flush()
     told = threading.Event()
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, lambda *_: told.set())

@@ -160,6 +160,8 @@ def test_a_driver_that_does_wrong_is_an_event_of_its_rollout(straight_scene, nam
         began = time.monotonic()
         rollouts = [rollout for rollout, _ in run_closed_loop([straight_scene()], policy, 2, settings=HASTY)]
         assert time.monotonic() - began < 15.0
+    assert driver.closed == [session.session_uuid for session in driver.sessions]
+    assert len(driver.sessions) == 2
     for rollout in rollouts:
         assert rollout.failure_kind == kind, rollout.failure
         assert words in rollout.failure
