@@ -167,6 +167,7 @@ def run(
                 definition=definition,
                 out=out / "baselines" if out else None,
                 engine=engine,
+                beside=results,
             )
     scores = [score for _, score in results]
     table = summarize_scores(scores)

@@ -102,6 +102,7 @@ def run_closed_loop(
         runs = [_Run(index, source, number, kept.get(index)) for index, (source, number) in enumerate(drives)]
         job = _Job(uuid4().hex, policy, settings, definition, folder.parts if folder else None, gated)
         size = min(LARGEST_BATCH, -(-len(runs) // (4 * workers)))
+        size += -size % min(rollouts, LARGEST_BATCH)  # a scene whose rollouts are in one batch is gated once
         batches = [runs[start : start + size] for start in range(0, len(runs), size)]
         try:
             parts = map_parallel(job.run_batch, batches, workers, on_progress, engine)

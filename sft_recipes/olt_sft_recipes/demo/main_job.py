@@ -20,7 +20,7 @@ from olt_closed_loop import (
 )
 from olt_closed_loop.evaluation.baselines import run_baselines
 from olt_closed_loop.evaluation.comparison import compare_scores
-from olt_closed_loop.evaluation.evaluation import count_left_out, pass_gate
+from olt_closed_loop.evaluation.evaluation import Result, count_left_out, pass_gate
 from olt_closed_loop.scenes.procedural import CATEGORIES
 from olt_closed_loop.sensors.recorder import record_drive
 from olt_datasets import Mixture, compose_mixture, find_recipe, read_clip_tables
@@ -366,6 +366,7 @@ def drive_suite(
     """
     gate = [result.to_dict() for result in pass_gate(suite)]
     policies, driven = {}, {}
+    results: list[Result] = []
     for index, name in enumerate(RECIPES):
         results = run_closed_loop(
             suite,
@@ -374,6 +375,7 @@ def drive_suite(
             seed=settings.seed,
             workers=workers,
             on_progress=lambda share, index=index: on_progress((index + share) / (len(RECIPES) + 1)),
+            gated=True,
         )
         save_results(out / "closed_loop" / name, results)
         driven[name] = scores = [score for _, score in results]
@@ -389,6 +391,7 @@ def drive_suite(
         settings.seed,
         workers=workers,
         on_progress=lambda share: on_progress((len(RECIPES) + share) / (len(RECIPES) + 1)),
+        beside=results,
     )
     driven |= {name: [score for _, score in results] for name, results in beside.items()}
     return {"gate": gate, "policies": policies, "comparison": compare_scores(driven).to_dict()}
