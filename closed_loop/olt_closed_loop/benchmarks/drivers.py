@@ -36,12 +36,13 @@ class WatchingPolicy(RouteFollowingPolicy):
 
 def observe(step: int, images: NDArray[np.uint8] | None = None) -> Observation:
     """A straight drive at `SPEED`, on a route that leads away to the left."""
-    back = SPEED * STEP_SECONDS * np.arange(1 - HISTORY_STEPS, 1)
+    positions = np.zeros((HISTORY_STEPS, 3))
+    positions[:, 0] = SPEED * STEP_SECONDS * np.arange(1 - HISTORY_STEPS, 1)
     ahead = np.linspace(0.0, 80.0, 20)
     return Observation(
         images=images,
         camera_indices=np.array([CAMERA_INDEX[camera] for camera in POLICY_CAMERAS], dtype=np.int64),
-        history_xyz=np.stack([back, np.zeros_like(back), np.zeros_like(back)], axis=-1),
+        history_xyz=positions,
         history_rotation=np.tile(np.eye(3), (HISTORY_STEPS, 1, 1)),
         route_xy=np.stack([ahead, 0.002 * ahead**2], axis=-1),
         time_us=_START_US + step * STEP_US,
