@@ -72,7 +72,7 @@ class Unbuilt(Told):
 
 @pytest.mark.parametrize("isolate", ISOLATE)
 def test_one_that_cannot_be_built_fails_its_rollouts(straight_scene, isolate):
-    settings = replace(SHORT, limits=PolicyLimits(isolate=isolate))
+    settings = replace(SHORT, limits=PolicyLimits(isolate=isolate, start_seconds=30.0))
     ((rollout, _),) = run_closed_loop([straight_scene()], Unbuilt, 1, settings=settings, workers=1)
     assert rollout.failure_kind == "policy_deaths"
     assert "could not be reached" in rollout.failure
