@@ -61,11 +61,15 @@ Controller = Literal["lqr", "linear", "nonlinear"]  # control.tracking
 Integrator = Literal["auto", "midpoint", "rk4", "radau", "cvodes"]  # vehicle.integrators
 Light = Literal["day", "low_sun", "night"]  # scenes.conditions
 Isolation = Literal["auto", "none", "process"]  # simulation.policy_hosts
+HostOption = Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for other machines.")]
+SessionsOption = Annotated[int, typer.Option(min=1, help="Most sessions at once.")]
 
 
 @app.command()
 def run(
-    policy: Annotated[str, typer.Option(help="NAME or NAME:PATH, for example route or toy:CHECKPOINT.")] = "route",
+    policy: Annotated[
+        str, typer.Option(help="NAME, NAME:PATH or grpc://HOST:PORT, such as route or toy:CHECKPOINT.")
+    ] = "route",
     scenes: Annotated[
         list[str] | None, typer.Argument(help="Scene files, recorded drives (file or folder), or CATEGORY:SEED.")
     ] = None,
@@ -222,6 +226,55 @@ def run(
         _print_notes(scores, table.overall.rollout_incidents, vehicle_steps, left_out)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
+
+
+@app.command()
+def serve(
+    policy: Annotated[str, typer.Option(help="NAME or NAME:PATH, as `run` takes it.")],
+    host: HostOption = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="0 for any free one.", envvar="ALPASIM_DRIVER_PORT")] = 6789,
+    sessions: SessionsOption = 64,
+) -> None:
+    """Serve a policy as a driver of AlpaSim (gRPC service egodriver), until told to end.
+
+    Whoever reaches the port can drive with the policy: there are no passwords.
+    """
+    from olt_closed_loop.drivers.driver_service import DriverService
+    from olt_closed_loop.drivers.server import serving, wait_for_end
+    from olt_toolkit.runtime.console import print_line
+
+    with serving(DriverService(policy, sessions), host, port) as bound:
+        print_line(f"{policy} serves egodriver.EgodriverService at {host}:{bound}")
+        wait_for_end()
+
+
+@app.command()
+def serve_vehicle(
+    vehicle: Annotated[Vehicle, typer.Option(help="How it moves.")] = "tyres",
+    controller: Annotated[
+        Controller, typer.Option(help="What follows the plan: LQR, linear or nonlinear MPC.")
+    ] = "linear",
+    integrator: Annotated[Integrator, typer.Option(help="How the vehicle is integrated.")] = "auto",
+    host: HostOption = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="0 for any free one.")] = 6790,
+    sessions: SessionsOption = 64,
+) -> None:
+    """Serve the vehicle and its controller to AlpaSim (gRPC service VDCService), until told to end."""
+    from olt_closed_loop import ControlSettings
+    from olt_closed_loop.drivers.driven_vehicle import DrivenVehicle
+    from olt_closed_loop.drivers.server import serving, wait_for_end
+    from olt_closed_loop.drivers.vehicle_service import VehicleService
+    from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres
+    from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
+    from olt_toolkit.runtime.console import print_line
+
+    make = vehicle_with_tyres if vehicle == "tyres" else VehicleParameters.from_dimensions
+    parameters, settings = make(DEFAULT_VEHICLE), ControlSettings(method=controller)
+    name = f"{vehicle}-{controller}"
+    service = VehicleService(lambda: DrivenVehicle(parameters, settings, integrator), name, sessions)
+    with serving(service, host, port) as bound:
+        print_line(f"{name} serves controller.VDCService at {host}:{bound}")
+        wait_for_end()
 
 
 @app.command()
