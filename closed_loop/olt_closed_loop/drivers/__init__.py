@@ -2,6 +2,6 @@
 
 import os
 
-# Policies get processes by fork (`simulation.policy_process`), which need no gRPC: its handlers of forks, which run in
-# them while other threads are at work, can hang them. It reads this when it is first imported.
+# Policies get processes by fork (`simulation.policy_process`), which need no gRPC: its handlers of forks would print
+# that they are left out while its threads are at work. It reads this when it is first imported.
 os.environ["GRPC_ENABLE_FORK_SUPPORT"] = "0"

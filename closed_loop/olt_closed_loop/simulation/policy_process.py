@@ -32,7 +32,7 @@ from olt_closed_loop.simulation.policies import ObservationBatch
 from olt_closed_loop.simulation.policy_hosts import LocalPolicy, PolicyHost, PolicyLimits, PolicySource, PolicyTraits
 from olt_generator.errors import InputError
 from olt_toolkit.policy.contract import FUTURE_STEPS, Observation, PlannedTrajectory
-from olt_toolkit.runtime.threads import use_one_thread
+from olt_toolkit.runtime.threads import use_one_thread, without_opencv_threads
 
 _CONTEXT = get_context("fork" if sys.platform == "linux" else "spawn")
 _PLAN_VALUES = FUTURE_STEPS * (3 + 9)
@@ -121,7 +121,8 @@ class PolicyProcess:
         self._connection, theirs = _CONTEXT.Pipe()
         self._process = _CONTEXT.Process(target=_serve, args=(theirs, self._connection, self._source, self._limits))
         try:
-            self._process.start()
+            with without_opencv_threads():
+                self._process.start()
         except (AttributeError, TypeError, pickle.PicklingError) as error:
             self._process = None
             raise InputError(

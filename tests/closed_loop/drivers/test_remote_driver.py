@@ -91,7 +91,6 @@ def read_trajectory_of(entries):
     return read_trajectory(message, "told")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("coding", ["jpeg", "png"])
 def test_what_a_driver_is_shown(straight_scene, coding):
     scene, driver, size = straight_scene(), SteadyDriver(), (40, 72)
