@@ -1,0 +1,113 @@
+"""A drive planned with the truth of a scene: which slow ones to overtake is tried, and the best drive is kept."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from olt_closed_loop.scenes.actors import footprints
+from olt_closed_loop.scenes.polylines import wrap
+from olt_closed_loop.scenes.scene import Agent
+from olt_closed_loop.simulation.planning.speeds import Progress, plan_speeds
+from olt_closed_loop.simulation.planning.truth import Truth, box_of, stands
+from olt_closed_loop.simulation.planning.ways import Way, plan_way
+from olt_generator.poses import Array
+
+ROUNDS = 3
+"""How often a way past moving ones is planned anew with the times of the drive before."""
+_SAME_WAY, _SLOWER = np.deg2rad(50.0), 0.85
+_BEFORE, _BEHIND = 6.0, 8.0
+_PASS_STEP_US = 200_000
+_OBSTRUCTED = 1e6
+_MORE_LENGTH = 20.0
+
+
+@dataclass(frozen=True)
+class Drive:
+    """A planned drive: the way, and the progress along it."""
+
+    way: Way
+    progress: Progress
+
+    def poses(self, timestamps_us: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+        """x, y, yaw (n,) of the rig at times (n,); it goes on as it ends."""
+        known, arc = self.progress.timestamps_us, self.progress.arc
+        asked = np.interp(timestamps_us, known, arc)
+        last = (arc[-1] - arc[-2]) / (known[-1] - known[-2])
+        return self.way.poses(asked + last * np.maximum(timestamps_us - known[-1], 0))
+
+
+def plan_drive(truth: Truth, now_us: int, x: float, y: float, speed: float) -> Drive:
+    """The best drive from (x, y), metres, at `speed` m/s: it gets far, and touches nobody."""
+    parked = [agent for agent in truth.agents if stands(agent, now_us, truth.end_us)]
+    moving = tuple(agent for agent in truth.agents if agent not in parked)
+    obstacles = [_outline(agent, agent.poses[:1]) for agent in parked]
+    length = max(truth.cruise, speed) * 1e-6 * (truth.end_us - now_us) + _MORE_LENGTH
+    best = _drive(truth, now_us, x, y, speed, length, obstacles, moving)
+    slow = [agent for agent in moving if _may_be_overtaken(agent, best.way, truth, now_us)]
+    driven = Drive(best.way, _at_cruise(truth, now_us))
+    for _ in range(ROUNDS if slow else 0):
+        passed = [shape for agent in slow for shape in _beside(agent, driven, truth)]
+        driven = _drive(truth, now_us, x, y, speed, length, [*obstacles, *passed], moving)
+        best = min(best, driven, key=_badness)
+    return best
+
+
+def _drive(
+    truth: Truth,
+    now_us: int,
+    x: float,
+    y: float,
+    speed: float,
+    length: float,
+    obstacles: Sequence[shapely.Geometry],
+    moving: tuple[Agent, ...],
+) -> Drive:
+    way = plan_way(truth, x, y, length, obstacles)
+    return Drive(way, plan_speeds(truth, way, moving, now_us, speed))
+
+
+def _badness(drive: Drive) -> float:
+    return _OBSTRUCTED * drive.progress.obstructed - float(drive.progress.arc[-1])
+
+
+def _at_cruise(truth: Truth, now_us: int) -> Progress:
+    times = np.array([now_us, truth.end_us], dtype=np.int64)
+    return Progress(times, truth.cruise * 1e-6 * (times - now_us), False)
+
+
+def _may_be_overtaken(agent: Agent, way: Way, truth: Truth, now_us: int) -> bool:
+    """Whether an agent goes along the way, and slower than the vehicle would."""
+    box = box_of(agent)
+    times = np.arange(max(now_us, int(box.timestamps_us[0])), int(box.timestamps_us[-1]), 500_000, dtype=np.int64)
+    if len(times) < 3:
+        return False
+    poses = box.at(times)
+    arc = np.arange(0.0, way.length, 1.0)
+    x, y, yaw = way.poses(arc)
+    nearest = np.argmin(np.hypot(x - poses[:, :1], y - poses[:, 1:2]), axis=1)
+    along = np.abs(wrap(poses[:, 3] - yaw[nearest])) < _SAME_WAY
+    near = np.hypot(x[nearest] - poses[:, 0], y[nearest] - poses[:, 1]) < 4.0
+    speed = np.hypot(*(poses[-1, :2] - poses[0, :2])) / (1e-6 * (times[-1] - times[0]))
+    return bool((along & near).mean() > 0.5 and speed < _SLOWER * truth.cruise)
+
+
+def _beside(agent: Agent, drive: Drive, truth: Truth) -> list[shapely.Geometry]:
+    """Where an agent is while the vehicle drives up to, beside and before it."""
+    box = box_of(agent)
+    first, last = max(int(drive.progress.timestamps_us[0]), int(box.timestamps_us[0])), int(box.timestamps_us[-1])
+    times = np.arange(first, min(last, truth.end_us), _PASS_STEP_US, dtype=np.int64)
+    if len(times) == 0:
+        return []
+    poses = box.at(times)
+    ego = truth.box_poses(*drive.poses(times))
+    along = (poses[:, 0] - ego[:, 0]) * np.cos(ego[:, 3]) + (poses[:, 1] - ego[:, 1]) * np.sin(ego[:, 3])
+    reach = 0.5 * (agent.length + truth.vehicle.length)
+    beside = (along < reach + _BEFORE) & (along > -reach - _BEHIND)
+    return [_outline(agent, poses[index : index + 1]) for index in np.flatnonzero(beside)]
+
+
+def _outline(agent: Agent, poses: Array) -> shapely.Geometry:
+    return footprints(poses, agent.length, agent.width)[0]
