@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_closed_loop.scenes.maps.lanes import Crossing, Lane, Light, StopLine
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
@@ -34,17 +35,6 @@ class Agent:
     height: float
     timestamps_us: NDArray[np.int64]
     poses: Array
-
-
-@dataclass(frozen=True)
-class Lane:
-    """One driving lane: centre line and borders, each (n, 3), in driving direction; ids of the lanes that follow."""
-
-    id: str
-    center: Array
-    left: Array
-    right: Array
-    successors: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -84,13 +74,14 @@ class Scene:
         vehicle: size of the ego vehicle.
         ego: recorded ego trajectory T_world_rig from time 0.
         agents: recorded agents.
-        lanes: driving lanes.
+        lanes: all lanes.
         road_edges: polylines (n, 3) that bound the drivable area, which lies to their left.
         drivable: closed outlines (n, 3) of the drivable area, counter-clockwise.
         route: (n, 3) the line that the ego is meant to follow.
         looks: path of the scene file whose payload holds what only rendering needs; None if there is none.
         assumptions: what the recording does not say and was assumed, a sentence each.
         hills: height of the ground; None where it is level.
+        stop_lines, crossings, lights: what regulates traffic; () also where the recording does not say.
     """
 
     name: str
@@ -106,3 +97,6 @@ class Scene:
     looks: str | None = None
     assumptions: tuple[str, ...] = ()
     hills: Hills | None = None
+    stop_lines: tuple[StopLine, ...] = ()
+    crossings: tuple[Crossing, ...] = ()
+    lights: tuple[Light, ...] = ()

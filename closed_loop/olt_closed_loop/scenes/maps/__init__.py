@@ -1,0 +1,1 @@
+"""Roads with topology: lanes, what regulates them, layouts by parameters, and questions asked of them."""
