@@ -98,14 +98,15 @@ class PrivilegedDriver:
 def truth_of(scene: Scene) -> Truth:
     """What the driver knows of a scene."""
     velocity = np.gradient(scene.ego.positions[:, :2], scene.ego.times, axis=0)
+    end_us = int(scene.ego.timestamps_us[-1]) + BEYOND_US
     return Truth(
         route=scene.route[:, :2],
         drivable=area_of(scene.drivable),
         agents=scene.agents,
-        holds=holds_of(scene),
+        holds=holds_of(scene.lanes, scene.lights, scene.route, end_us),
         vehicle=scene.vehicle,
         cruise=float(np.hypot(*velocity.T).max()),
-        end_us=int(scene.ego.timestamps_us[-1]) + BEYOND_US,
+        end_us=end_us,
     )
 
 

@@ -1,7 +1,6 @@
 """A driver that wants to go where the recording went: what control and vehicle make of the recorded motion.
 
-It plans in the rig frame like any policy, from the recorded poses of the times to come. Where it stands in the world it
-reckons from what every policy is shown: it begins on the recording, and adds up its own steps.
+It plans in the rig frame like any policy, from the recorded poses of the times to come.
 """
 
 import numpy as np
@@ -9,7 +8,8 @@ import numpy as np
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.vehicle.state import STATE
-from olt_generator.poses import Array, invert, make_pose, planar_pose
+from olt_closed_loop.simulation.reckoning import Reckoning
+from olt_generator.poses import Array, invert, planar_pose
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, PlannedTrajectory
 
 
@@ -23,17 +23,12 @@ class RecordedDriver:
     def __init__(self, scene: Scene) -> None:
         self._start_us = int(scene.ego.timestamps_us[0])
         self._recorded = _upright_poses(scene)
-        self._T_world_rig: Array | None = None
+        self._reckoning = Reckoning(scene)
 
     def plan(self, observation: Observation) -> PlannedTrajectory:
         """See `Policy.plan`."""
         step = (observation.time_us - self._start_us) // STEP_US
-        if self._T_world_rig is None:
-            T_world_rig: Array = self._recorded[step]
-        else:
-            T_rig_before = make_pose(observation.history_rotation[-2], observation.history_xyz[-2])
-            T_world_rig = self._T_world_rig @ invert(T_rig_before)
-        self._T_world_rig = T_world_rig
+        T_world_rig = self._reckoning.update(observation)
         planned = invert(T_world_rig) @ self._recorded[step + 1 : step + 1 + FUTURE_STEPS]
         return PlannedTrajectory(planned[:, :3, 3], planned[:, :3, :3])
 

@@ -19,6 +19,7 @@ ROUNDS = 3
 """How often a way past moving ones is planned anew with the times of the drive before."""
 _SAME_WAY, _SLOWER = np.deg2rad(50.0), 0.85
 _BEFORE, _BEHIND = 6.0, 8.0
+_NEAR = 2.5
 _PASS_STEP_US = 200_000
 _OBSTRUCTED = 1e6
 _MORE_LENGTH = 20.0
@@ -46,7 +47,7 @@ def plan_drive(truth: Truth, now_us: int, x: float, y: float, speed: float) -> D
     obstacles = [_outline(agent, agent.poses[:1]) for agent in parked]
     length = max(truth.cruise, speed) * 1e-6 * (truth.end_us - now_us) + _MORE_LENGTH
     best = _drive(truth, now_us, x, y, speed, length, obstacles, moving)
-    slow = [agent for agent in moving if _may_be_overtaken(agent, best.way, truth, now_us)]
+    slow = [agent for agent in moving if _may_be_passed(agent, best.way, truth, now_us)]
     driven = Drive(best.way, _at_cruise(truth, now_us))
     for _ in range(ROUNDS if slow else 0):
         passed = [shape for agent in slow for shape in _beside(agent, driven, truth)]
@@ -78,8 +79,8 @@ def _at_cruise(truth: Truth, now_us: int) -> Progress:
     return Progress(times, truth.cruise * 1e-6 * (times - now_us), False)
 
 
-def _may_be_overtaken(agent: Agent, way: Way, truth: Truth, now_us: int) -> bool:
-    """Whether an agent goes along the way, and slower than the vehicle would."""
+def _may_be_passed(agent: Agent, way: Way, truth: Truth, now_us: int) -> bool:
+    """Whether an agent goes along the way, slower than the vehicle would or against it."""
     box = box_of(agent)
     times = np.arange(max(now_us, int(box.timestamps_us[0])), int(box.timestamps_us[-1]), 500_000, dtype=np.int64)
     if len(times) < 3:
@@ -87,11 +88,15 @@ def _may_be_overtaken(agent: Agent, way: Way, truth: Truth, now_us: int) -> bool
     poses = box.at(times)
     arc = np.arange(0.0, way.length, 1.0)
     x, y, yaw = way.poses(arc)
-    nearest = np.argmin(np.hypot(x - poses[:, :1], y - poses[:, 1:2]), axis=1)
-    along = np.abs(wrap(poses[:, 3] - yaw[nearest])) < _SAME_WAY
-    near = np.hypot(x[nearest] - poses[:, 0], y[nearest] - poses[:, 1]) < 4.0
+    distances = np.hypot(x - poses[:, :1], y - poses[:, 1:2])
+    nearest = np.argmin(distances, axis=1)
+    near = distances.min(axis=1) < _NEAR + 0.5 * agent.width
+    turn = np.abs(wrap(poses[:, 3] - yaw[nearest]))
     speed = np.hypot(*(poses[-1, :2] - poses[0, :2])) / (1e-6 * (times[-1] - times[0]))
-    return bool((along & near).mean() > 0.5 and speed < _SLOWER * truth.cruise)
+    if near.sum() < 3:
+        return False
+    against = bool((turn[near] > np.pi - _SAME_WAY).mean() > 0.5)
+    return against or bool((turn[near] < _SAME_WAY).mean() > 0.5 and speed < _SLOWER * truth.cruise)
 
 
 def _beside(agent: Agent, drive: Drive, truth: Truth) -> list[shapely.Geometry]:
