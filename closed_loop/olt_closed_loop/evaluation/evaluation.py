@@ -14,7 +14,9 @@ from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.definitions import DefinitionName, RolloutScore, full_definition, score_rollout
 from olt_closed_loop.simulation.closed_loop import RolloutRequest, simulate, simulate_batch
 from olt_closed_loop.simulation.policies import make_policy
+from olt_closed_loop.simulation.privileged_driver import ScenePolicy
 from olt_closed_loop.simulation.settings import SimulationSettings
+from olt_closed_loop.suite.scenes import PREFIX, scene_of
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.omissions import Omission
@@ -22,7 +24,7 @@ from olt_generator.progress import Progress, silent
 from olt_toolkit.runtime.workers import map_parallel
 
 SceneSource = str | Scene
-"""A scene, the path of a scene file or of a recorded drive, or CATEGORY:SEED of a procedural one."""
+"""A scene, the path of a scene file or of a recorded drive, CATEGORY:SEED of a procedural one, or longtail/NAME."""
 
 Result = tuple[Rollout, RolloutScore]
 
@@ -92,7 +94,9 @@ def _run_batch(
     driven = [
         (scene, seed) for source, seed in runs if (scene := gates[_key(source)][0]) and gates[_key(source)][1].passed
     ]
-    if policy.cameras:  # one after another, so that one scene's textures are held at a time
+    if isinstance(policy, ScenePolicy):
+        rollouts = [simulate(scene, policy.for_scene(scene), settings, seed) for scene, seed in driven]
+    elif policy.cameras:  # one after another, so that one scene's textures are held at a time
         from olt_closed_loop.sensors.ray_casting import rig_sensors
 
         rollouts = [simulate(scene, policy, settings, seed, rig_sensors(scene)) for scene, seed in driven]
@@ -184,10 +188,13 @@ def _read_scene(source: str) -> Scene:
         from olt_closed_loop.scenes.sources import read_recording
 
         return read_recording(Path(source))
+    if source.startswith(PREFIX):
+        return scene_of(source)
     category, colon, number = source.rpartition(":")
     if not colon or not number.isdecimal():
         raise InputError(
-            f"scene {source!r}: give the path of a scene file or a recorded drive, or CATEGORY:SEED such as cyclists:0"
+            f"scene {source!r}: give the path of a scene file or a recorded drive, CATEGORY:SEED such as cyclists:0, or "
+            f"{PREFIX}NAME of the long-tail suite"
         )
     from olt_closed_loop.scenes.procedural import generate_scene
 

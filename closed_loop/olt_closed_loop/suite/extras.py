@@ -4,7 +4,7 @@ import numpy as np
 
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.suite.courses import TIMES, Size, at_speed, go, go_while_there, staged, stand
-from olt_closed_loop.suite.event import Event, cross_traffic, lead_car, oncoming
+from olt_closed_loop.suite.event import Event, lead_car, oncoming
 from olt_closed_loop.suite.grounds import road
 from olt_closed_loop.suite.intersections import four, three
 
@@ -102,5 +102,5 @@ def nothing_ahead(generator: np.random.Generator, curve: float) -> Event:
 def free_junction(generator: np.random.Generator, goal: int, arms: int) -> Event:
     """A junction that is free when the ego comes."""
     ground = (four if arms == 4 else three)(generator, goal=goal)
-    agents = cross_traffic(ground, "arm0_in_0", f"arm{arms - 2}_out_0", 8.0, before=-9.0, after=11.0)
-    return Event(ground, tuple(agents))
+    other = ground.between("arm0_in_0", f"arm{arms - 1}_out_0")
+    return Event(ground, tuple(go_while_there("other", "automobile", other, at_speed(20.0, 0.0, 8.0))))

@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 
 from olt_closed_loop.scenes.maps.carriageways import carriageway
+from olt_closed_loop.scenes.maps.cross_sections import CrossSection
 from olt_closed_loop.scenes.maps.frames import moved
 from olt_closed_loop.scenes.maps.junctions import Arm, junction
 from olt_closed_loop.scenes.maps.lanes import Lane, Light, StopLine
@@ -105,10 +106,12 @@ def crossroads(
     spread: float = 4.0,
     turn_radius: float | None = None,
     left_hand: bool = False,
-    **arm: float | bool,
+    wear: float = 0.0,
+    bend: float = 0.0,
+    crossing: bool = False,
 ) -> RoadMap:
     """A junction of arms at headings in degrees, each up to `spread` degrees off."""
-    width = float(generator.uniform(3.3, 3.8))
+    section = CrossSection(lane_width=float(generator.uniform(3.3, 3.8)), shoulder=0.8, wear=wear)
     off = generator.uniform(-spread, spread, size=len(headings))
     lengths = generator.uniform(0.0, 15.0, size=len(headings))
     arms = [
@@ -117,9 +120,10 @@ def crossroads(
             inbound=lanes,
             outbound=lanes,
             length=float(ARM_LENGTH + more),
-            lane_width=width,
+            section=section,
+            bend=bend,
             control=control,
-            **arm,
+            crossing=crossing,
         )
         for heading, turn, more, control in zip(headings, off, lengths, controls, strict=True)
     ]

@@ -11,7 +11,7 @@ from olt_closed_loop.suite.event import AFTER, Event, closure, cone_line, cross_
 from olt_closed_loop.suite.grounds import Ground, circle, crossroads, place
 from olt_closed_loop.suite.people import flagger, officer
 
-Roads = Callable[[np.random.Generator], Ground]
+Roads = Callable[..., Ground]
 _CLEARS = 1.2
 """Seconds from the last car of cross traffic to the hand that lets the ego go."""
 
@@ -56,7 +56,7 @@ def directed_hold(generator: np.random.Generator, roads: Roads, streams: tuple[t
 
 def directed_detour(generator: np.random.Generator, roads: Roads, side: float) -> Event:
     """The ego's lane is closed by cones up to the junction, and a worker with a sign sends it past on the other one."""
-    ground = roads(generator)
+    ground = roads(generator, lead=float(generator.uniform(9.5, 10.5)))
     begin, end = ground.crux - float(generator.uniform(26.0, 30.0)), ground.crux - 9.0
     inner = side * float(generator.uniform(0.7, 1.0))
     agents = closure(ground, begin, end, inner, -side * 1.6)
@@ -112,7 +112,7 @@ def ring_entry(generator: np.random.Generator, headings: tuple[float, ...], goal
 
 def coned_path(generator: np.random.Generator, roads: Roads, side: float) -> Event:
     """Two rows of cones lay a path through the junction that leaves the ego's lane."""
-    ground = roads(generator)
+    ground = roads(generator, lead=float(generator.uniform(8.5, 9.5)))
     course, half = ground.course, float(generator.uniform(2.1, 2.3))
     begin, end = ground.crux - 22.0, ground.crux + 26.0
     shift = side * float(generator.uniform(2.2, 2.6))

@@ -22,7 +22,7 @@ STATION_STEP, OFFSET_STEP, FARTHEST = 2.0, 0.25, 6.0
 """Metres between stations, between offsets, and of the largest offset."""
 CLEAR, ROOM = 0.45, 1.1
 """Metres that the vehicle keeps from everything at the very least, and that it would like to keep."""
-BORDER = 0.25
+BORDER = 0.35
 """Metres from the border of the road."""
 STEEPEST = 2
 """Offset steps from one station to the next."""
