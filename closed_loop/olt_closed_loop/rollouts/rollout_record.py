@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Agent, Scene
+from olt_closed_loop.scenes.scene_map import map_of
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import Array, yaw_of
 
@@ -94,7 +95,8 @@ def record_rollout(scene: Scene, rollout: Rollout) -> RolloutRecord:
     """The record of a rollout of a scene. A policy's plan is the one sample that it drew."""
     vehicle = scene.vehicle
     x, y, yaw = rollout.states[:, [STATE.x, STATE.y, STATE.yaw]].T
-    T_world_rig = scene.ego.T_world_rig
+    T_world_rig, road_map = scene.ego.T_world_rig, map_of(scene)
+    end_us = int(rollout.timestamps_us[-1])
     return RolloutRecord(
         name=scene.name,
         handover_us=rollout.handover_us,
@@ -104,7 +106,11 @@ def record_rollout(scene: Scene, rollout: Rollout) -> RolloutRecord:
         agents=rollout.driven_scene(scene).agents,
         recorded_us=scene.ego.timestamps_us,
         recorded_poses=np.column_stack([T_world_rig[:, :3, 3], yaw_of(T_world_rig)]),
-        lanes=tuple(LaneLines(lane.center, lane.left, lane.right) for lane in scene.lanes),
+        lanes=tuple(
+            LaneLines(lane.center, lane.left, lane.right, road_map.red_us(lane.id, end_us))
+            for lane in scene.lanes
+            if lane.for_cars
+        ),
         road_edges=scene.road_edges,
         drivable=scene.drivable,
         plans=tuple(

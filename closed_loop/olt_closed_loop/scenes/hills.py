@@ -4,12 +4,17 @@ Along the direction `u` the height is a chain of short straight pieces; across i
 runs along climbs and dips, one that runs across lies level, and one between them leans as well.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
+from olt_closed_loop.scenes.maps.frames import with_points
 from olt_closed_loop.scenes.scene import Hills, Scene
+from olt_closed_loop.scenes.scene_map import map_of, with_map
+from olt_generator.errors import InputError
 from olt_generator.poses import Array, make_pose
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
@@ -29,12 +34,50 @@ class Wave:
 
 def lay_hills(direction: float, waves: tuple[Wave, ...]) -> Hills:
     """Hills of waves along a direction (radians), within 1.5 km of the origin."""
-    along = np.arange(-_REACH, _REACH + STEP, STEP)
-    phases = (2.0 * np.pi / wave.length * along + wave.phase for wave in waves)
-    heights = sum(
-        (wave.height * np.sin(phase) for wave, phase in zip(waves, phases, strict=True)), np.zeros_like(along)
+
+    def height(along: Array) -> Array:
+        phases = (2.0 * np.pi / wave.length * along + wave.phase for wave in waves)
+        return sum(
+            (wave.height * np.sin(phase) for wave, phase in zip(waves, phases, strict=True)), np.zeros_like(along)
+        )
+
+    return _lay(direction, height)
+
+
+def lay_crest(direction: float, place: float, height: float, length: float) -> Hills:
+    """A crest (a dip for a negative height) of `length` metres around a place along a direction; level elsewhere."""
+    return _lay(
+        direction,
+        lambda along: (
+            height
+            * np.where(
+                np.abs(along - place) < length / 2.0, 0.5 + 0.5 * np.cos(2.0 * np.pi * (along - place) / length), 0.0
+            )
+        ),
     )
-    return Hills(direction, float(along[0]), STEP, heights)
+
+
+def lay_grade(direction: float, start: float, length: float, slope: float, rounding: float = 20.0) -> Hills:
+    """A slope (rise over run) along a direction from `start` for `length` metres, rounded over `rounding` at both ends.
+
+    The slope runs linearly from 0 to its value and back within the rounding, half of which lies inside the length.
+    """
+    knots = [start - rounding / 2.0, start + rounding / 2.0, start + length - rounding / 2.0]
+    knots.append(start + length + rounding / 2.0)
+    if not 0.0 < rounding <= length:
+        raise InputError(
+            f"a grade of {length:g} m cannot be rounded over {rounding:g} m; give more than 0, at most that"
+        )
+
+    def rise(along: Array) -> Array:
+        return cumulative_trapezoid(np.interp(along, knots, (0.0, slope, slope, 0.0)), along, initial=0.0)
+
+    return _lay(direction, rise)
+
+
+def _lay(direction: float, height: Callable[[Array], Array]) -> Hills:
+    along = np.arange(-_REACH, _REACH + STEP, STEP)
+    return Hills(direction, float(along[0]), STEP, height(along))
 
 
 def put_on_hills(scene: Scene, hills: Hills) -> Scene:
@@ -45,19 +88,9 @@ def put_on_hills(scene: Scene, hills: Hills) -> Scene:
         replace(agent, poses=np.column_stack([_lift(hills, agent.poses[:, :3]), agent.poses[:, 3]]))
         for agent in scene.agents
     )
-    lanes = tuple(
-        replace(lane, center=lift(lane.center), left=lift(lane.left), right=lift(lane.right)) for lane in scene.lanes
-    )
-    return replace(
-        scene,
-        ego=Trajectory(scene.ego.timestamps_us, poses),
-        agents=agents,
-        lanes=lanes,
-        road_edges=tuple(map(lift, scene.road_edges)),
-        drivable=tuple(map(lift, scene.drivable)),
-        route=lift(scene.route),
-        hills=hills,
-    )
+    lifted = with_map(scene, with_points(map_of(scene), lift))
+    ego = Trajectory(scene.ego.timestamps_us, poses)
+    return replace(lifted, ego=ego, agents=agents, route=lift(scene.route), hills=hills)
 
 
 def pose_on_hills(hills: Hills, T_world_rig: Array, vehicle: VehicleDimensions) -> Array:

@@ -1,7 +1,7 @@
 """Scene files: a scene as an OpenUSD stage.
 
     /World            name, category, factors, assumptions
-    /World/Road       lanes, edges, drivable, route: polylines
+    /World/Road       lanes, edges, drivable, route: polylines; stop lines, crossings and lights where there are any
     /World/Ego        recorded motion of the rig, size of the vehicle
     /World/Hills      height of the ground; missing where it is level
     /World/Agents/*   label, size and recorded motion of each agent
@@ -15,18 +15,30 @@ precision, so those are written for viewers and never read back.
 # pxr is compiled and has no type stubs: this is the one module that touches it.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
 from olt_closed_loop.scenes.looks import Looks, SceneryBox, generate_looks
-from olt_closed_loop.scenes.scene import Agent, Hills, Lane, Scene
+from olt_closed_loop.scenes.maps.attributes import (
+    LANE_OPTIONS,
+    Value,
+    crossing_of,
+    crossing_values,
+    lane_of,
+    lane_values,
+    light_of,
+    light_values,
+    stop_line_of,
+    stop_line_values,
+)
+from olt_closed_loop.scenes.scene import Agent, Hills, Scene
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array
@@ -35,6 +47,7 @@ from olt_toolkit.rigs.rig import VehicleDimensions
 
 Prim: TypeAlias = Any
 """A `pxr.Usd.Prim`."""
+Part = TypeVar("Part")
 
 # Time codes are microseconds, which a double holds exactly for 285 years.
 TIME_CODES_PER_SECOND = 1e6
@@ -69,14 +82,20 @@ def _write_road(stage: Any, scene: Scene) -> None:
     for place in ("/World/Road", "/World/Road/Lanes", "/World/Road/Edges", "/World/Road/Drivable"):
         UsdGeom.Scope.Define(stage, place)
     for index, lane in enumerate(scene.lanes):
-        _write_line(stage, f"Lanes/lane_{index:03d}", lane.center, **vars(lane))
+        _write_line(stage, f"Lanes/lane_{index:03d}", lane.center, **lane_values(lane))
     for place, lines in (("Edges/edge", scene.road_edges), ("Drivable/outline", scene.drivable)):
         for index, line in enumerate(lines):
             _write_line(stage, f"{place}_{index:03d}", line, points=line)
     _write_line(stage, "Route", scene.route, points=scene.route)
+    for index, line in enumerate(scene.stop_lines):
+        _write_line(stage, f"StopLines/line_{index:03d}", line.points, **stop_line_values(line))
+    for index, place in enumerate(scene.crossings):
+        _write_line(stage, f"Crossings/crossing_{index:03d}", place.outline, **crossing_values(place))
+    for index, light in enumerate(scene.lights):
+        _write(stage.DefinePrim(f"/World/Road/Lights/light_{index:03d}"), **light_values(light))
 
 
-def _write_line(stage: Any, place: str, line: Array, **values: str | tuple[str, ...] | Array) -> None:
+def _write_line(stage: Any, place: str, line: Array, **values: Value) -> None:
     """A polyline (n, 3) of the road for viewers, and what is read of it."""
     curve = UsdGeom.BasisCurves.Define(stage, f"/World/Road/{place}")
     curve.CreateTypeAttr(UsdGeom.Tokens.linear)
@@ -144,7 +163,7 @@ def _save(stage: Any, path: Path) -> None:
         stage.GetRootLayer().Export(str(temporary))
 
 
-def _write(prim: Prim, **values: str | int | float | tuple[str, ...] | Array) -> None:
+def _write(prim: Prim, **values: Value) -> None:
     """Write texts, numbers, lists of texts, and arrays (n,) or (n, 3) of doubles as attributes of ours."""
     kinds = {str: Sdf.ValueTypeNames.String, int: Sdf.ValueTypeNames.Int64, float: Sdf.ValueTypeNames.Double}
     for name, value in values.items():
@@ -182,7 +201,7 @@ def read_scene(path: Path) -> Scene:
 def _read_scene(path: Path) -> Scene:
     reader = _Reader(path)
     world, ego = reader.prim("/World"), reader.prim("/World/Ego")
-    sizes, of_lane = ([field.name for field in fields(kind)] for kind in (VehicleDimensions, Lane))
+    sizes = [field.name for field in fields(VehicleDimensions)]
     times_us, matrices = reader.samples(ego, "xformOp:transform")
     edges, outlines = (
         tuple(reader.values(prim, "points")[0] for prim in reader.children(f"/World/Road/{place}"))
@@ -193,12 +212,15 @@ def _read_scene(path: Path) -> Scene:
         vehicle=VehicleDimensions(*reader.values(ego, *sizes)),
         ego=Trajectory(times_us, np.swapaxes(matrices, 1, 2)),
         agents=tuple(reader.agent(prim) for prim in reader.children("/World/Agents")),
-        lanes=tuple(Lane(*reader.values(prim, *of_lane)) for prim in reader.children("/World/Road/Lanes")),
+        lanes=reader.parts("Lanes", lane_of, "id center left right successors", LANE_OPTIONS),
         road_edges=edges,
         drivable=outlines,
         route=reader.values(reader.prim("/World/Road/Route"), "points")[0],
         looks=str(path),
         hills=reader.hills(),
+        stop_lines=reader.parts("StopLines", stop_line_of, "id points lanes", ("control",)),
+        crossings=reader.parts("Crossings", crossing_of, "id outline lanes", ("zebra",)),
+        lights=reader.parts("Lights", light_of, "id lanes timestamps_us states", ("position",)),
     )
 
 
@@ -305,6 +327,23 @@ class _Reader:
         if not np.isfinite(values).all():
             raise InputError(f"{self.path}: attribute {name} of prim {prim.GetPath()} is not finite")
         return np.array(times, dtype=np.int64), values
+
+    def parts(
+        self, place: str, make: Callable[[dict[str, Any]], Part], names: str, options: tuple[str, ...]
+    ) -> tuple[Part, ...]:
+        """Parts of the road at a place, of values that each has and of those that it may have."""
+        parent = self.stage.GetPrimAtPath(f"/World/Road/{place}")
+        if not parent:
+            return ()
+        found = []
+        for prim in parent.GetChildren():
+            given = [name for name in options if prim.GetAttribute(f"olt:{name}").HasAuthoredValue()]
+            known = [*names.split(), *given]
+            try:
+                found.append(make(dict(zip(known, self.values(prim, *known), strict=True))))
+            except InputError as error:
+                raise InputError(f"{self.path}: prim {prim.GetPath()}: {error}; write the scene again") from error
+        return tuple(found)
 
     def hills(self) -> Hills | None:
         prim = self.stage.GetPrimAtPath("/World/Hills")

@@ -20,7 +20,7 @@ LEAD = 0.3
 _SAG = 0.004
 _LONGEST_STEP = 2.0
 _LEAST_TURN, _MOST_TURN = np.radians(10.0), np.radians(170.0)
-_BLEND_SAMPLES = 40
+_FEWEST_PIECES = 40
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 
 
@@ -139,7 +139,8 @@ def _blend(start: Place, end: Place, leads: tuple[float, float]) -> Course:
         )
     control = np.array([a, a + ahead, a + 2.0 * ahead, b - 2.0 * behind, b - behind, b])
     curve = BPoly(control[:, None, :], [0.0, 1.0])
-    shares = np.linspace(0.0, 1.0, _BLEND_SAMPLES + 1)
+    pieces = max(_FEWEST_PIECES, int(np.ceil(5.0 * reach / _LONGEST_STEP)))
+    shares = np.linspace(0.0, 1.0, pieces + 1)
     tangent = curve(shares, 1)
     headings = np.unwrap(np.concatenate([[start.heading], np.arctan2(tangent[:, 1], tangent[:, 0])]))
     headings = np.append(headings, headings[-1])

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 
 from olt_closed_loop.scenes.maps.arms import Arm, crossing, far_end, lay_arm, stop_line
-from olt_closed_loop.scenes.maps.courses import connect, meet, turn_between
+from olt_closed_loop.scenes.maps.courses import Course, connect, meet, turn_between
 from olt_closed_loop.scenes.maps.cross_sections import check_bends, varying
 from olt_closed_loop.scenes.maps.frames import mirrored
 from olt_closed_loop.scenes.maps.lanes import Lane, LaneType, Marking
@@ -16,7 +16,6 @@ from olt_closed_loop.scenes.maps.right_of_way import Way, yielding
 from olt_closed_loop.scenes.maps.road_map import RoadMap
 from olt_closed_loop.scenes.maps.surfaces import edges_of, outlines_of, paved_area
 from olt_generator.errors import InputError
-from olt_generator.poses import Array
 
 LEAST_RADIUS = 4.0
 _LEAST_ANGLE = np.radians(25.0)
@@ -26,9 +25,7 @@ _KERB_RADIUS = 1.0
 _NOTHING = Marking("none", True)
 
 
-def junction(
-    arms: Sequence[Arm], turn_radius: float = 8.0, left_hand: bool = False, name: str = "junction"
-) -> RoadMap:
+def junction(arms: Sequence[Arm], turn_radius: float = 8.0, left_hand: bool = False, name: str = "junction") -> RoadMap:
     """A junction around the origin.
 
     Arms are numbered as given, lanes from the dividing line outwards: `arm0_in_0`, `arm0_out_0`, and the ways through
@@ -53,10 +50,12 @@ def junction(
         lane = _way(arms, mouths, start, end, kind, name)
         ways.append(Way(lane.id, start[0], end[0], turns[start[0], end[0]]))
         through.append(lane)
+    kerbs = _kerbs(arms, order, mouths)
+    through += _corners(arms, kerbs)
     road_map = RoadMap((*_linked([lane for lanes, _ in laid for lane in lanes], through), *through))
     yields = yielding(ways, road_map.conflicts, [arm.control for arm in arms], turns, from_left=left_hand)
     lanes = tuple(replace(lane, yields_to=yields.get(lane.id)) for lane in road_map.lanes)
-    middle = shapely.Polygon(np.concatenate(list(_kerbs(arms, order, mouths))))
+    middle = shapely.Polygon(np.concatenate([kerb.points for kerb in kerbs.values()]))
     if not middle.is_valid:
         raise InputError("the kerbs of the junction cross each other; give its arms more room between them")
     area = paved_area(lanes, [middle])
@@ -173,7 +172,8 @@ def _mouths(arms: Sequence[Arm], order: list[int], pairs: Sequence[Pair], radius
     for (i, lane), (j, target), _ in pairs:
         make_room(i, j, (_position(arms[i], lane, True)[0], _position(arms[j], target, False)[0]), radius)
     for i, j in zip(order, [*order[1:], order[0]], strict=True):
-        make_room(i, j, (arms[i].inbound_edge, arms[j].outbound_edge), _KERB_RADIUS)
+        least = _KERB_RADIUS + _sidewalk_width(arms[i], arms[j])
+        make_room(i, j, (arms[i].inbound_edge, arms[j].outbound_edge), least)
     return mouths
 
 
@@ -213,9 +213,39 @@ def _linked(lanes: list[Lane], through: list[Lane]) -> list[Lane]:
     return [replace(lane, successors=tuple(after.get(lane.id, ()))) for lane in lanes]
 
 
-def _kerbs(arms: Sequence[Arm], order: list[int], mouths: Sequence[float]) -> Iterator[Array]:
-    """The kerbs (n, 2) from each arm to the next one, counter-clockwise around the junction."""
-    for i, j in zip(order, [*order[1:], order[0]], strict=True):
-        start = arms[i].inward(mouths[i], arms[i].inbound_edge)
-        end = arms[j].outward(mouths[j], arms[j].outbound_edge)
-        yield connect(start, end, _leads(arms, i, j)).points
+def _kerbs(arms: Sequence[Arm], order: list[int], mouths: Sequence[float]) -> dict[tuple[int, int], Course]:
+    """The kerbs from each arm to the next one, counter-clockwise around the junction."""
+    return {
+        (i, j): connect(
+            arms[i].inward(mouths[i], arms[i].inbound_edge),
+            arms[j].outward(mouths[j], arms[j].outbound_edge),
+            _leads(arms, i, j),
+        )
+        for i, j in zip(order, [*order[1:], order[0]], strict=True)
+    }
+
+
+def _sidewalk_width(start: Arm, end: Arm) -> float:
+    """The larger width of the sidewalks that meet at the corner between two arms; 0 unless both have one."""
+    widths = start.section.sidewalk_width, end.section.sidewalk_width
+    return max(widths) if min(widths) > 0.0 else 0.0
+
+
+def _corners(arms: Sequence[Arm], kerbs: dict[tuple[int, int], Course]) -> Iterator[Lane]:
+    """The sidewalks around the corners."""
+    for (i, j), kerb in kerbs.items():
+        if _sidewalk_width(arms[i], arms[j]) == 0.0:
+            continue
+        whole = varying(kerb, arms[i].section.sidewalk_width, arms[j].section.sidewalk_width)
+        yield Lane(
+            f"arm{i}_in_sidewalk>arm{j}_out_sidewalk",
+            kerb.beside(-0.5 * whole),
+            kerb.beside(0.0),
+            kerb.beside(-whole),
+            (f"arm{j}_out_sidewalk",),
+            "sidewalk",
+            left_neighbours=(),
+            right_neighbours=(),
+            left_marking=Marking("kerb", False),
+            right_marking=Marking("none", False),
+        )

@@ -47,8 +47,8 @@ class Lane:
         center, left, right: lines of equally many points.
         successors: ids of the lanes that follow; those that lead here follow from them (`RoadMap.predecessors`).
         type: driving, shoulder, cycle or sidewalk; None where not known (then it counts as a driving lane).
-        left_neighbours, right_neighbours: ids of the lanes beside it, whichever way they run; () for none, None where
-            not known.
+        left_neighbours, right_neighbours: ids of the lanes beside it, whichever way they run; () for none, which all
+            ways through junctions of ours have; None where not known.
         left_marking, right_marking: what lies on its borders; None where not known.
         junction: id of the junction that it leads through; None outside of junctions, or where not known.
         yields_to: ids of the lanes whose traffic goes first; () when it has right of way over all that it conflicts

@@ -124,11 +124,10 @@ class RoadMap:
 
     def goes_first(self, lane_id: str, other_id: str) -> bool | None:
         """Whether traffic of one lane has right of way over that of another; None if neither has or it is not known."""
-        before = self.lane(lane_id).yields_to, self.lane(other_id).yields_to
-        yields, makes_yield = (
-            None if known is None else (name in known) for known, name in zip(before, (other_id, lane_id), strict=True)
-        )
-        return None if yields == makes_yield else bool(makes_yield or yields is False and makes_yield is None)
+        own, others = self.lane(lane_id).yields_to, self.lane(other_id).yields_to
+        waits = own is not None and other_id in own
+        makes_wait = others is not None and lane_id in others
+        return None if waits == makes_wait else makes_wait
 
     def light_of(self, lane_id: str) -> Light | None:
         """The light that rules a lane, None where there is none."""

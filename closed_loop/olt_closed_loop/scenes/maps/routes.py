@@ -2,6 +2,7 @@
 
 import heapq
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -74,7 +75,7 @@ def line_along(lanes: Mapping[str, Lane], lane_ids: Sequence[str]) -> Array:
 def _groups(lanes: Mapping[str, Lane], lane_ids: Sequence[str]) -> list[list[str]]:
     """Lanes beside each other, through which one changes, together."""
     groups = [[lane_ids[0]]]
-    for before, after in zip(lane_ids[:-1], lane_ids[1:], strict=True):
+    for before, after in pairwise(lane_ids):
         lane = lanes[before]
         if after in lane.successors:
             groups.append([after])

@@ -6,6 +6,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from olt_closed_loop.scenes.polylines import arc_lengths
 from olt_generator.poses import Array
 
 Found = tuple[NDArray[np.int64], Array, Array, Array]
@@ -21,21 +22,18 @@ class Segments:
     def __init__(self, lines: Sequence[Array | None]) -> None:
         known = [(index, line) for index, line in enumerate(lines) if line is not None and len(line) > 1]
         self._origin = known[0][1][0] if known else np.zeros(2)
-        starts, ends, owners, alongs = [np.zeros((0, 2))], [np.zeros((0, 2))], [np.zeros(0, dtype=np.int64)], [np.zeros(0)]
-        for index, line in known:
-            local = line - self._origin
-            lengths = np.linalg.norm(np.diff(local, axis=0), axis=1)
-            kept = lengths > 0.0
-            starts.append(local[:-1][kept])
-            ends.append(local[1:][kept])
-            owners.append(np.full(np.count_nonzero(kept), index))
-            alongs.append((np.cumsum(lengths) - lengths)[kept])
-        self._starts, self._owners, self._along = np.concatenate(starts), np.concatenate(owners), np.concatenate(alongs)
-        steps = np.concatenate(ends) - self._starts
-        self._lengths = np.linalg.norm(steps, axis=1)
+        local = [line - self._origin for _, line in known]
+        steps = np.concatenate([np.zeros((0, 2)), *(np.diff(line, axis=0) for line in local)])
+        lengths = np.linalg.norm(steps, axis=1)
+        along = np.concatenate([np.zeros(0), *(arc_lengths(line)[:-1] for line in local)])
+        owners = np.repeat([index for index, _ in known], [len(line) - 1 for line in local]).astype(np.int64)
+        kept = lengths > 0.0
+        starts = np.concatenate([np.zeros((0, 2)), *(line[:-1] for line in local)])[kept]
+        steps = steps[kept]
+        self._starts, self._owners, self._along, self._lengths = starts, owners[kept], along[kept], lengths[kept]
         self._directions = steps / self._lengths[:, None]
         self._headings = np.arctan2(steps[:, 1], steps[:, 0])
-        self._tree = shapely.STRtree(shapely.linestrings(np.stack([self._starts, self._starts + steps], axis=1)))
+        self._tree = shapely.STRtree(shapely.linestrings(np.stack([starts, starts + steps], axis=1)))
 
     def nearest(self, points: Array, headings: Array | None, reach: float) -> Found:
         """The nearest line (n,), metres along and to the left of it, and its heading, of points (n, 2).
