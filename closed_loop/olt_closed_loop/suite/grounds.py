@@ -147,18 +147,17 @@ def road(
     wear: float = 0.0,
 ) -> Ground:
     """A road between junctions, bent by `curve` (1/m) about the event; the crux is 90 m from its start."""
-    width, crux = float(generator.uniform(3.3, 3.7)), 90.0
+    section = CrossSection(lane_width=float(generator.uniform(3.3, 3.7)), shoulder=shoulder, wear=wear)
+    crux = 90.0
     knots = ((0.0, 0.0), (crux - 60.0, 0.0), (crux - 30.0, curve), (crux + 60.0, curve), (crux + 90.0, 0.0))
     length = float(generator.uniform(360.0, 400.0))
     road_map = carriageway(
         length,
         forward=forward,
         backward=backward,
-        lane_width=width,
-        curvatures=knots,
-        shoulder=shoulder,
+        section=section,
+        bends=knots,
         left_hand=left_hand,
-        wear=wear,
     )
     road_map = _somewhere(road_map, generator)
     return _approach(road_map, (f"forward_{forward - 1}",), crux, generator, None)

@@ -6,8 +6,8 @@ from functools import lru_cache
 import numpy as np
 
 from olt_closed_loop.scenes.driving import SAMPLE_US
-from olt_closed_loop.scenes.maps.on_scenes import with_map
 from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.scenes.scene_map import with_map
 from olt_closed_loop.simulation.planning.holds import holds_of
 from olt_closed_loop.simulation.planning.plan import plan_drive
 from olt_closed_loop.simulation.planning.truth import Truth, area_of

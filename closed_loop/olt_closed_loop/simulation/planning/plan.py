@@ -7,7 +7,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from olt_closed_loop.scenes.actors import footprints
+from olt_closed_loop.scenes.actors import corners, footprints
 from olt_closed_loop.scenes.polylines import wrap
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.simulation.planning.speeds import Progress, plan_speeds
@@ -43,16 +43,16 @@ class Drive:
 def plan_drive(truth: Truth, now_us: int, x: float, y: float, speed: float) -> Drive:
     """The best drive from (x, y), metres, at `speed` m/s: it gets far, and touches nobody."""
     parked = [agent for agent in truth.agents if stands(agent, now_us, truth.end_us)]
-    moving = tuple(agent for agent in truth.agents if agent not in parked)
+    moving = [agent for agent in truth.agents if not stands(agent, now_us, truth.end_us)]
     obstacles = [_outline(agent, agent.poses[:1]) for agent in parked]
     length = max(truth.cruise, speed) * 1e-6 * (truth.end_us - now_us) + _MORE_LENGTH
-    best = _drive(truth, now_us, x, y, speed, length, obstacles, moving)
+    best = _drive(truth, now_us, x, y, speed, length, obstacles)
     slow = [agent for agent in moving if _may_be_passed(agent, best.way, truth, now_us)]
     driven = Drive(best.way, _at_cruise(truth, now_us))
     for _ in range(ROUNDS if slow else 0):
         passed = [shape for agent in slow for shape in _beside(agent, driven, truth)]
-        driven = _drive(truth, now_us, x, y, speed, length, [*obstacles, *passed], moving)
-        best = min(best, driven, key=_badness)
+        driven = _drive(truth, now_us, x, y, speed, length, [*obstacles, *passed])
+        best = min(best, driven, key=lambda drive: _badness(drive, truth))
     return best
 
 
@@ -64,14 +64,25 @@ def _drive(
     speed: float,
     length: float,
     obstacles: Sequence[shapely.Geometry],
-    moving: tuple[Agent, ...],
 ) -> Drive:
     way = plan_way(truth, x, y, length, obstacles)
-    return Drive(way, plan_speeds(truth, way, moving, now_us, speed))
+    return Drive(way, plan_speeds(truth, way, now_us, speed))
 
 
-def _badness(drive: Drive) -> float:
-    return _OBSTRUCTED * drive.progress.obstructed - float(drive.progress.arc[-1])
+def _badness(drive: Drive, truth: Truth) -> float:
+    """What is wrong with a drive: it touches somebody or leaves the road, or does not get far."""
+    wrong = drive.progress.obstructed or _leaves_road(drive, truth)
+    return _OBSTRUCTED * wrong - float(drive.progress.arc[-1])
+
+
+def _leaves_road(drive: Drive, truth: Truth) -> bool:
+    """Whether the vehicle leaves the road before the way ends."""
+    if truth.drivable is None:
+        return False
+    x, y, yaw = drive.way.poses(np.arange(0.0, min(float(drive.progress.arc[-1]), drive.way.length), 0.5))
+    boxes = np.asarray(shapely.polygons(corners(truth.box_poses(x, y, yaw), truth.half_size)))
+    shapely.prepare(truth.drivable)
+    return not bool(np.asarray(shapely.covers(truth.drivable, boxes)).all())
 
 
 def _at_cruise(truth: Truth, now_us: int) -> Progress:

@@ -11,9 +11,8 @@ import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
-from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.moving_boxes import separations
-from olt_closed_loop.simulation.planning.truth import Truth, box_of
+from olt_closed_loop.simulation.planning.truth import Truth, box_of, stands
 from olt_closed_loop.simulation.planning.ways import Way
 from olt_generator.poses import Array
 
@@ -26,6 +25,8 @@ LATERAL = 2.0
 """Comfortable acceleration in bends, m/s^2."""
 AHEAD, ASIDE = 1.5, 0.4
 """Metres that are kept from who moves: before and behind, and to the sides."""
+STANDING_ROOM = 0.15
+"""Metres that are kept from who stands; ways are planned with more."""
 STOP_SHORT = 1.0
 """Metres between the front and a held line."""
 
@@ -44,11 +45,11 @@ class Progress:
     obstructed: bool
 
 
-def plan_speeds(truth: Truth, way: Way, agents: tuple[Agent, ...], now_us: int, speed: float) -> Progress:
-    """The cheapest progress along a way from its start at `speed` m/s that touches none of the agents."""
+def plan_speeds(truth: Truth, way: Way, now_us: int, speed: float) -> Progress:
+    """The cheapest progress along a way from its start at `speed` m/s that touches nobody."""
     times = now_us + _SAMPLE_US * np.arange((truth.end_us - now_us) // _SAMPLE_US + 1, dtype=np.int64)
     arc = np.arange(0.0, way.length, ARC_STEP)
-    taken = _taken(truth, way, agents, times)
+    taken = _taken(truth, way, times)
     every = round(TIME_STEP * 1e6) // _SAMPLE_US
     layers = maximum_filter1d(taken, 2 * _SPREAD + 1, axis=0)[::every]
     layers = layers[:, np.minimum((arc / _SPACING).round().astype(np.int64), taken.shape[1] - 1)]
@@ -68,17 +69,18 @@ def plan_speeds(truth: Truth, way: Way, agents: tuple[Agent, ...], now_us: int, 
     return Progress(times, driven, obstructed)
 
 
-def _taken(truth: Truth, way: Way, agents: tuple[Agent, ...], times: NDArray[np.int64]) -> NDArray[np.bool_]:
+def _taken(truth: Truth, way: Way, times: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Which places every _SPACING metres of the way are taken at times: (times, places)."""
     places = np.arange(0.0, way.length + _SPACING, _SPACING)
     x, y, yaw = way.poses(places)
     ego = truth.box_poses(x, y, yaw)
     ego[:, 2] = 0.0
-    half = truth.half_size + np.array([AHEAD, ASIDE, 0.0])
-    reach = float(np.hypot(*half[:2]))
     taken = np.zeros((len(times), len(places)), dtype=bool)
-    for agent in agents:
+    for agent in truth.agents:
         box = box_of(agent)
+        room = (STANDING_ROOM, STANDING_ROOM) if stands(agent, int(times[0]), truth.end_us) else (AHEAD, ASIDE)
+        half = truth.half_size + np.array([*room, 0.0])
+        reach = float(np.hypot(*half[:2]))
         there = np.flatnonzero(box.covers(times))
         if len(there) == 0:
             continue
