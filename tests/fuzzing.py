@@ -488,7 +488,7 @@ READERS = {
     "recipe": _check_recipe,
     "rig": _function("olt_toolkit.rigs.rig_files:read_rig"),
     "rollout": _function("olt_closed_loop.rollouts.rollout_files:read_rollout_file"),
-    "rollouts": _function("olt_closed_loop.rollouts.rollout:load_rollouts"),
+    "rollouts": _function("olt_closed_loop.rollouts.rollout_tables:load_rollouts"),
     "scenario": _function("olt_closed_loop.scenes.sources:read_recording"),
     "scene": _read_scene,
     "stage config": _function("olt_sft_recipes.training.stage_config:read_stage_config"),

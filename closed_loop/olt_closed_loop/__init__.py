@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from olt_closed_loop.evaluation.evaluation import load_scene as load_scene
     from olt_closed_loop.evaluation.evaluation import pass_gate as pass_gate
     from olt_closed_loop.evaluation.evaluation import run_closed_loop as run_closed_loop
-    from olt_closed_loop.evaluation.evaluation import save_results as save_results
     from olt_closed_loop.evaluation.gate import check_gate as check_gate
+    from olt_closed_loop.evaluation.run_folder import save_results as save_results
     from olt_closed_loop.evaluation.score_table import summarize_scores as summarize_scores
     from olt_closed_loop.hard_clips.filming import make_clip as make_clip
     from olt_closed_loop.hard_clips.kinds import list_hard_clips as list_hard_clips
     from olt_closed_loop.rollouts.rollout import Rollout as Rollout
-    from olt_closed_loop.rollouts.rollout import load_rollouts as load_rollouts
-    from olt_closed_loop.rollouts.rollout import save_rollouts as save_rollouts
     from olt_closed_loop.rollouts.rollout_files import read_rollout_file as read_rollout_file
+    from olt_closed_loop.rollouts.rollout_tables import load_rollouts as load_rollouts
+    from olt_closed_loop.rollouts.rollout_tables import save_rollouts as save_rollouts
     from olt_closed_loop.scenes.conditions import Conditions as Conditions
     from olt_closed_loop.scenes.procedural import generate_scene as generate_scene
     from olt_closed_loop.scenes.scene import Scene as Scene
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from olt_closed_loop.simulation.closed_loop import replay as replay
     from olt_closed_loop.simulation.closed_loop import simulate as simulate
     from olt_closed_loop.simulation.policies import make_policy as make_policy
+    from olt_closed_loop.simulation.policy_hosts import PolicyLimits as PolicyLimits
     from olt_closed_loop.simulation.settings import SimulationSettings as SimulationSettings
 
 __getattr__, __dir__ = lazy_names(
@@ -45,13 +46,15 @@ __getattr__, __dir__ = lazy_names(
         "control.tracking": ("ControlSettings",),
         "evaluation.baselines": ("run_baselines",),
         "evaluation.comparison": ("compare_scores",),
-        "evaluation.evaluation": ("count_left_out", "load_scene", "pass_gate", "run_closed_loop", "save_results"),
+        "evaluation.evaluation": ("count_left_out", "load_scene", "pass_gate", "run_closed_loop"),
+        "evaluation.run_folder": ("save_results",),
         "evaluation.gate": ("check_gate",),
         "evaluation.score_table": ("summarize_scores",),
         "hard_clips.filming": ("make_clip",),
         "hard_clips.kinds": ("list_hard_clips",),
-        "rollouts.rollout": ("Rollout", "load_rollouts", "save_rollouts"),
+        "rollouts.rollout": ("Rollout",),
         "rollouts.rollout_files": ("read_rollout_file",),
+        "rollouts.rollout_tables": ("load_rollouts", "save_rollouts"),
         "scenes.conditions": ("Conditions",),
         "scenes.procedural": ("generate_scene",),
         "scenes.scene": ("Scene",),
@@ -60,6 +63,7 @@ __getattr__, __dir__ = lazy_names(
         "sensors.camera_effects": ("CameraEffects",),
         "simulation.closed_loop": ("replay", "simulate"),
         "simulation.policies": ("make_policy",),
+        "simulation.policy_hosts": ("PolicyLimits",),
         "simulation.settings": ("SimulationSettings",),
     },
 )

@@ -5,23 +5,50 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
+from olt_toolkit.runtime.workers import Engine
+
 if TYPE_CHECKING:
     from olt_closed_loop.evaluation.comparison import Comparison
     from olt_closed_loop.evaluation.gate import GateResult
     from olt_closed_loop.evaluation.score_table import ScoreTable
     from olt_closed_loop.scoring.collisions import Collision
     from olt_closed_loop.scoring.definitions import RolloutScore
+    from olt_closed_loop.simulation.policy_hosts import PolicyLimits
     from olt_generator.omissions import Omission
 
 INCIDENT_WORDS = {
-    "policy_errors": "the policy raised an error",
     "plans_refused": "a plan was refused and the last one held",
+    "policy_errors": "the policy raised an error",
+    "policy_exits": "the policy called for an exit",
+    "policy_deaths": "the policy's process died",
+    "policy_timeouts": "the policy gave no answer in time",
+    "wrong_answers": "the policy answered with something else than a plan",
+    "inputs_changed": "the policy changed what it was shown",
+    "globals_changed": "the policy changed global states",
+    "steps_failed": "the vehicle could not follow a plan",
     "saturations": "a command reached a limit of the vehicle",
     "solves_failed": "the controller found no command and held the last ones",
     "solves_late": "the controller was late and held the last commands",
     "solves_given_up": "fatrop gave up and Gauss-Newton was asked",
 }
-"""What the counts of `rollouts.rollout.Incidents` are called in print."""
+"""What those counts of `rollouts.rollout.Incidents` that are no good news are called in print."""
+
+LISTED = {
+    "rollout": "rollout",
+    "scene": "scene",
+    "seed": "seed",
+    "score": "score",
+    "reason": "reason",
+    "plans_asked": "plans",
+    "plans_refused": "refused",
+    "solves": "solves",
+    "solves_failed": "failed",
+    "solves_late": "late",
+    "saturations": "saturated",
+    "plan_deviation_max": "off the plan (m)",
+}
+"""Columns of the list of rollouts."""
 
 app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and score them.")
 
@@ -32,6 +59,7 @@ Traffic = Literal["recorded", "idm"]  # rollouts.rollout
 Vehicle = Literal["kinematic", "tyres"]  # simulation.settings
 Controller = Literal["lqr", "linear", "nonlinear"]  # control.tracking
 Integrator = Literal["auto", "midpoint", "rk4", "radau", "cvodes"]  # vehicle.integrators
+Isolation = Literal["auto", "none", "process"]  # simulation.policy_hosts
 
 
 @app.command()
@@ -64,15 +92,28 @@ def run(
         bool, typer.Option(help="Drive constant speed, go straight, stop and route beside the policy.")
     ] = True,
     skip: Annotated[bool, typer.Option(help="Leave out what cannot change the result.")] = True,
-    workers: Annotated[int | None, typer.Option(help="Processes; by default one for each processor.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder for rollouts.json and scores.json.")] = None,
+    isolate: Annotated[
+        Isolation,
+        typer.Option(help="Where the policy runs; auto: a process of its own for all but the toolkit's own."),
+    ] = "auto",
+    policy_timeout: Annotated[
+        float | None, typer.Option(help="Seconds for one answer in a process of its own; 30 by default.")
+    ] = None,
+    policy_memory: Annotated[
+        float | None, typer.Option(help="GiB that it may allocate there; 8 by default, 0 for any.")
+    ] = None,
+    workers: WorkersOption = None,
+    engine: EngineOption = Engine.LOCAL,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder that keeps finished rollouts, to go on from, and the results.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Drive scenes with a policy and print AS and CR by category, and beside those of policies that know nothing.
 
-    The gate must hold on every scene.
+    A scene on which the gate fails, and a rollout that failed, lose themselves only; the exit status is then 1.
     """
-    from olt_closed_loop import ControlSettings, SimulationSettings, run_closed_loop, save_results, summarize_scores
+    from olt_closed_loop import ControlSettings, SimulationSettings, run_closed_loop, summarize_scores
     from olt_closed_loop.evaluation.alpasim_summary import save_alpasim_summary
     from olt_closed_loop.evaluation.baselines import BASELINES, run_baselines, word_warnings
     from olt_closed_loop.evaluation.comparison import compare_scores
@@ -89,6 +130,7 @@ def run(
         integrator=integrator,
         control=ControlSettings(method=controller, smoothing_window=smoothing_window, smoothing_delay=smoothing_delay),
         skip=skip,
+        limits=_limits(isolate, policy_timeout, policy_memory),
     )
     sources = find_scenes([*(scenes or []), *(scene or [])])
     if not sources:
@@ -105,6 +147,8 @@ def run(
             workers=workers or default_workers(),
             on_progress=lambda share: progress.update(task, completed=round(share * total)),
             definition=definition,
+            out=out,
+            engine=engine,
         )
         beside = {}
         if baselines:
@@ -117,6 +161,9 @@ def run(
                 workers=workers or default_workers(),
                 on_progress=lambda share: progress.update(task, completed=round(share * len(sources) * len(BASELINES))),
                 definition=definition,
+                out=out / "baselines" if out else None,
+                engine=engine,
+                beside=results,
             )
     scores = [score for _, score in results]
     table = summarize_scores(scores)
@@ -126,10 +173,7 @@ def run(
     warnings = word_warnings(comparison)
     left_out, vehicle_steps = count_left_out(results), count_vehicle_steps(results)
     if out:
-        save_results(out, results)
         save_comparison(out, comparison, warnings)
-        for name, driven in beside.items():
-            save_results(out / "baselines" / BASELINES[name], driven)
         if definition != "strict":
             save_alpasim_summary(out / "results-summary.json", scores)
     if as_json:
@@ -157,6 +201,43 @@ def run(
         _print_notes(scores, table.overall.rollout_incidents, vehicle_steps, left_out)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
+
+
+@app.command()
+def show(
+    run: Annotated[Path, typer.Argument(help="Folder of `olt closed-loop run --out`.")],
+    rollout: Annotated[str | None, typer.Argument(help="Its number or SCENE:SEED; without, all are listed.")] = None,
+    draw_all: Annotated[bool, typer.Option("--all", help="Draw every rollout.")] = False,
+    video: Annotated[bool, typer.Option(help="Make an mp4 too.")] = True,
+    scene: Annotated[str | None, typer.Option(help="The scene, if the run's own is not where it was.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for pictures and videos; by default RUN/shown.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+) -> None:
+    """List the finished rollouts of a run, or draw one: from above, over time, and as a video."""
+    from olt_closed_loop.evaluation.show import find_rollouts, show_rollouts, summarize_rollout
+    from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
+
+    if rollout is not None and draw_all:
+        raise typer.BadParameter("give either a rollout or --all")
+    found = find_rollouts(run, rollout)
+    shown = []
+    if rollout is not None or draw_all:
+        with make_progress() as progress:
+            task = progress.add_task("show", total=len(found))
+            for one in found:
+                shown += show_rollouts([one], out or run / "shown", scene, video)
+                progress.advance(task)
+    rows = [summarize_rollout(one) for one in found]
+    files = [str(path) for one in shown for path in (one.picture, one.video) if path]
+    if as_json:
+        print_json({"rollouts": rows, "files": files})
+        return
+    if rollout is not None:
+        print_table(f"rollout {rows[0]['rollout']}", ["figure", "value"], list(rows[0].items()))
+    else:
+        print_table(str(run), list(LISTED.values()), [[row[name] for name in LISTED] for row in rows])
+    for file in files:
+        print_line(file)
 
 
 @app.command()
@@ -307,6 +388,21 @@ def score_rollout(
         print_table(f"{file.name}, definition {definition}", ["figure", "value"], list(figures.items()))
 
 
+def _limits(isolate: Isolation, timeout: float | None, memory: float | None) -> "PolicyLimits":
+    """What the policy may take. Limits that are given ask for a process of its own."""
+    from olt_closed_loop import PolicyLimits
+
+    given = timeout is not None or memory is not None
+    if given and isolate == "none":
+        raise typer.BadParameter("--policy-timeout and --policy-memory hold in a process; leave out --isolate none")
+    defaults = PolicyLimits()
+    return PolicyLimits(
+        isolate="process" if given else isolate,
+        call_seconds=defaults.call_seconds if timeout is None else timeout,
+        memory_bytes=defaults.memory_bytes if memory is None else round(memory * 2**30) or None,
+    )
+
+
 @app.command()
 def faults(
     picture: Annotated[
@@ -406,7 +502,7 @@ def _print_notes(
     for line in sorted({f"{score.scene}: not valid: {score.reason}" for score in scores if not score.valid}):
         print_line(line)
     for name, count in incidents.items():
-        if count:
+        if count and name in INCIDENT_WORDS:
             print_line(f"{INCIDENT_WORDS[name]}: {count} times")
     deviations = [score.plan_deviation_max for score in scores if score.plan_deviation_max is not None]
     if deviations:

@@ -28,7 +28,7 @@ class TimedPoses(NamedTuple):
         """Poses (m, 3) at the given times, linear in between; after their end they stand at the last."""
         first = self.timestamps_us[0]
         known, asked = self.timestamps_us - first, timestamps_us - first
-        return np.stack([np.interp(asked, known, column) for column in self.poses.T], axis=-1)
+        return np.array([np.interp(asked, known, column) for column in self.poses.T]).T
 
 
 @dataclass(frozen=True)

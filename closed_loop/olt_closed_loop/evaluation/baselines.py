@@ -5,12 +5,15 @@ these says little. They need no cameras and draw nothing at random, so that one 
 """
 
 from collections.abc import Mapping, Sequence
+from itertools import compress
+from pathlib import Path
 
 from olt_closed_loop.evaluation.comparison import Comparison, PairedDifference
-from olt_closed_loop.evaluation.evaluation import Result, SceneSource, run_closed_loop
+from olt_closed_loop.evaluation.evaluation import Result, SceneSource, find_scenes, run_closed_loop
 from olt_closed_loop.scoring.definitions import DefinitionName
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.progress import Progress, silent
+from olt_toolkit.runtime.workers import Engine
 
 BASELINES: Mapping[str, str] = {
     "constant speed": "constant_speed",
@@ -29,8 +32,20 @@ def run_baselines(
     workers: int = 1,
     on_progress: Progress = silent,
     definition: DefinitionName = "strict",
+    out: Path | None = None,
+    engine: Engine = Engine.LOCAL,
+    beside: Sequence[Result] = (),
 ) -> dict[str, list[Result]]:
-    """Drive each scene once with each baseline but `policy` itself; by what they do. See `run_closed_loop`."""
+    """Drive each scene once with each baseline but `policy` itself; by what they do.
+
+    See `run_closed_loop`; each baseline has a folder of its own, by name of its policy, in `out`. Given `beside`, the
+    results of the policy on the same scenes, those that the gate refused are left out, and it is not asked again.
+    """
+    if beside:
+        sources = find_scenes(scenes)
+        firsts = beside[:: len(beside) // len(sources)]
+        gated = [rollout.failure_kind != "scene_refused" for rollout, _ in firsts]
+        scenes = list(compress(sources, gated))
     others = {label: name for label, name in BASELINES.items() if name != policy}
     return {
         label: run_closed_loop(
@@ -42,6 +57,9 @@ def run_baselines(
             workers,
             lambda share, done=done: on_progress((done + share) / len(others)),
             definition,
+            out / name if out else None,
+            engine,
+            gated=bool(beside),
         )
         for done, (label, name) in enumerate(others.items())
     }

@@ -9,7 +9,9 @@ import numpy as np
 from olt_closed_loop.evaluation.gate import GateResult
 from olt_closed_loop.evaluation.margins import NarrowPlace
 from olt_closed_loop.scenes.actors import corners, ego_agent
+from olt_closed_loop.scenes.maps.drawing import draw_map
 from olt_closed_loop.scenes.scene import Agent, Scene
+from olt_closed_loop.scenes.scene_map import map_of
 from olt_closed_loop.scoring.moving_boxes import agent_box
 from olt_generator.files import write_whole
 from olt_generator.poses import Array
@@ -19,7 +21,7 @@ if TYPE_CHECKING:
 
 AROUND = 15.0
 """Metres to every side of the narrowest place that are drawn."""
-_EGO, _AGENT, _ROAD = "#1f77b4", "#d62728", "#dddddd"
+_EGO, _AGENT = "#1f77b4", "#d62728"
 
 
 def draw_gate(path: Path, scenes: Sequence[tuple[Scene, GateResult]]) -> None:
@@ -48,12 +50,7 @@ def draw_gate(path: Path, scenes: Sequence[tuple[Scene, GateResult]]) -> None:
 
 def _draw_scene(axes: "Axes", scene: Scene) -> None:
     """Road, lanes and the way of the ego's box."""
-    for outline in scene.drivable:
-        axes.fill(*outline[:, :2].T, color=_ROAD, linewidth=0.0)
-    for edge in scene.road_edges:
-        axes.plot(*edge[:, :2].T, color="gray", linewidth=0.8)
-    for lane in scene.lanes:
-        axes.plot(*lane.center[:, :2].T, color="white", linewidth=0.6)
+    draw_map(axes, map_of(scene))
     ego = ego_agent(scene.ego, scene.vehicle)
     axes.plot(*ego.poses[:, :2].T, color=_EGO, linewidth=1.5)
     (west, south), (east, north) = ego.poses[:, :2].min(axis=0), ego.poses[:, :2].max(axis=0)

@@ -1,9 +1,6 @@
 """One simulated drive, as it is kept, scored and drawn."""
 
-import json
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from pathlib import Path
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -12,14 +9,10 @@ from numpy.typing import NDArray
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.vehicle.state import STATE_SIZE
 from olt_generator.errors import InputError
-from olt_generator.files import write_whole
 from olt_generator.omissions import Omission
 from olt_generator.poses import Array
-from olt_toolkit.runtime.json_files import read_json
 
 Traffic = Literal["recorded", "idm"]
-FILE_VERSION = 2
-"""Of files of rollouts; those of other versions are refused."""
 
 
 @dataclass(frozen=True)
@@ -27,20 +20,43 @@ class Incidents:
     """How often something went wrong, over the steps of one rollout.
 
     Attributes:
-        policy_errors: calls in which the policy raised; the first ends the rollout.
-        plans_refused: plans of a wrong shape or not finite; the last feasible plan was held.
+        plans_asked: calls of the policy.
+        plans_refused: plans of a wrong shape, not finite, no rotations, or faster than any vehicle; the last feasible
+            plan was held. Where the first, too many in a row or too large a share was, the rollout has failed.
+        policy_errors: the policy raised; as each of the next seven this ends the rollout.
+        policy_exits: it called for an exit.
+        policy_deaths: its process ended or crashed.
+        policy_timeouts: it gave no answer in time.
+        wrong_answers: it answered with something else than a planned trajectory of numbers.
+        inputs_changed: it changed what it was shown.
+        globals_changed: it changed the states of `random` or `numpy.random`, or the working folder.
+        steps_failed: control or vehicle could not go on with its plan.
+        solves: steps in which the controller was asked.
         saturations: steps in which a command reached a limit of the vehicle.
         solves_failed: steps in which the controller found no command; its last feasible ones were held.
         solves_late: steps in which it found them after its deadline; its last feasible ones were held.
         solves_given_up: steps in which fatrop gave up, whether or not the fallback of `nonlinear` found commands.
     """
 
-    policy_errors: int = 0
+    plans_asked: int = 0
     plans_refused: int = 0
+    policy_errors: int = 0
+    policy_exits: int = 0
+    policy_deaths: int = 0
+    policy_timeouts: int = 0
+    wrong_answers: int = 0
+    inputs_changed: int = 0
+    globals_changed: int = 0
+    steps_failed: int = 0
+    solves: int = 0
     saturations: int = 0
     solves_failed: int = 0
     solves_late: int = 0
     solves_given_up: int = 0
+
+
+INCIDENTS: tuple[str, ...] = tuple(field.name for field in fields(Incidents))
+"""The names of the counts."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +78,7 @@ class Rollout:
         plan_deviation_max, plan_deviation_rms: how far the vehicle was foreseen to be from the plans as they were
             given, metres (`control.tracking.SolveCounts`); None where it was not measured.
         failure: why the rollout is not valid, or None.
+        failure_kind: what kind of failure that is: the name of a count of `Incidents`, "scene_refused" or None.
         rendered_images: number of images rendered for each camera; empty when none was.
         left_out: what was not computed, and why.
         vehicle_steps: steps of the vehicle by model and method (`vehicle.integrators`), such as "kinematic midpoint".
@@ -85,12 +102,33 @@ class Rollout:
     plan_deviation_max: float | None = None
     plan_deviation_rms: float | None = None
     failure: str | None = None
+    failure_kind: str | None = None
     rendered_images: dict[str, int] = field(default_factory=dict)
     left_out: tuple[Omission, ...] = ()
     vehicle_steps: dict[str, int] = field(default_factory=dict)
     timings: dict[str, float] = field(default_factory=dict)
     traffic: Traffic = "recorded"
     reacted: tuple[Agent, ...] = ()
+
+    @classmethod
+    def not_driven(cls, scene: str, category: str, policy: str, seed: int, kind: str, reason: str) -> "Rollout":
+        """The rollout that failed before its first step; it has no times and no states."""
+        return cls(
+            scene=scene,
+            category=category,
+            policy=policy,
+            seed=seed,
+            handover_us=0,
+            timestamps_us=np.zeros(0, dtype=np.int64),
+            states=np.zeros((0, STATE_SIZE)),
+            heights=np.zeros(0),
+            controls=np.zeros((0, 2)),
+            plan_times_us=np.zeros(0, dtype=np.int64),
+            plans=np.zeros((0, 0, 3)),
+            incidents=Incidents(**({kind: 1} if kind in INCIDENTS else {})),
+            failure=reason,
+            failure_kind=kind,
+        )
 
     def driven_scene(self, scene: Scene) -> Scene:
         """The scene with its agents as they moved in this rollout."""
@@ -123,7 +161,7 @@ class Rollout:
                 "heights": np.array(values["heights"], dtype=np.float64),
                 "controls": np.array(controls, dtype=np.float64).reshape(-1, 2),
                 "plan_times_us": np.array(values["plan_times_us"], dtype=np.int64),
-                "plans": np.array(values["plans"], dtype=np.float64).reshape(len(values["plan_times_us"]), -1, 3),
+                "plans": _plans(values["plans"], len(values["plan_times_us"])),
                 "incidents": Incidents(**values["incidents"]),
                 "left_out": tuple(Omission(**omission) for omission in values["left_out"]),
                 "reacted": tuple(
@@ -136,32 +174,11 @@ class Rollout:
             raise InputError(f"rollout: field missing or of another form ({error}); simulate it again") from error
 
 
+def _plans(values: Any, count: int) -> Array:
+    plans = np.array(values, dtype=np.float64)
+    return plans.reshape(count, -1, 3) if count else plans.reshape(0, 0, 3)
+
+
 def _plain(record: Rollout | Agent) -> dict[str, Any]:
     """The fields, with lists for arrays."""
     return {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in vars(record).items()}
-
-
-def save_rollouts(path: Path, rollouts: Sequence[Rollout]) -> None:
-    """Write rollouts as one JSON file, whole or not at all."""
-    values = {"version": FILE_VERSION, "rollouts": [rollout.to_dict() for rollout in rollouts]}
-    text = json.dumps(values, allow_nan=False)
-    with write_whole(path) as temporary:
-        temporary.write_text(text + "\n")
-
-
-def load_rollouts(path: Path) -> list[Rollout]:
-    """Read what `save_rollouts` wrote.
-
-    Raises:
-        InputError: the file is missing, holds something else, or was written by another version.
-    """
-    try:
-        values = read_json(path, "file of rollouts")
-        rollouts, version = values["rollouts"], values.get("version", 1)
-    except (InputError, KeyError, TypeError, AttributeError) as error:
-        raise InputError(
-            f"{path}: not a file of rollouts ({error}); give one that `olt closed-loop run` wrote"
-        ) from error
-    if version != FILE_VERSION:
-        raise InputError(f"{path}: rollouts of version {version}, not {FILE_VERSION}; simulate them again")
-    return [Rollout.from_dict(rollout) for rollout in rollouts]

@@ -33,6 +33,16 @@ def without_repeats(line: Array) -> Array:
     return line[np.concatenate([[True], moved])]
 
 
+def beside(line: Array, offset: float) -> Array:
+    """A polyline (n, d), n >= 2, moved so many metres to its left, without its repeated points."""
+    line = without_repeats(line)
+    direction = np.gradient(line[:, :2], axis=0)
+    direction /= np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-9)
+    moved = line.copy()
+    moved[:, :2] += offset * np.column_stack([-direction[:, 1], direction[:, 0]])
+    return moved
+
+
 def heading_at(line: Array, distance: float) -> float:
     """Heading of a polyline (n, d), n >= 2, at a distance along it."""
     line = without_repeats(line)

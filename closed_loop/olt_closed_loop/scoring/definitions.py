@@ -150,6 +150,8 @@ def score_rollout(
     """
     if rollout.scene != scene.name:
         raise InputError(f"rollout of scene {rollout.scene} cannot be scored on scene {scene.name}; give its own scene")
+    if rollout.failure:
+        return score_failed(rollout, definition)
     unscored = RolloutScore(scene.name, scene.category, rollout.policy, rollout.seed, full_definition(definition))
     unscored = replace(
         unscored,
@@ -158,11 +160,23 @@ def score_rollout(
         plan_deviation_rms=rollout.plan_deviation_rms,
     )
     finite = np.isfinite(rollout.states).all(axis=1) & np.isfinite(rollout.heights)
-    if rollout.failure:
-        return _failed(unscored, rollout.failure)
     if not finite.all():
         return _failed(unscored, f"the state at {rollout.timestamps_us[np.argmin(finite)]} us is not finite")
     return _score(record_rollout(scene, rollout), unscored, skip)
+
+
+def score_failed(rollout: Rollout, definition: DefinitionName = "strict") -> RolloutScore:
+    """What a rollout that failed is worth; it may have no scene at all, which is no failure of the policy."""
+    unscored = RolloutScore(
+        rollout.scene,
+        rollout.category,
+        rollout.policy,
+        rollout.seed,
+        full_definition(definition),
+        reason=rollout.failure,
+    )
+    unscored = replace(unscored, rollout_incidents=vars(rollout.incidents).copy())
+    return unscored if rollout.failure_kind == "scene_refused" else _failed(unscored, rollout.failure or "")
 
 
 def score_record(record: RolloutRecord, definition: DefinitionName = "strict", skip: bool = True) -> RolloutScore:

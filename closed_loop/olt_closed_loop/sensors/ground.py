@@ -1,6 +1,5 @@
 """The ground of a scene as the renderer sees it: a map of materials, grain on top, and the shadows of boxes."""
 
-from collections import Counter
 from dataclasses import dataclass
 
 import cv2
@@ -8,21 +7,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.looks import Looks
-from olt_closed_loop.scenes.polylines import length_of, points_along
-from olt_closed_loop.scenes.scene import Lane, Scene
+from olt_closed_loop.scenes.maps.markings import crossing_bars, line_strokes, stop_strokes
+from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.sensors.textures import NOISE_LAYERS, FloatImage, Image, ground_noise, noise_spread, sample
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 
 # Values of the material map. What lies between two of them is a blend of both, which is what a borderline looks like.
 GRASS, GRAVEL, ASPHALT, PAINT = 0, 64, 128, 255
+SIDEWALK, KERB = 165, 205
+"""Slabs and kerb stones, paler than asphalt and darker than paint."""
 
 _RESOLUTION = 0.05
 _LARGEST_MAP = 12_000
 _MARGIN = 6.0
 _LEVELS = 6
-_LINE_WIDTH = 0.15
-_DASH, _GAP = 3.0, 4.5
 _KERB_WIDTH = 0.5
 _SUBPIXEL_BITS = 4
 
@@ -136,24 +135,21 @@ def draw_materials(scene: Scene) -> Raster:
         raster.draw(closed, 2.0 * _KERB_WIDTH, GRAVEL)
     for outline in surfaces:
         raster.fill(outline, ASPHALT)
-    for line, dashed in lane_markings(scene.lanes):
-        length = length_of(line)
-        starts = np.arange(0.0, length, _DASH + _GAP)
-        dashes = [points_along(line, np.linspace(start, min(start + _DASH, length), 4)) for start in starts]
-        for stroke in dashes if dashed else [line]:
-            raster.draw(stroke, _LINE_WIDTH, PAINT)
+    _paint(raster, scene)
     return raster
 
 
-def lane_markings(lanes: tuple[Lane, ...]) -> list[tuple[Array, bool]]:
-    """Lane borders (n, 3), each once, and whether they are dashed: those between two lanes are, the others are not."""
-    borders: dict[object, Array] = {}
-    uses = Counter[object]()
-    for border in (side for lane in lanes for side in (lane.left, lane.right)):
-        ends = tuple(sorted(tuple(np.round(point[:2], 1).tolist()) for point in (border[0], border[-1])))
-        borders.setdefault(ends, border)
-        uses[ends] += 1
-    return [(border, uses[ends] > 1) for ends, border in borders.items()]
+def _paint(raster: Raster, scene: Scene) -> None:
+    """Sidewalks, and what is painted on the road; seams between outlines are filled where lanes are known to be."""
+    for lane in scene.lanes:
+        if lane.type is not None:
+            outline = np.concatenate([lane.left, lane.right[::-1]])
+            raster.fill(outline, SIDEWALK if lane.type == "sidewalk" else ASPHALT)
+    for bar in crossing_bars(scene.crossings):
+        raster.fill(bar, PAINT)
+    for stroke in (*line_strokes(scene.lanes), *stop_strokes(scene.stop_lines)):
+        value = KERB if stroke.kerb else round(PAINT - stroke.wear * (PAINT - ASPHALT))
+        raster.draw(stroke.line, stroke.width, value)
 
 
 def empty_shadows(scene: Scene) -> Raster:

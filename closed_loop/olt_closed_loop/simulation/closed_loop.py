@@ -10,7 +10,8 @@ hand-over that its first plan is in force then.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -18,105 +19,123 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.policies import BatchPolicy, ObservationBatch
+from olt_closed_loop.simulation.answers import Answer, PolicyFault
+from olt_closed_loop.simulation.policies import ObservationBatch
+from olt_closed_loop.simulation.policy_hosts import PolicyHost, PolicySource
+from olt_closed_loop.simulation.policy_process import host_policy
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.simulation.running_rollout import RolloutRequest, RunningRollout, Sensors
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import planar_pose
-from olt_toolkit.policy.contract import FUTURE_STEPS, IMAGE_FRAMES, Observation, PlannedTrajectory, Policy
+from olt_toolkit.policy.contract import FUTURE_STEPS, IMAGE_FRAMES, Observation
 from olt_toolkit.rigs.rig import CAMERA_INDEX
 
 
 def simulate(
     scene: Scene,
-    policy: Policy,
+    policy: PolicySource,
     settings: SimulationSettings | None = None,
     seed: int = 0,
     renderer: Sensors | None = None,
 ) -> Rollout:
-    """Let the policy drive the scene.
+    """Let the policy drive the scene; a policy object drives itself, after its `reset` where it has one.
 
-    A policy that raises, or whose very first plan is refused, ends the rollout: it is marked as failed with the
-    reason and has no score. Later plans that are refused are counted and the last feasible plan is held.
+    What a policy does wrong ends the rollout, which is marked as failed with the event and the reason and has no score:
+    raising, exiting, dying, taking too long, answering with something else than plans, changing what it was shown or
+    global states, a first plan that is refused, and too many refused ones later (`PolicyLimits`). Other plans that are
+    refused are counted and the last feasible plan is held. In this process, unless the limits say otherwise.
 
     Raises:
-        InputError: the recording is too short, the policy needs cameras and there is no renderer, or pictures would
-            show reactive traffic where it is not.
+        InputError: the recording is too short, the policy does not keep the contract, it needs cameras and there is no
+            renderer, or pictures would show reactive traffic where it is not.
+        PolicyNotStarted: the policy's own process could not build it.
     """
-    return simulate_batch([RolloutRequest(scene, seed, renderer)], policy, settings)[0]
+    settings = settings or SimulationSettings()
+    with closing(host_policy(policy, settings.limits, borrowed=True)) as host:
+        return next(drive([RolloutRequest(scene, seed, renderer)], host, settings))
 
 
 def simulate_batch(
-    requests: Sequence[RolloutRequest], policy: Policy, settings: SimulationSettings | None = None
+    requests: Sequence[RolloutRequest], policy: PolicySource, settings: SimulationSettings | None = None
 ) -> list[Rollout]:
-    """Many rollouts of one policy, in the order of the requests; each is the same as by `simulate`.
+    """Many rollouts of one policy, in the order of the requests; each is the same as by `simulate` from a fresh policy.
 
-    A policy that can answer for many (`BatchPolicy`) drives all side by side, any other one after another.
+    A policy that can answer for many (`BatchPolicy`) drives all side by side, any other one after another, each from
+    the same state (`simulation.policy_hosts`).
+
+    Raises:
+        InputError: see `simulate`.
+        PolicyNotStarted: see `simulate`.
+    """
+    settings = settings or SimulationSettings()
+    with closing(host_policy(policy, settings.limits)) as host:
+        return list(drive(requests, host, settings))
+
+
+def drive(requests: Sequence[RolloutRequest], host: PolicyHost, settings: SimulationSettings) -> Iterator[Rollout]:
+    """The rollouts of the requests in their order, each as soon as it has ended.
 
     Raises:
         InputError: see `simulate`.
     """
-    settings = settings or SimulationSettings()
+    for group in [requests] if host.traits.answers_batches else [[request] for request in requests]:
+        running = [RunningRollout(request, host.traits, settings) for request in group]
+        for rollout, request in zip(running, group, strict=True):
+            rollout.begin(host.begin(request.seed, request.scene.name))
+        _run_in_step(running, host, settings)
+        yield from (rollout.rollout() for rollout in running)
+
+
+def _run_in_step(running: Sequence[RunningRollout], host: PolicyHost, settings: SimulationSettings) -> None:
     delay = settings.planner_delay
     first = settings.handover - delay
-    finished: list[RunningRollout] = []
-    for group in [requests] if isinstance(policy, BatchPolicy) else [[request] for request in requests]:
-        running = [RunningRollout(request, policy, settings) for request in group]
-        for step in range(first - IMAGE_FRAMES + 1, first):
-            for rollout in running:
-                rollout.take_pictures(step)
-        for step in range(first, max(len(rollout.times) for rollout in running) - 1):
-            _plan([rollout for rollout in running if rollout.runs_at(step + delay)], policy, step)
-            for rollout in running if step >= settings.handover else ():
-                if rollout.runs_at(step):
-                    rollout.move(step)
-        finished += running
-    return [rollout.rollout() for rollout in finished]
+    for step in range(first - IMAGE_FRAMES + 1, first):
+        for rollout in running:
+            rollout.take_pictures(step)
+    for step in range(first, max(len(rollout.times) for rollout in running) - 1):
+        _plan([rollout for rollout in running if rollout.runs_at(step + delay)], host, step)
+        for rollout in running if step >= settings.handover else ():
+            if rollout.runs_at(step):
+                rollout.move(step)
 
 
-def _plan(running: Sequence[RunningRollout], policy: Policy, step: int) -> None:
-    """Ask the policy for all rollouts; one that makes it raise fails alone."""
+def _plan(running: Sequence[RunningRollout], host: PolicyHost, step: int) -> None:
+    """Ask the policy for all rollouts; one that makes it fail fails alone."""
     if not running:
         return
     for rollout in running:
         rollout.take_pictures(step)
     seen = _observe(running, step)
     started = time.perf_counter()
-    if isinstance(policy, BatchPolicy):
-        answers = _answer_batch(policy, seen)
+    if host.traits.answers_batches:
+        answers = _answer_batch(host, seen)
     else:
-        answers = [_answer(policy, seen.row(i), rollout.images()) for i, rollout in enumerate(running)]
+        answers = [host.plan(_observation(host, seen.row(i), rollout.images())) for i, rollout in enumerate(running)]
     seconds = (time.perf_counter() - started) / len(running)
     for rollout, answer in zip(running, answers, strict=True):
         rollout.accept(answer, step, seconds)
 
 
-def _answer(policy: Policy, seen: ObservationBatch, images: NDArray[np.uint8] | None) -> PlannedTrajectory | Exception:
+def _observation(host: PolicyHost, seen: ObservationBatch, images: NDArray[np.uint8] | None) -> Observation:
     route = seen.route_xy[0]
-    observation = Observation(
+    return Observation(
         images=images,
-        camera_indices=np.array([CAMERA_INDEX[camera] for camera in policy.cameras], dtype=np.int64),
+        camera_indices=np.array([CAMERA_INDEX[camera] for camera in host.traits.cameras], dtype=np.int64),
         history_xyz=seen.history_xyz[0],
         history_rotation=seen.history_rotation[0],
         route_xy=route[~np.isnan(route[:, 0])],
         time_us=int(seen.time_us[0]),
         seed=int(seen.seeds[0]),
     )
-    try:
-        return policy.plan(observation)
-    except Exception as error:  # whatever a foreign policy raises ends its own rollout and no other
-        return error
 
 
-def _answer_batch(policy: BatchPolicy, seen: ObservationBatch) -> list[PlannedTrajectory | Exception]:
-    try:
-        plans = policy.plan_batch(seen)
-        return [PlannedTrajectory(xyz, rotation) for xyz, rotation in zip(plans.xyz, plans.rotation, strict=True)]
-    except Exception as error:
-        if len(seen.seeds) == 1:
-            return [error]
-        return [_answer_batch(policy, seen.row(index))[0] for index in range(len(seen.seeds))]
+def _answer_batch(host: PolicyHost, seen: ObservationBatch) -> list[Answer]:
+    """Answers to all rows. After a fault each row is asked alone, so that it meets only those that bring it about."""
+    answers = host.plan_batch(seen)
+    if len(answers) == 1 or not any(isinstance(answer, PolicyFault) for answer in answers):
+        return answers
+    return [host.plan_batch(seen.row(index))[0] for index in range(len(answers))]
 
 
 def _observe(running: Sequence[RunningRollout], step: int) -> ObservationBatch:

@@ -14,7 +14,8 @@ from olt_closed_loop.control.tracking import TrackingController
 from olt_closed_loop.rollouts.progress import PathTracker
 from olt_closed_loop.rollouts.rollout import Incidents, Rollout
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.policies import BatchPolicy
+from olt_closed_loop.simulation.answers import Answer, PolicyFault, word_error
+from olt_closed_loop.simulation.policy_hosts import PolicyTraits
 from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.simulation.settings import SimulationSettings, step_times
@@ -30,8 +31,6 @@ from olt_toolkit.policy.contract import (
     HISTORY_STEPS,
     IMAGE_FRAMES,
     STEP_SECONDS,
-    PlannedTrajectory,
-    Policy,
 )
 from olt_toolkit.rigs.rig import CAMERA_INDEX
 
@@ -64,7 +63,7 @@ class RunningRollout:
         failure: why the rollout cannot go on, or None.
     """
 
-    def __init__(self, request: RolloutRequest, policy: Policy, settings: SimulationSettings) -> None:
+    def __init__(self, request: RolloutRequest, policy: PolicyTraits, settings: SimulationSettings) -> None:
         """Follow the recording up to the hand-over.
 
         Raises:
@@ -83,6 +82,8 @@ class RunningRollout:
         self.times = step_times(self._scene, settings)
         self.incidents: Counter[str] = Counter()
         self.failure: str | None = None
+        self._failure_kind: str | None = None
+        self._refused_in_a_row = 0
         self._parameters = settings.vehicle_of(self._scene)
         self._controller = TrackingController(self._parameters, settings.control)
         self._stepper = VehicleStepper(self._parameters, settings.integrator, step=STEP_SECONDS)
@@ -93,7 +94,7 @@ class RunningRollout:
         self._follow_recording()
         reactive = settings.traffic == "idm"
         self._agents = ReactiveAgents(self._scene.agents, int(self.times[self._driven])) if reactive else None
-        self._ignores_route = settings.skip and isinstance(policy, BatchPolicy) and not policy.uses_route
+        self._ignores_route = settings.skip and not policy.uses_route
         self._route: PathTracker | None = None
         if len(self._scene.route) and not self._ignores_route:
             self._route = PathTracker(self._scene.route[:, :2])
@@ -112,6 +113,11 @@ class RunningRollout:
         z = np.full(_BEFORE, heights[0])
         # Before the recording starts the rig is taken to have come straight at its first velocity.
         self._earlier = np.column_stack([x + np.cos(yaw) * back, y + np.sin(yaw) * back, z, np.full(_BEFORE, yaw)])
+
+    def begin(self, fault: PolicyFault | None) -> None:
+        """Start with a policy in a known state, or end with the fault that it could not be brought into one."""
+        if fault:
+            self._end_by(fault, 0)
 
     def runs_at(self, step: int) -> bool:
         """Whether the vehicle is still to be driven on from this step."""
@@ -157,22 +163,53 @@ class RunningRollout:
             )
         self._rendered += 1
 
-    def accept(self, answer: PlannedTrajectory | Exception, step: int, seconds: float) -> None:
-        """Keep the plan made at a step in so many seconds, count that it is refused, or end with what was raised."""
+    def accept(self, answer: Answer, step: int, seconds: float) -> None:
+        """Keep the plan made at a step in so many seconds, count that it is refused, or end with the policy's fault."""
         self._timings["policy"] += seconds
-        if isinstance(answer, Exception):
-            self.incidents["policy_errors"] += 1
-            self.failure = f"the policy raised {type(answer).__name__} at {self.times[step] * 1e-6:.1f} s: {answer}"
+        self.incidents["plans_asked"] += 1
+        if isinstance(answer, PolicyFault):
+            self._end_by(answer, step)
             return
         try:
-            x, y, yaw = self._states[step, : STATE.speed]
+            if isinstance(answer, PlanRefused):
+                raise answer
+            x, y, yaw = self._states[step, : STATE.yaw + 1]
             self._plans.append(place_plan(answer, x, y, yaw, int(self.times[step])))
+            self._refused_in_a_row = 0
         except PlanRefused as refusal:
-            self.incidents["plans_refused"] += 1
-            if not self._plans:
-                self.failure = f"the first plan was refused: {refusal}"
+            self._refuse(str(refusal), step)
+
+    def _refuse(self, reason: str, step: int) -> None:
+        self.incidents["plans_refused"] += 1
+        self._refused_in_a_row += 1
+        most = self._settings.limits.refused_in_a_row
+        if not self._plans:
+            self._end("plans_refused", f"the first plan was refused: {reason}")
+        elif self._refused_in_a_row > most:
+            self._end(
+                "plans_refused",
+                f"more than {most} plans in a row were refused, the last at {self.times[step] * 1e-6:.1f} s: {reason}",
+            )
+
+    def _end_by(self, fault: PolicyFault, step: int) -> None:
+        self.incidents[fault.kind] += 1
+        self._end(fault.kind, fault.at(self.times[step] * 1e-6))
+
+    def _end(self, kind: str, reason: str) -> None:
+        self._failure_kind, self.failure = kind, reason
 
     def move(self, step: int) -> None:
+        """Drive one step; a plan with which control or vehicle cannot go on ends the rollout."""
+        try:
+            self._follow_plan(step)
+        except (ArithmeticError, RuntimeError, ValueError) as error:
+            self.incidents["steps_failed"] += 1
+            reason = f"{type(error).__name__}: {word_error(error)}"
+            self._end(
+                "steps_failed", f"the vehicle could not follow the plan at {self.times[step] * 1e-6:.1f} s: {reason}"
+            )
+
+    def _follow_plan(self, step: int) -> None:
         """Follow the plan in force, the newest older than the delay, for one step; agents react to the ego before."""
         now_us, before = int(self.times[step]), self._states[step]
         in_force_us = now_us - self._settings.planner_delay_us
@@ -204,6 +241,7 @@ class RunningRollout:
 
     def rollout(self) -> Rollout:
         """What has been driven."""
+        self._judge_refusals()
         count = self._driven + 1
         plans = [plan.poses for plan in self._plans]
         solves = self._controller.counts
@@ -221,6 +259,7 @@ class RunningRollout:
             plans=np.stack(plans) if plans else np.zeros((0, FUTURE_STEPS + 1, 3)),
             incidents=Incidents(
                 **self.incidents,
+                solves=self._driven - self._settings.handover,
                 solves_failed=solves.failed,
                 solves_late=solves.late,
                 solves_given_up=solves.given_up,
@@ -228,6 +267,7 @@ class RunningRollout:
             plan_deviation_max=solves.deviation_max if solves.calls else None,
             plan_deviation_rms=solves.deviation_rms if solves.calls else None,
             failure=self.failure,
+            failure_kind=self._failure_kind,
             rendered_images=dict.fromkeys(self._policy.cameras, self._rendered),
             left_out=(*self._left_out(), *self._stepper.left_out()),
             vehicle_steps={way: steps for way, (steps, _) in self._stepper.taken().items()},
@@ -235,6 +275,12 @@ class RunningRollout:
             traffic=self._settings.traffic,
             reacted=self._agents.reacted() if self._agents else (),
         )
+
+    def _judge_refusals(self) -> None:
+        refused, asked = self.incidents["plans_refused"], self.incidents["plans_asked"]
+        most = self._settings.limits.refused_share
+        if not self.failure and refused > most * asked:
+            self._end("plans_refused", f"{refused} of {asked} plans were refused, more than {100 * most:g} %")
 
     def _left_out(self) -> Iterator[Omission]:
         unseen = f"policy {self._policy.name} does not look at "

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from olt_closed_loop.control.tracking import ControlSettings
 from olt_closed_loop.rollouts.rollout import Traffic
 from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.simulation.policy_hosts import PolicyLimits
 from olt_closed_loop.vehicle.integrators import DEFAULT_METHOD, Method
 from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres
 from olt_generator.errors import InputError
@@ -32,6 +33,7 @@ class SimulationSettings:
         integrator: how the vehicle is integrated (`vehicle.integrators`).
         control: how plans are tracked (`control.tracking`).
         skip: whether what cannot change the result is left out; the result is the same without, only slower.
+        limits: where the policy runs, what it may take, and when it has failed (`simulation.policy_hosts`).
     """
 
     warm_up_us: int = 1_700_000
@@ -42,6 +44,7 @@ class SimulationSettings:
     integrator: Method = DEFAULT_METHOD
     control: ControlSettings = field(default_factory=ControlSettings)
     skip: bool = True
+    limits: PolicyLimits = field(default_factory=PolicyLimits)
 
     def __post_init__(self) -> None:
         pictures_us = (IMAGE_FRAMES - 1) * STEP_US

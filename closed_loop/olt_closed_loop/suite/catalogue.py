@@ -70,10 +70,10 @@ _MAIN4 = ("stop", "priority", "stop", "priority")
 
 
 _COMPLEX: tuple[Row, ...] = (
-    ("officer_stops_straight", (GUIDED, PRIORITY), partial(_hold, roads=partial(four, goal=1), streams=((2, 0),))),
+    ("officer_stops_straight", (GUIDED, PRIORITY), partial(_hold, roads=partial(four, goal=1), streams=((2, 0),), waiting=0)),
     ("officer_stops_both_ways", (GUIDED, PRIORITY, WEAK), partial(_hold, roads=partial(four, goal=1, wear=WORN), streams=((2, 0), (0, 2)))),
     ("officer_stops_left_turn", (GUIDED, PRIORITY), partial(_hold, roads=partial(four, goal=2), streams=((1, 3), (0, 2)))),
-    ("officer_at_skewed_junction", (GUIDED, PRIORITY, IRREGULAR), partial(_hold, roads=partial(skewed, goal=1), streams=((0, 2),))),
+    ("officer_at_skewed_junction", (GUIDED, PRIORITY, IRREGULAR), partial(_hold, roads=partial(skewed, goal=1), streams=((0, 2),), waiting=2)),
     ("officer_at_three_arms", (GUIDED, PRIORITY, IRREGULAR), partial(_hold, roads=partial(three, goal=1), streams=((0, 1), (1, 0)))),
     ("officer_past_breakdown", (GUIDED, REASSIGNED, CONED), partial(_exit, roads=partial(four, goal=1), side=1.0)),
     ("officer_past_breakdown_bend", (GUIDED, REASSIGNED, CURVED), partial(_exit, roads=partial(skewed, goal=1, bend=0.006), side=1.0)),

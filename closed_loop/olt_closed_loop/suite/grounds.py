@@ -133,8 +133,11 @@ def crossroads(
 
 def circle(generator: np.random.Generator, headings: Sequence[float]) -> RoadMap:
     """A roundabout with arms at headings in degrees."""
-    arms = [Arm(float(np.deg2rad(heading)), length=ARM_LENGTH, control="yield") for heading in headings]
-    return roundabout(arms, radius=float(generator.uniform(16.0, 20.0)))
+    section = CrossSection(lane_width=float(generator.uniform(3.5, 3.8)), shoulder=1.2)
+    arms = [
+        Arm(float(np.deg2rad(heading)), length=ARM_LENGTH, section=section, control="yield") for heading in headings
+    ]
+    return roundabout(arms, radius=float(generator.uniform(16.0, 20.0)), turn_radius=10.0)
 
 
 def road(

@@ -6,8 +6,8 @@ from functools import partial
 import numpy as np
 
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.suite.courses import at_speed, go, go_while_there, staged, stand
-from olt_closed_loop.suite.event import AFTER, Event, closure, cone_line, cross_traffic, last_passes
+from olt_closed_loop.suite.courses import Course, at_speed, go, go_while_there, stand
+from olt_closed_loop.suite.event import Event, closure, cone_line, cross_traffic, last_passes
 from olt_closed_loop.suite.grounds import Ground, circle, crossroads, place
 from olt_closed_loop.suite.people import flagger, officer
 
@@ -38,17 +38,31 @@ def ground_of(
     return place(road_map, f"arm{own}_in_{lane}", f"arm{goal}_out_{lane}", generator, lead)
 
 
-def directed_hold(generator: np.random.Generator, roads: Roads, streams: tuple[tuple[int, int], ...]) -> Event:
-    """Somebody stops the ego with both arms, lets cross traffic pass, and then waves it through."""
+def directed_hold(
+    generator: np.random.Generator, roads: Roads, streams: tuple[tuple[int, int], ...], waiting: int | None = None
+) -> Event:
+    """Somebody stops the ego with both arms, lets cross traffic pass, and then waves it through.
+
+    When the stream is through and the way looks free, a late and fast one still comes: only the arms tell. And who
+    waits on arm `waiting` stays there, so that it is the arms again that tell when to go.
+    """
     ground = roads(generator)
     speed = float(generator.uniform(8.0, 10.0))
     agents: list[Agent] = []
-    until = 0.0
+    last = 0.0
     for start, goal in streams:
         names = f"arm{start}_in_0", f"arm{goal}_out_0"
         agents += cross_traffic(ground, *names, speed, name=f"crossing_{start}")
-        until = max(until, last_passes(ground, *names) + _CLEARS)
-    held = ((0.0, until),)
+        last = max(last, last_passes(ground, *names))
+    start, goal = streams[0]
+    late = ground.between(f"arm{start}_in_0", f"arm{goal}_out_0")
+    _, theirs = ground.course.meets(late, after=ground.crux)
+    comes = last + float(generator.uniform(2.6, 3.2))
+    agents += go_while_there("late", "automobile", late, at_speed(theirs, comes, speed + 2.5))
+    if waiting is not None:
+        lane = Course(ground.road_map.lane(f"arm{waiting}_in_0").center)
+        agents.append(stand("waiting", "automobile", lane, lane.length - 4.0, 0.0))
+    held = ((0.0, comes + _CLEARS),)
     ground = ground.directed(held)
     side = float(generator.uniform(2.6, 3.0))
     return Event(ground, (*agents, *officer(ground.course, ground.crux + 3.0, -side, held)))

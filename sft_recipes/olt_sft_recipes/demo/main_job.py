@@ -374,6 +374,7 @@ def drive_suite(
             seed=settings.seed,
             workers=workers,
             on_progress=lambda share, index=index: on_progress((index + share) / (len(RECIPES) + 1)),
+            gated=True,
         )
         save_results(out / "closed_loop" / name, results)
         driven[name] = scores = [score for _, score in results]
@@ -389,6 +390,7 @@ def drive_suite(
         settings.seed,
         workers=workers,
         on_progress=lambda share: on_progress((len(RECIPES) + share) / (len(RECIPES) + 1)),
+        beside=results,
     )
     driven |= {name: [score for _, score in results] for name, results in beside.items()}
     return {"gate": gate, "policies": policies, "comparison": compare_scores(driven).to_dict()}

@@ -32,7 +32,7 @@ def draw_report(out: Path, summary: dict[str, Any]) -> None:
     """Write `report.html`, which needs no other file."""
     policies = summary["closed_loop"]["policies"]
     drives = {
-        name: list(zip(load_rollouts(out / "closed_loop" / name / "rollouts.json"), policy["scores"], strict=True))
+        name: list(zip(load_rollouts(out / "closed_loop" / name / "rollouts.parquet"), policy["scores"], strict=True))
         for name, policy in policies.items()
     }
     scenes = [read_scene(out / "scenes" / f"{name}.usda") for name in summary["scenes"]["evaluation"]]

@@ -22,6 +22,9 @@ class ToyPolicy:
         self.cameras = model.config.contract.cameras
         self.image_size = (model.config.image_height, model.config.image_width)
 
+    def reset(self, seed: int, scene: str) -> None:
+        """Nothing is kept between calls."""
+
     def plan(self, observation: Observation) -> PlannedTrajectory:
         """Draw one planned trajectory; the same observation gives the same one.
 

@@ -9,7 +9,8 @@ from typer.testing import CliRunner
 from olt_closed_loop.commands import app
 from olt_closed_loop.evaluation.baselines import BASELINES, run_baselines, word_warnings
 from olt_closed_loop.evaluation.comparison import compare_scores, name_runs, read_scores
-from olt_closed_loop.evaluation.evaluation import run_closed_loop, save_results
+from olt_closed_loop.evaluation.evaluation import run_closed_loop
+from olt_closed_loop.evaluation.run_folder import save_results
 from olt_closed_loop.scoring.definitions import RolloutScore
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.errors import InputError

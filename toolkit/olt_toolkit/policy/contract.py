@@ -5,7 +5,7 @@ trained checkpoint and a remote driver are the same thing to whoever calls `Poli
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,11 @@ class PlannedTrajectory:
 
 
 class Policy(Protocol):
-    """A driving policy. `cameras` names what it needs, in index order; nothing else is rendered for it."""
+    """A driving policy. `cameras` names what it needs, in index order; nothing else is rendered for it.
+
+    The three attributes are read once, before the first call. A policy leaves its observation, the global states of
+    `random` and `numpy.random`, and the working folder as they are.
+    """
 
     name: str
     cameras: tuple[str, ...]
@@ -59,4 +63,13 @@ class Policy(Protocol):
 
     def plan(self, observation: Observation) -> PlannedTrajectory:
         """Answer with the trajectory to follow."""
+        ...
+
+
+@runtime_checkable
+class Resettable(Protocol):
+    """A policy that forgets at the start of a rollout. Any other is made anew for every rollout."""
+
+    def reset(self, seed: int, scene: str) -> None:
+        """Forget all earlier calls: the next answers depend on these two and on the observations to come."""
         ...

@@ -82,7 +82,8 @@ def stop_line_of(values: Mapping[str, Any]) -> StopLine:
         InputError: a value is none that it may have.
     """
     values = dict(values)
-    return StopLine(**(values | {"control": _choice(values, "control", CONTROLS)}))
+    control = _choice(values, "control", CONTROLS)
+    return StopLine(**values, control=control)
 
 
 def crossing_values(place: Crossing) -> Values:
@@ -97,7 +98,8 @@ def crossing_of(values: Mapping[str, Any]) -> Crossing:
         InputError: a value is none that it may have.
     """
     values = dict(values)
-    return Crossing(**(values | {"zebra": _yes_no(values, "zebra")}))
+    zebra = _yes_no(values, "zebra")
+    return Crossing(**values, zebra=zebra)
 
 
 def light_values(light: Light) -> Values:

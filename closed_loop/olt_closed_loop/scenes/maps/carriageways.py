@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
+import shapely
 
 from olt_closed_loop.scenes.maps.courses import Course, Place, connect, follow
 from olt_closed_loop.scenes.maps.cross_sections import (
@@ -76,7 +77,7 @@ def carriageway(
     else:
         lanes, last = [*_changing(section, forward, change, length, bends, divider), *against], change.lanes
     area = paved_area(lanes)
-    if area.geom_type != "Polygon" or area.interiors:
+    if not isinstance(area, shapely.Polygon) or area.interiors:
         raise InputError("the road runs into itself; make it shorter or bend it less")
     near, far = ((backward, forward), (backward, last))
     ends = [
@@ -133,7 +134,8 @@ def _changing(
 ) -> list[Lane]:
     """The forward lanes before, within and behind a change."""
     before = _course(Place(0.0, 0.0, 0.0), 0.0, change.start, bends)
-    start = Place(*before.points[-1].tolist(), float(before.headings[-1]))
+    x, y = before.points[-1].tolist()
+    start = Place(x, y, float(before.headings[-1]))
     end = start.at(change.end - change.start)
     behind = _course(end, change.end, length, bends)
     first = lay_side(before, section, forward, "forward", divider, against=False)

@@ -59,7 +59,7 @@ def junction(arms: Sequence[Arm], turn_radius: float = 8.0, left_hand: bool = Fa
     if not middle.is_valid:
         raise InputError("the kerbs of the junction cross each other; give its arms more room between them")
     area = paved_area(lanes, [middle])
-    if area.geom_type != "Polygon" or area.interiors:
+    if not isinstance(area, shapely.Polygon) or area.interiors:
         raise InputError("arms of the junction run into each other; make them shorter or bend them less")
     ends = [far_end(arm, course) for arm, (_, course) in zip(arms, laid, strict=True)]
     named = [(arm, f"arm{k}", mouths[k]) for k, arm in enumerate(arms)]

@@ -33,7 +33,7 @@ class Segments:
         self._starts, self._owners, self._along, self._lengths = starts, owners[kept], along[kept], lengths[kept]
         self._directions = steps / self._lengths[:, None]
         self._headings = np.arctan2(steps[:, 1], steps[:, 0])
-        self._tree = shapely.STRtree(shapely.linestrings(np.stack([starts, starts + steps], axis=1)))
+        self._tree = shapely.STRtree(np.asarray(shapely.linestrings(np.stack([starts, starts + steps], axis=1))))
 
     def nearest(self, points: Array, headings: Array | None, reach: float) -> Found:
         """The nearest line (n,), metres along and to the left of it, and its heading, of points (n, 2).

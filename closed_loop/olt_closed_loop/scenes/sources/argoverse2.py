@@ -11,10 +11,11 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from olt_closed_loop.scenes.scene import Agent, Lane, Scene
+from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.scenes.sources.argoverse2_files import (
     EGO_COLUMNS,
     Columns,
+    RoadParts,
     ego_poses,
     read_map,
     read_table,
@@ -33,7 +34,7 @@ from olt_closed_loop.scenes.sources.tracks import (
 )
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission, word_omission
-from olt_generator.poses import Array, make_pose, planar_pose, yaw_of
+from olt_generator.poses import make_pose, planar_pose, yaw_of
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.rigs.rig import VehicleDimensions
@@ -202,10 +203,10 @@ def _scene(
     name: str,
     ego: Trajectory,
     agents: tuple[list[Agent], list[str]],
-    road: tuple[list[Lane], tuple[Array, ...]],
+    road: RoadParts,
     assumptions: tuple[str, ...],
 ) -> Scene:
-    lanes, areas = road
+    lanes, areas, crossings = road
     known, notes = agents
     return Scene(
         name=f"argoverse2_{name:.200}",
@@ -219,6 +220,7 @@ def _scene(
         drivable=areas,
         route=route_along(ego.positions, float(yaw_of(ego.T_world_rig[-1])), lanes),
         assumptions=(*assumptions, *notes, *([] if areas or lanes else [NO_ROAD])),
+        crossings=crossings,
     )
 
 

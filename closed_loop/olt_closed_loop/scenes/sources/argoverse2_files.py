@@ -3,6 +3,8 @@
 Formats: docs/formats/source_datasets.md, and the public documentation of av2-api.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,9 +12,10 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from olt_closed_loop.scenes.maps.lanes import Crossing, Marking
 from olt_closed_loop.scenes.polylines import length_of
 from olt_closed_loop.scenes.scene import Lane
-from olt_closed_loop.scenes.sources.fields import FARTHEST, coordinates, member
+from olt_closed_loop.scenes.sources.fields import FARTHEST, coordinates, expect, member
 from olt_closed_loop.scenes.sources.roads import lane_between
 from olt_closed_loop.scenes.sources.tracks import FARTHEST_FROM_EGO
 from olt_generator.errors import InputError
@@ -26,6 +29,22 @@ _ROW_NAMES = ("track_uuid", "track_id", "timestamp_ns", "timestep")
 _NORM_TOLERANCE = 1e-3
 _VEHICLE_LANES = ("VEHICLE", "BUS")
 _SHORTEST_LANE = 0.1
+# Whether a single solid white line may be crossed differs by state; of half-solid lines the side is not recorded.
+_MARKINGS = {
+    **{
+        f"{line}_{color}": Marking("dashed", True)
+        for line in ("DASHED", "DOUBLE_DASH")
+        for color in ("WHITE", "YELLOW")
+    },
+    "NONE": Marking("none"),
+    "SOLID_WHITE": Marking("solid"),
+    "SOLID_BLUE": Marking("solid"),
+    "SOLID_YELLOW": Marking("solid", False),
+    "DOUBLE_SOLID_WHITE": Marking("double", False),
+    "DOUBLE_SOLID_YELLOW": Marking("double", False),
+    **{f"{line}_{color}": Marking("double") for line in ("DASH_SOLID", "SOLID_DASH") for color in ("WHITE", "YELLOW")},
+}
+"""Markings by their types; others, and UNKNOWN, are not known."""
 
 Columns = dict[str, NDArray[Any]]
 
@@ -120,15 +139,20 @@ def rows_of(tracks: NDArray[Any], times_us: NDArray[np.int64]) -> list[tuple[str
     return [(str(name), order[bounds[i] : bounds[i + 1]]) for i, name in enumerate(names)]
 
 
-def read_map(folder: Path, origin: Array, flat: bool = False) -> tuple[list[Lane], tuple[Array, ...]]:
-    """Driving lanes, and outlines (n, 3) of the drivable areas; with heights 0 if `flat`. Nothing without a map file.
+RoadParts = tuple[list[Lane], tuple[Array, ...], tuple[Crossing, ...]]
+
+
+def read_map(folder: Path, origin: Array, flat: bool = False) -> RoadParts:
+    """Driving lanes, outlines (n, 3) of the drivable areas, and crossings; with heights 0 if `flat`.
+
+    Nothing without a map file. Right of way, stop lines and lights are not recorded.
 
     Raises:
         InputError: there are several maps, or the one is damaged or of another place.
     """
     found = sorted(folder.glob("log_map_archive_*.json"))
     if not found:
-        return [], ()
+        return [], (), ()
     path = single(folder, "log_map_archive_*.json")
     content = read_json(path, "map")
     try:
@@ -138,10 +162,13 @@ def read_map(folder: Path, origin: Array, flat: bool = False) -> tuple[list[Lane
             _points(area, "area_boundary", f"drivable area {name:.40}", origin, flat, fewest=3)
             for name, area in areas.items()
         ]
+        driven = [lane for lane in lanes if lane is not None and length_of(lane.center) > _SHORTEST_LANE]
+        walked = expect(content.get("pedestrian_crossings") or {}, dict, "map: pedestrian_crossings")
+        crossings = tuple(_crossing(name, crossing, origin, flat, driven) for name, crossing in walked.items())
     except InputError as error:
         raise InputError(f"{path}: not an Argoverse 2 map ({error}); give an unchanged copy of the log") from error
-    driven = [lane for lane in lanes if lane is not None and length_of(lane.center) > _SHORTEST_LANE]
-    return driven, tuple(line if shapely.LinearRing(line[:, :2]).is_ccw else line[::-1] for line in outlines)
+    areas = tuple(line if shapely.LinearRing(line[:, :2]).is_ccw else line[::-1] for line in outlines)
+    return driven, areas, crossings
 
 
 def _lane(name: str, segment: Any, origin: Array, flat: bool) -> Lane | None:
@@ -152,7 +179,37 @@ def _lane(name: str, segment: Any, origin: Array, flat: bool) -> Lane | None:
         _points(segment, f"{side}_lane_boundary", where, origin, flat, fewest=1) for side in ("left", "right")
     )
     successors = tuple(str(successor) for successor in member(segment, "successors", list, where))
-    return lane_between(str(segment.get("id", name)), left, right, successors)
+    return replace(
+        lane_between(str(segment.get("id", name)), left, right, successors),
+        type="driving" if segment["lane_type"] == "VEHICLE" else None,
+        left_neighbours=_neighbours(segment, "left_neighbor_id"),
+        right_neighbours=_neighbours(segment, "right_neighbor_id"),
+        left_marking=_MARKINGS.get(str(segment.get("left_lane_mark_type"))),
+        right_marking=_MARKINGS.get(str(segment.get("right_lane_mark_type"))),
+        junction="intersection" if segment.get("is_intersection") is True else None,
+    )
+
+
+def _neighbours(segment: Any, name: str) -> tuple[str, ...] | None:
+    if name not in segment:
+        return None
+    return () if segment[name] is None else (str(segment[name]),)
+
+
+def _crossing(name: str, crossing: Any, origin: Array, flat: bool, lanes: Sequence[Lane]) -> Crossing:
+    """A crossing between its two edges; how it is painted is not recorded."""
+    first, second = (
+        _points(crossing, edge, f"pedestrian crossing {name:.40}", origin, flat, fewest=2)
+        for edge in ("edge1", "edge2")
+    )
+    # The edges may run either way.
+    ends = np.linalg.norm(first[-1, :2] - second[[0, -1], :2], axis=1)
+    outline = np.concatenate([first, second if ends[0] <= ends[1] else second[::-1]])
+    if not shapely.LinearRing(outline[:, :2]).is_ccw:
+        outline = outline[::-1].copy()
+    area = shapely.make_valid(shapely.Polygon(outline[:, :2]))
+    crossed = tuple(lane.id for lane in lanes if area.intersects(shapely.LineString(lane.center[:, :2])))
+    return Crossing(name, outline, crossed)
 
 
 def _points(holder: Any, name: str, where: str, origin: Array, flat: bool, fewest: int) -> Array:

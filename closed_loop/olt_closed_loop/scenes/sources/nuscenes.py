@@ -9,6 +9,7 @@ import gzip
 import io
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -275,7 +276,8 @@ def _read_lanes(features: dict[str, Any], origin: Array) -> tuple[list[Lane], li
         else:
             area, width = shapely.LineString(center).buffer(0.5 * LANE_WIDTH), LANE_WIDTH
         areas.append(area)
-        lanes.append(lane_around(name, np.column_stack([center, np.zeros(len(center))]), 0.5 * width))
+        lane = lane_around(name, np.column_stack([center, np.zeros(len(center))]), 0.5 * width)
+        lanes.append(replace(lane, type="driving" if feature["type"] == "LANE_SURFACE_STREET" else None))
     return link_by_place(lanes), areas
 
 

@@ -1,6 +1,7 @@
 """Lanes, outlines, edges and routes from what maps of recorded drives hold."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import shapely
@@ -68,7 +69,7 @@ def link_by_place(lanes: Sequence[Lane]) -> list[Lane]:
     gap = np.linalg.norm(ends[:, None] - starts[None], axis=-1)
     follows = (gap < _SUCCESSOR_GAP) & (np.abs(wrap(first[None] - last[:, None])) < _SUCCESSOR_TURN)
     return [
-        Lane(lane.id, lane.center, lane.left, lane.right, tuple(lanes[j].id for j in np.flatnonzero(row).tolist()))
+        replace(lane, successors=tuple(lanes[j].id for j in np.flatnonzero(row).tolist()))
         for lane, row in zip(lanes, follows, strict=True)
     ]
 
