@@ -127,7 +127,9 @@ def check_event(source: str) -> EventCheck:
     scene = load_scene(source)
     failed: list[str] = []
     for definition in DEFINITIONS:
-        failed += [f"{definition}: {check.name}: {check.finding}" for check in check_gate(scene, None, definition).failed]
+        failed += [
+            f"{definition}: {check.name}: {check.finding}" for check in check_gate(scene, None, definition).failed
+        ]
     driven = simulate(scene, PrivilegedDriver(scene))
     scores = {definition: score_rollout(scene, driven, definition=definition) for definition in DEFINITIONS}
     baselines = {name: _strict(scene, simulate(scene, make_policy(policy))) for name, policy in BASELINES.items()}

@@ -1,7 +1,9 @@
 """The score table of a suite: by category and by factor, and overall by the weights of the scenes."""
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,6 +12,7 @@ from olt_closed_loop.evaluation.evaluation import load_scene
 from olt_closed_loop.evaluation.score_table import ScoreRow, ScoreTable, summarize_scores
 from olt_closed_loop.scoring.definitions import RolloutScore
 from olt_closed_loop.suite.files import Suite, SuiteScene
+from olt_generator.files import write_whole
 
 
 @dataclass(frozen=True)
@@ -82,3 +85,9 @@ def _weighted(weights: np.ndarray, values: Sequence[float | None]) -> float | No
         return None
     numbers = np.array([value for value in values if value is not None])
     return float(np.average(numbers, weights=weights[known]))
+
+
+def save_suite_table(path: Path, table: SuiteTable) -> None:
+    """Write a table as JSON, whole or not at all."""
+    with write_whole(path) as temporary:
+        temporary.write_text(json.dumps(table.to_dict(), indent=2, allow_nan=False) + "\n")

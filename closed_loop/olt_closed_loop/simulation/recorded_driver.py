@@ -6,9 +6,9 @@ It plans in the rig frame like any policy, from the recorded poses of the times 
 import numpy as np
 
 from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.simulation.reckoning import Reckoning
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.vehicle.state import STATE
-from olt_closed_loop.simulation.reckoning import Reckoning
 from olt_generator.poses import Array, invert, planar_pose
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, PlannedTrajectory
 

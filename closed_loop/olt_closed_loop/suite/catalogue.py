@@ -67,54 +67,180 @@ _STOP3 = ("priority", "priority", "stop")
 _MAIN4 = ("stop", "priority", "stop", "priority")
 
 
-
-
 _COMPLEX: tuple[Row, ...] = (
-    ("officer_stops_straight", (GUIDED, PRIORITY), partial(_hold, roads=partial(four, goal=1), streams=((2, 0),), waiting=0)),
-    ("officer_stops_both_ways", (GUIDED, PRIORITY, WEAK), partial(_hold, roads=partial(four, goal=1, wear=WORN), streams=((2, 0), (0, 2)))),
-    ("officer_stops_left_turn", (GUIDED, PRIORITY), partial(_hold, roads=partial(four, goal=2), streams=((1, 3), (0, 2)))),
-    ("officer_at_skewed_junction", (GUIDED, PRIORITY, IRREGULAR), partial(_hold, roads=partial(skewed, goal=1), streams=((0, 2),), waiting=2)),
-    ("officer_at_three_arms", (GUIDED, PRIORITY, IRREGULAR), partial(_hold, roads=partial(three, goal=1), streams=((0, 1), (1, 0)))),
+    (
+        "officer_stops_straight",
+        (GUIDED, PRIORITY),
+        partial(_hold, roads=partial(four, goal=1), streams=((2, 0),), waiting=0),
+    ),
+    (
+        "officer_stops_both_ways",
+        (GUIDED, PRIORITY, WEAK),
+        partial(_hold, roads=partial(four, goal=1, wear=WORN), streams=((2, 0), (0, 2))),
+    ),
+    (
+        "officer_stops_left_turn",
+        (GUIDED, PRIORITY),
+        partial(_hold, roads=partial(four, goal=2), streams=((1, 3), (0, 2))),
+    ),
+    (
+        "officer_at_skewed_junction",
+        (GUIDED, PRIORITY, IRREGULAR),
+        partial(_hold, roads=partial(skewed, goal=1), streams=((0, 2),), waiting=2),
+    ),
+    (
+        "officer_at_three_arms",
+        (GUIDED, PRIORITY, IRREGULAR),
+        partial(_hold, roads=partial(three, goal=1), streams=((0, 1), (1, 0))),
+    ),
     ("officer_past_breakdown", (GUIDED, REASSIGNED, CONED), partial(_exit, roads=partial(four, goal=1), side=1.0)),
-    ("officer_past_breakdown_bend", (GUIDED, REASSIGNED, CURVED), partial(_exit, roads=partial(skewed, goal=1, bend=0.006), side=1.0)),
+    (
+        "officer_past_breakdown_bend",
+        (GUIDED, REASSIGNED, CURVED),
+        partial(_exit, roads=partial(skewed, goal=1, bend=0.006), side=1.0),
+    ),
     ("worker_detour", (GUIDED, REASSIGNED, CONED), partial(_detour, roads=partial(four, goal=1), side=1.0)),
-    ("worker_detour_before_left_turn", (GUIDED, REASSIGNED, CONED, WEAK), partial(_detour, roads=partial(four, goal=2, wear=WORN), side=1.0)),
-    ("worker_detour_five_arms", (GUIDED, REASSIGNED, CONED, IRREGULAR), partial(_detour, roads=partial(five, goal=1), side=1.0)),
+    (
+        "worker_detour_before_left_turn",
+        (GUIDED, REASSIGNED, CONED, WEAK),
+        partial(_detour, roads=partial(four, goal=2, wear=WORN), side=1.0),
+    ),
+    (
+        "worker_detour_five_arms",
+        (GUIDED, REASSIGNED, CONED, IRREGULAR),
+        partial(_detour, roads=partial(five, goal=1), side=1.0),
+    ),
     ("coned_path_across", (REASSIGNED, CONED), partial(_coned, roads=partial(four, goal=1), side=1.0)),
-    ("coned_path_weak_markings", (REASSIGNED, CONED, WEAK, CURVED), partial(_coned, roads=partial(skewed, goal=1, wear=WORN, bend=0.005), side=1.0)),
-    ("stop_sign_crossing", (PRIORITY,), partial(_give, roads=partial(four, goal=1, controls=_STOP4), streams=((2, 0), (0, 2)))),
-    ("stop_sign_left_turn", (PRIORITY, IRREGULAR), partial(_give, roads=partial(three, goal=1, controls=_STOP3), streams=((0, 1), (1, 0)))),
-    ("wye_merge", (PRIORITY, IRREGULAR, CURVED), partial(_give, roads=partial(wye, goal=1, bend=0.006), streams=((0, 1),))),
-    ("left_hand_crossing", (PRIORITY, LEFT), partial(_give, roads=partial(four, goal=1, controls=_STOP4, left_hand=True), streams=((2, 0), (0, 2)))),
+    (
+        "coned_path_weak_markings",
+        (REASSIGNED, CONED, WEAK, CURVED),
+        partial(_coned, roads=partial(skewed, goal=1, wear=WORN, bend=0.005), side=1.0),
+    ),
+    (
+        "stop_sign_crossing",
+        (PRIORITY,),
+        partial(_give, roads=partial(four, goal=1, controls=_STOP4), streams=((2, 0), (0, 2))),
+    ),
+    (
+        "stop_sign_left_turn",
+        (PRIORITY, IRREGULAR),
+        partial(_give, roads=partial(three, goal=1, controls=_STOP3), streams=((0, 1), (1, 0))),
+    ),
+    (
+        "wye_merge",
+        (PRIORITY, IRREGULAR, CURVED),
+        partial(_give, roads=partial(wye, goal=1, bend=0.006), streams=((0, 1),)),
+    ),
+    (
+        "left_hand_crossing",
+        (PRIORITY, LEFT),
+        partial(_give, roads=partial(four, goal=1, controls=_STOP4, left_hand=True), streams=((2, 0), (0, 2))),
+    ),
     ("way_taken_from_left", (TAKEN,), partial(_taken, roads=partial(four, goal=1, controls=_MAIN4), start=2, goal=0)),
-    ("way_taken_from_right", (TAKEN, WEAK), partial(_taken, roads=partial(skewed, goal=1, controls=_MAIN4, wear=WORN), start=0, goal=2)),
+    (
+        "way_taken_from_right",
+        (TAKEN, WEAK),
+        partial(_taken, roads=partial(skewed, goal=1, controls=_MAIN4, wear=WORN), start=0, goal=2),
+    ),
     ("left_turn_across", (ONCOMING,), partial(_across, roads=partial(four, goal=2), start=1, goal=3)),
-    ("left_turn_across_curve", (ONCOMING, CURVED, IRREGULAR), partial(_across, roads=partial(skewed, goal=2, bend=0.006), start=1, goal=3)),
-    ("roundabout_busy", (PRIORITY, IRREGULAR, CURVED), partial(_ring, headings=(0.0, 90.0, 180.0, 270.0), goal=1, start=2, leave=0)),
-    ("roundabout_three_arms", (PRIORITY, IRREGULAR, CURVED), partial(_ring, headings=(30.0, 150.0, 270.0), goal=0, start=1, leave=0)),
+    (
+        "left_turn_across_curve",
+        (ONCOMING, CURVED, IRREGULAR),
+        partial(_across, roads=partial(skewed, goal=2, bend=0.006), start=1, goal=3),
+    ),
+    (
+        "roundabout_busy",
+        (PRIORITY, IRREGULAR, CURVED),
+        partial(_ring, headings=(0.0, 90.0, 180.0, 270.0), goal=1, start=2, leave=0),
+    ),
+    (
+        "roundabout_three_arms",
+        (PRIORITY, IRREGULAR, CURVED),
+        partial(_ring, headings=(30.0, 150.0, 270.0), goal=0, start=1, leave=0),
+    ),
     ("people_cross_right_turn", (IRREGULAR,), partial(_people, roads=partial(five, goal=0), group=3)),
     ("people_cross_left_turn", (), partial(_people, roads=partial(four, goal=2), group=4)),
-)  # fmt: skip
+)
 
 _CYCLISTS: tuple[Row, ...] = (
-    ("riders_on_curve", (CURVED, ONCOMING), partial(cyclists.riders_ahead, riders=1, abreast=False, curve=1 / 120, traffic=True)),
+    (
+        "riders_on_curve",
+        (CURVED, ONCOMING),
+        partial(cyclists.riders_ahead, riders=1, abreast=False, curve=1 / 120, traffic=True),
+    ),
     ("riders_abreast", (ONCOMING,), partial(cyclists.riders_ahead, riders=2, abreast=True, curve=0.0, traffic=True)),
     ("rider_crosses", (TAKEN,), partial(cyclists.rider_crosses, side=-1.0)),
     ("rider_swerves", (), cyclists.rider_swerves),
     ("rider_against", (TAKEN,), cyclists.rider_against),
     ("turn_over_rider", (PRIORITY,), cyclists.turn_over_rider),
-)  # fmt: skip
+)
 
 _VEHICLES: tuple[Row, ...] = (
-    ("tractor_ahead", (ONCOMING,), partial(vehicles.slow_vehicle, size=(4.6, 2.3, 2.9), speed=3.8, curve=0.0, traffic=True)),
-    ("tractor_on_curve", (CURVED,), partial(vehicles.slow_vehicle, size=(4.6, 2.3, 2.9), speed=3.2, curve=-1 / 130, traffic=False)),
+    (
+        "tractor_ahead",
+        (ONCOMING,),
+        partial(vehicles.slow_vehicle, size=(4.6, 2.3, 2.9), speed=3.8, curve=0.0, traffic=True),
+    ),
+    (
+        "tractor_on_curve",
+        (CURVED,),
+        partial(vehicles.slow_vehicle, size=(4.6, 2.3, 2.9), speed=3.2, curve=-1 / 130, traffic=False),
+    ),
     ("sweeper", (), partial(vehicles.slow_vehicle, size=vehicles.SWEEPER, speed=2.2, curve=0.0, traffic=False)),
-    ("half_lane_truck", (ONCOMING,), partial(vehicles.standing_vehicle, label="heavy_truck", size=vehicles.TRUCK, offset=-1.2, turn=0.0, traffic=True)),
-    ("half_lane_truck_on_curve", (CURVED,), partial(vehicles.standing_vehicle, label="heavy_truck", size=vehicles.TRUCK, offset=-1.1, turn=0.03, traffic=False, curve=1 / 120)),
-    ("delivery_van", (ONCOMING,), partial(vehicles.standing_vehicle, label="other_vehicle", size=vehicles.VAN, offset=-0.5, turn=0.0, traffic=True)),
-    ("delivery_van_on_curve", (CURVED, ONCOMING), partial(vehicles.standing_vehicle, label="other_vehicle", size=vehicles.VAN, offset=-0.4, turn=0.0, traffic=True, curve=1 / 140)),
-    ("tow_truck_across", (), partial(vehicles.standing_vehicle, label="heavy_truck", size=(7.0, 2.4, 2.8), offset=-2.4, turn=1.2, traffic=False)),
-    ("lost_trailer", (ONCOMING,), partial(vehicles.standing_vehicle, label="other_vehicle", size=vehicles.TRAILER, offset=-0.2, turn=0.5, traffic=True)),
+    (
+        "half_lane_truck",
+        (ONCOMING,),
+        partial(
+            vehicles.standing_vehicle, label="heavy_truck", size=vehicles.TRUCK, offset=-1.2, turn=0.0, traffic=True
+        ),
+    ),
+    (
+        "half_lane_truck_on_curve",
+        (CURVED,),
+        partial(
+            vehicles.standing_vehicle,
+            label="heavy_truck",
+            size=vehicles.TRUCK,
+            offset=-1.1,
+            turn=0.03,
+            traffic=False,
+            curve=1 / 120,
+        ),
+    ),
+    (
+        "delivery_van",
+        (ONCOMING,),
+        partial(
+            vehicles.standing_vehicle, label="other_vehicle", size=vehicles.VAN, offset=-0.5, turn=0.0, traffic=True
+        ),
+    ),
+    (
+        "delivery_van_on_curve",
+        (CURVED, ONCOMING),
+        partial(
+            vehicles.standing_vehicle,
+            label="other_vehicle",
+            size=vehicles.VAN,
+            offset=-0.4,
+            turn=0.0,
+            traffic=True,
+            curve=1 / 140,
+        ),
+    ),
+    (
+        "tow_truck_across",
+        (),
+        partial(
+            vehicles.standing_vehicle, label="heavy_truck", size=(7.0, 2.4, 2.8), offset=-2.4, turn=1.2, traffic=False
+        ),
+    ),
+    (
+        "lost_trailer",
+        (ONCOMING,),
+        partial(
+            vehicles.standing_vehicle, label="other_vehicle", size=vehicles.TRAILER, offset=-0.2, turn=0.5, traffic=True
+        ),
+    ),
     ("oversize_load", (ONCOMING, TAKEN), partial(vehicles.oversize_load, curve=0.0)),
     ("oversize_load_on_curve", (ONCOMING, TAKEN, CURVED), partial(vehicles.oversize_load, curve=-1 / 160)),
     ("backing_truck_right", (TAKEN,), partial(vehicles.backing_truck, side=1.0)),
@@ -123,7 +249,7 @@ _VEHICLES: tuple[Row, ...] = (
     ("bus_pulls_out", (ONCOMING, TAKEN), vehicles.bus_pulls_out),
     ("horse_carriage", (CURVED,), vehicles.horse_carriage),
     ("crossing_excavator", (TAKEN,), partial(vehicles.crossing_machine, side=1.0)),
-)  # fmt: skip
+)
 
 _WORK_ZONES: tuple[Row, ...] = (
     ("lane_shift", (REASSIGNED, CONED, WEAK), partial(work_zones.lane_shift, curve=0.0)),
@@ -132,7 +258,7 @@ _WORK_ZONES: tuple[Row, ...] = (
     ("closed_lane", (REASSIGNED, CONED, ONCOMING), partial(work_zones.closed_lane, traffic=True, curve=0.0)),
     ("worker_steps_out", (CONED,), work_zones.worker_steps_out),
     ("taper_merge", (REASSIGNED, CONED), work_zones.taper_merge),
-)  # fmt: skip
+)
 
 _BESIDE: dict[str, tuple[Row, ...]] = {
     "animal": (
@@ -157,7 +283,7 @@ _BESIDE: dict[str, tuple[Row, ...]] = {
         ("free_crossroads", (), partial(extras.free_junction, goal=1, arms=4)),
         ("free_right_turn", (), partial(extras.free_junction, goal=0, arms=4)),
     ),
-}  # fmt: skip
+}
 
 
 def _entries() -> dict[str, Entry]:

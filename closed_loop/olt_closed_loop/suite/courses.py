@@ -123,7 +123,9 @@ def at_speed(station: float, when: float, speed: float) -> Array:
     return station + speed * (TIMES - when)
 
 
-def stream(name: str, course: Course, station: float, first: float, last: float, speed: float, gap: float) -> list[Agent]:
+def stream(
+    name: str, course: Course, station: float, first: float, last: float, speed: float, gap: float
+) -> list[Agent]:
     """Cars that pass a station from one time to another, `gap` seconds apart."""
     agents: list[Agent] = []
     for index, when in enumerate(np.arange(first, last + 1e-9, gap).tolist()):

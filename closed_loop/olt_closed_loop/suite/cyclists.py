@@ -69,5 +69,3 @@ def turn_over_rider(generator: np.random.Generator) -> Event:
     stations = at_speed(theirs, ground.arrival(mine) + float(generator.uniform(0.2, 0.6)), speed)
     rider = go_while_there("rider", "rider", straight, stations, -1.9)
     return Event(ground, (*rider, *go_while_there("second", "rider", straight, stations - 3.5, -1.9)))
-
-

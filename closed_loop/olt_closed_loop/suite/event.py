@@ -61,7 +61,9 @@ def oncoming(
 def cone_line(name: str, course: Course, begin: tuple[float, float], end: tuple[float, float]) -> list[Agent]:
     """Cones every three metres from one (station, offset) to another."""
     count = max(2, round(abs(end[0] - begin[0]) / 3.0) + 1)
-    return stand_in_a_row(name, "cone", course, np.linspace(begin[0], end[0], count), np.linspace(begin[1], end[1], count))
+    return stand_in_a_row(
+        name, "cone", course, np.linspace(begin[0], end[0], count), np.linspace(begin[1], end[1], count)
+    )
 
 
 def closure(ground: Ground, begin: float, end: float, inner: float, outer: float, name: str = "closed") -> list[Agent]:
@@ -79,7 +81,9 @@ def closure(ground: Ground, begin: float, end: float, inner: float, outer: float
 
 def lead_car(ground: Ground, gap: float, speed: float, offset: float = 0.0) -> list[Agent]:
     """A car ahead of the ego at a steady speed."""
-    return go_while_there("lead", "automobile", ground.course, at_speed(ground.start + FRONT_GAP + gap, 0.0, speed), offset)
+    return go_while_there(
+        "lead", "automobile", ground.course, at_speed(ground.start + FRONT_GAP + gap, 0.0, speed), offset
+    )
 
 
 FRONT_GAP = 6.0

@@ -57,8 +57,10 @@ def cut_in(generator: np.random.Generator, brakes: bool) -> Event:
     seconds = np.maximum(TIMES - when, 0.0)
     braked = np.minimum(seconds, (speed - slow) / 2.5)
     beside = ground.start + ground.cruise * when + float(generator.uniform(9.0, 10.0))
-    stations = beside + speed * (TIMES - when) - np.where(
-        seconds > braked, 1.25 * braked**2 + (speed - slow) * (seconds - braked), 1.25 * seconds**2
+    stations = (
+        beside
+        + speed * (TIMES - when)
+        - np.where(seconds > braked, 1.25 * braked**2 + (speed - slow) * (seconds - braked), 1.25 * seconds**2)
     )
     offsets = staged([(0.0, _LANE), (when - 1.0, _LANE), (when + 1.2, 0.0), (30.0, 0.0)])
     return Event(ground, tuple(go_while_there("cutter", "automobile", ground.course, stations, offsets)))

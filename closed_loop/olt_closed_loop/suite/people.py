@@ -68,7 +68,7 @@ def flagger(course: Course, station: float, offset: float, held: tuple[tuple[flo
 
 def is_held(held: tuple[tuple[float, float], ...]) -> np.ndarray:
     """At which of TIMES (n,) some span of seconds holds."""
-    return np.any([(TIMES >= start) & (TIMES < end) for start, end in held], axis=0) if held else TIMES < -1.0
+    return np.any([(start <= TIMES) & (end > TIMES) for start, end in held], axis=0) if held else TIMES < -1.0
 
 
 def _runs(flags: np.ndarray) -> list[Array]:

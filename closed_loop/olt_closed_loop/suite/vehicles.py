@@ -30,7 +30,13 @@ def slow_vehicle(generator: np.random.Generator, size: Size, speed: float, curve
 
 
 def standing_vehicle(
-    generator: np.random.Generator, label: str, size: Size, offset: float, turn: float, traffic: bool, curve: float = 0.0
+    generator: np.random.Generator,
+    label: str,
+    size: Size,
+    offset: float,
+    turn: float,
+    traffic: bool,
+    curve: float = 0.0,
 ) -> Event:
     """A vehicle that stands in the ego's lane, wholly or in part."""
     ground = road(generator, curve=curve)
@@ -56,7 +62,15 @@ def backing_truck(generator: np.random.Generator, side: float) -> Event:
     when = ground.arrival(ground.crux)
     out, stays = float(generator.uniform(4.0, 5.0)), float(generator.uniform(2.5, 4.0))
     hidden, there = -side * 12.5, -side * float(generator.uniform(3.2, 3.8))
-    offsets = staged([(0.0, hidden), (when - out - 0.5, hidden), (when - 0.5, there), (when + stays, there), (when + stays + 4.0, hidden)])
+    offsets = staged(
+        [
+            (0.0, hidden),
+            (when - out - 0.5, hidden),
+            (when - 0.5, there),
+            (when + stays, there),
+            (when + stays + 4.0, hidden),
+        ]
+    )
     turn = -side * np.pi / 2
     truck = go("backing", "heavy_truck", ground.course, np.full_like(TIMES, ground.crux), offsets, turn, TRUCK)
     return Event(ground, (truck,))
@@ -67,7 +81,9 @@ def wrong_way(generator: np.random.Generator) -> Event:
     ground = road(generator, shoulder=1.6)
     speed = float(generator.uniform(5.0, 6.5))
     stations = at_speed(ground.crux, ground.arrival(ground.crux), -speed)
-    scooter = go("scooter", "other_vehicle", ground.course, stations, float(generator.uniform(-0.9, -0.6)), np.pi, SCOOTER)
+    scooter = go(
+        "scooter", "other_vehicle", ground.course, stations, float(generator.uniform(-0.9, -0.6)), np.pi, SCOOTER
+    )
     return Event(ground, (scooter,))
 
 
@@ -101,7 +117,13 @@ def crossing_machine(generator: np.random.Generator, side: float) -> Event:
     when = ground.arrival(ground.crux) + float(generator.uniform(0.2, 0.6))
     offsets = -side * speed * at_speed(0.0, when, 1.0)
     machine = go(
-        "excavator", "other_vehicle", ground.course, np.full_like(TIMES, ground.crux), offsets, -side * np.pi / 2, EXCAVATOR
+        "excavator",
+        "other_vehicle",
+        ground.course,
+        np.full_like(TIMES, ground.crux),
+        offsets,
+        -side * np.pi / 2,
+        EXCAVATOR,
     )
     return Event(ground, (machine,))
 

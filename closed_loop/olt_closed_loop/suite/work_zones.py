@@ -59,7 +59,9 @@ def worker_steps_out(generator: np.random.Generator) -> Event:
     when = ground.arrival(ground.crux)
     stays = float(generator.uniform(2.5, 3.5))
     there = float(generator.uniform(-0.3, 0.3))
-    offsets = staged([(0.0, -3.4), (when - 4.5, -3.4), (when - 2.0, there), (when + stays, there), (when + stays + 3.0, -3.4)])
+    offsets = staged(
+        [(0.0, -3.4), (when - 4.5, -3.4), (when - 2.0, there), (when + stays, there), (when + stays + 3.0, -3.4)]
+    )
     worker = go("worker", "person", ground.course, np.full_like(TIMES, ground.crux), offsets, np.pi / 2)
     agents = cone_line("cone", ground.course, (ground.crux - 14.0, -2.3), (ground.crux + 12.0, -2.3))
     agents.append(stand("work_truck", "heavy_truck", ground.course, ground.crux + 18.0, -4.0))
