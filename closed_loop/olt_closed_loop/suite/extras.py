@@ -84,7 +84,7 @@ def fire_engine_comes(generator: np.random.Generator) -> Event:
     speed = float(generator.uniform(9.0, 11.0))
     meets = ground.arrival(ground.crux)
     stations = at_speed(ground.crux, meets, -speed)
-    offset = float(generator.uniform(1.5, 1.8))
+    offset = float(generator.uniform(1.0, 1.3))
     agents = [go("fire_engine", "heavy_truck", ground.course, stations, offset, np.pi)]
     agents += [
         stand(f"stopped_{index}", "automobile", ground.course, ground.crux + 14.0 + 7.0 * index, 4.3, np.pi)

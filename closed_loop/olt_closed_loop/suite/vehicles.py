@@ -50,7 +50,7 @@ def oversize_load(generator: np.random.Generator, curve: float) -> Event:
     ground = road(generator, shoulder=2.2, curve=curve)
     speed = float(generator.uniform(5.0, 6.5))
     stations = at_speed(ground.crux, ground.arrival(ground.crux), -speed)
-    offset = float(generator.uniform(2.4, 2.6))
+    offset = float(generator.uniform(1.9, 2.1))
     load = go("oversize", "heavy_truck", ground.course, stations, offset, np.pi, OVERSIZE)
     leader = go("escort", "automobile", ground.course, stations - 14.0, 3.4, np.pi)
     return Event(ground, (load, leader))
@@ -90,8 +90,8 @@ def wrong_way(generator: np.random.Generator) -> Event:
 def bus_pulls_out(generator: np.random.Generator) -> Event:
     """A bus leaves its stop in front of the ego."""
     ground = road(generator, shoulder=3.2)
-    when = ground.arrival(ground.crux) - float(generator.uniform(2.6, 3.0))
-    speed = float(generator.uniform(4.5, 5.5))
+    when = ground.arrival(ground.crux) - float(generator.uniform(3.6, 4.2))
+    speed = float(generator.uniform(3.5, 4.5))
     seconds = np.maximum(TIMES - when, 0.0)
     ramp = speed / 1.2
     moved = np.where(seconds < ramp, 0.6 * seconds**2, 0.6 * ramp**2 + speed * (seconds - ramp))
