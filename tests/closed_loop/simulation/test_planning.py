@@ -55,7 +55,7 @@ def gap(poses, times, agent, ego):
 
 
 def test_without_anybody_it_follows_the_route_at_cruising_speed():
-    poses, times = driven(truth())
+    poses, _ = driven(truth())
     np.testing.assert_allclose(poses[:, 1], -1.75, atol=1e-3)
     np.testing.assert_allclose(np.diff(poses[:, 0]) / 0.02, 10.0, atol=0.1)
 
@@ -118,10 +118,11 @@ def test_a_held_line_is_not_passed_until_it_is_free(until):
 
 
 def test_a_hand_outranks_a_light_and_other_lanes_lights_do_not_count():
+    left = np.array([0.0, 1.75, 0.0])
     line = np.array([[90.0, -1.75, 0.0], [120.0, -1.75, 0.0]])
-    own = Lane("own", line, line + [0, 1.75, 0], line - [0, 1.75, 0])
-    aside = line + [0.0, 30.0, 0.0]
-    other = Lane("other", aside, aside + [0, 1.75, 0], aside - [0, 1.75, 0])
+    own = Lane("own", line, line + left, line - left)
+    aside = line + np.array([0.0, 30.0, 0.0])
+    other = Lane("other", aside, aside + left, aside - left)
     times = np.array([0, 5_000_000])
     red, person = (
         Light("lamp", ("own",), times, ("red", "green")),
