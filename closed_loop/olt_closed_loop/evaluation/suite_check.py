@@ -11,12 +11,12 @@ from typing import Any
 from olt_closed_loop.evaluation.baselines import BASELINES
 from olt_closed_loop.evaluation.evaluation import load_scene
 from olt_closed_loop.evaluation.gate import check_gate
+from olt_closed_loop.privileged.driver import PrivilegedDriver
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.definitions import DEFINITIONS, score_rollout
 from olt_closed_loop.simulation.closed_loop import simulate
 from olt_closed_loop.simulation.policies import make_policy
-from olt_closed_loop.simulation.privileged_driver import PrivilegedDriver
 from olt_closed_loop.suite.apart import lane_shape
 from olt_closed_loop.suite.catalogue import find_event
 from olt_closed_loop.suite.scenes import PREFIX

@@ -179,11 +179,7 @@ load_standing = partial(_load, StandingPolicy)
 BUILT_IN = {
     name: EntryPoint(name, f"{__name__}:load_{name}", "olt.policies")
     for name in ("constant_speed", "constant_velocity", "route", "standing")
-} | {
-    "privileged": EntryPoint(
-        "privileged", "olt_closed_loop.simulation.privileged_driver:load_privileged", "olt.policies"
-    )
-}
+} | {"privileged": EntryPoint("privileged", "olt_closed_loop.privileged.driver:load_privileged", "olt.policies")}
 """Policies that are there whatever else is installed, by name."""
 
 

@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from olt_closed_loop.scenes.maps.lanes import Control
 from olt_closed_loop.suite import cyclists, extras, intersections, vehicles, work_zones
 from olt_closed_loop.suite.event import Event
 from olt_closed_loop.suite.intersections import five, four, skewed, three, wye
@@ -61,10 +62,11 @@ Row = tuple[str, tuple[str, ...], Callable[[np.random.Generator], Event]]
 _hold, _detour, _give = intersections.directed_hold, intersections.directed_detour, intersections.give_way
 _taken, _across, _coned = intersections.way_taken, intersections.turn_across, intersections.coned_path
 _people, _ring, _exit = intersections.people_cross, intersections.ring_entry, intersections.blocked_exit
+Controls = tuple[Control, ...]
 WORN = 0.85
-_STOP4 = ("priority", "stop", "priority", "stop")
-_STOP3 = ("priority", "priority", "stop")
-_MAIN4 = ("stop", "priority", "stop", "priority")
+_STOP4: Controls = ("priority", "stop", "priority", "stop")
+_STOP3: Controls = ("priority", "priority", "stop")
+_MAIN4: Controls = ("stop", "priority", "stop", "priority")
 
 
 _COMPLEX: tuple[Row, ...] = (

@@ -6,21 +6,22 @@ from functools import cached_property
 
 import numpy as np
 
+from olt_closed_loop.privileged.holds import HUMAN
 from olt_closed_loop.scenes.maps.carriageways import carriageway
 from olt_closed_loop.scenes.maps.cross_sections import CrossSection
 from olt_closed_loop.scenes.maps.frames import moved
 from olt_closed_loop.scenes.maps.junctions import Arm, junction
-from olt_closed_loop.scenes.maps.lanes import Lane, Light, StopLine
+from olt_closed_loop.scenes.maps.lanes import Control, Lane, Light, LightState, StopLine
 from olt_closed_loop.scenes.maps.road_map import RoadMap
 from olt_closed_loop.scenes.maps.roundabouts import roundabout
 from olt_closed_loop.scenes.polylines import arc_lengths, points_along
-from olt_closed_loop.simulation.planning.holds import HUMAN
 from olt_closed_loop.suite.courses import Course
 from olt_generator.poses import Array
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 ARM_LENGTH = 190.0
 _PLACES = 4000.0
+_SPREAD = 4.0
 _CENTER = DEFAULT_VEHICLE.rear_axle_to_bbox_center
 FRONT = _CENTER + DEFAULT_VEHICLE.length / 2
 
@@ -63,10 +64,12 @@ class Ground:
     def directed(self, held: Sequence[tuple[float, float]]) -> "Ground":
         """The ground where a person holds the ego's lane at the crux for spans of seconds."""
         way = next(name for name in self.lanes if self._begins_at(name) > self.crux - 1.0)
-        times, states = [0], ["green"]
+        times: list[int] = []
+        states: list[LightState] = []
+        if held[0][0] > 0.0:
+            times.append(0)
+            states.append("green")
         for begin, end in held:
-            if begin <= 0.0:
-                times, states = [], []
             times += [round(begin * 1e6), round(end * 1e6)]
             states += ["red", "green"]
         return self.with_light(Light(f"{HUMAN}_{way}", (way,), np.array(times, dtype=np.int64), tuple(states)))
@@ -101,34 +104,26 @@ def _somewhere(road_map: RoadMap, generator: np.random.Generator) -> RoadMap:
 def crossroads(
     generator: np.random.Generator,
     headings: Sequence[float] = (0.0, 90.0, 180.0, 270.0),
-    controls: Sequence[str | None] = (None, None, None, None),
-    lanes: int = 1,
-    spread: float = 4.0,
-    turn_radius: float | None = None,
+    controls: Sequence[Control | None] = (None, None, None, None),
     left_hand: bool = False,
     wear: float = 0.0,
     bend: float = 0.0,
-    crossing: bool = False,
 ) -> RoadMap:
-    """A junction of arms at headings in degrees, each up to `spread` degrees off."""
+    """A junction of arms at headings in degrees, each up to 4 degrees off."""
     section = CrossSection(lane_width=float(generator.uniform(3.3, 3.8)), shoulder=0.8, wear=wear)
-    off = generator.uniform(-spread, spread, size=len(headings))
+    off = generator.uniform(-_SPREAD, _SPREAD, size=len(headings))
     lengths = generator.uniform(0.0, 15.0, size=len(headings))
     arms = [
         Arm(
             float(np.deg2rad(heading + turn)),
-            inbound=lanes,
-            outbound=lanes,
             length=float(ARM_LENGTH + more),
             section=section,
             bend=bend,
             control=control,
-            crossing=crossing,
         )
         for heading, turn, more, control in zip(headings, off, lengths, controls, strict=True)
     ]
-    radius = float(generator.uniform(7.0, 10.0)) if turn_radius is None else turn_radius
-    return junction(arms, turn_radius=radius, left_hand=left_hand)
+    return junction(arms, turn_radius=float(generator.uniform(7.0, 10.0)), left_hand=left_hand)
 
 
 def circle(generator: np.random.Generator, headings: Sequence[float]) -> RoadMap:
@@ -143,10 +138,8 @@ def circle(generator: np.random.Generator, headings: Sequence[float]) -> RoadMap
 def road(
     generator: np.random.Generator,
     forward: int = 1,
-    backward: int = 1,
     curve: float = 0.0,
     shoulder: float = 1.0,
-    left_hand: bool = False,
     wear: float = 0.0,
 ) -> Ground:
     """A road between junctions, bent by `curve` (1/m) about the event; the crux is 90 m from its start."""
@@ -157,10 +150,8 @@ def road(
     road_map = carriageway(
         length,
         forward=forward,
-        backward=backward,
         section=section,
         bends=knots,
-        left_hand=left_hand,
     )
     road_map = _somewhere(road_map, generator)
     return _approach(road_map, (f"forward_{forward - 1}",), crux, generator, None)

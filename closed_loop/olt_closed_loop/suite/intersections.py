@@ -1,10 +1,11 @@
 """Complex intersections: right of way kept and taken, people who direct traffic, and paths that cones lay anew."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
 
+from olt_closed_loop.scenes.maps.lanes import Control
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.suite.courses import Course, at_speed, go, go_while_there, stand
 from olt_closed_loop.suite.event import Event, closure, cone_line, cross_traffic, last_passes
@@ -26,16 +27,18 @@ def ground_of(
     generator: np.random.Generator,
     headings: tuple[float, ...] = FOUR,
     goal: int = 1,
-    controls: tuple[str | None, ...] | None = None,
+    controls: Sequence[Control | None] | None = None,
     lead: float | None = None,
-    lanes: int = 1,
-    **options: float | bool,
+    wear: float = 0.0,
+    bend: float = 0.0,
+    left_hand: bool = False,
 ) -> Ground:
     """A junction that the ego comes to on its last arm and leaves on arm `goal`."""
     own = len(headings) - 1
-    road_map = crossroads(generator, headings, controls or (None,) * len(headings), lanes, **options)
-    lane = lanes - 1
-    return place(road_map, f"arm{own}_in_{lane}", f"arm{goal}_out_{lane}", generator, lead)
+    road_map = crossroads(
+        generator, headings, controls or (None,) * len(headings), left_hand=left_hand, wear=wear, bend=bend
+    )
+    return place(road_map, f"arm{own}_in_0", f"arm{goal}_out_0", generator, lead)
 
 
 def directed_hold(

@@ -5,10 +5,10 @@ one arm to and fro before the body, or shows a green sign.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.suite.courses import TIMES, Course, Size, go, stand
-from olt_generator.poses import Array
 
 _ARM: Size = (0.13, 0.75, 0.13)
 _SHOULDER, _ARM_OFFSET = 1.38, 0.62
@@ -66,12 +66,12 @@ def flagger(course: Course, station: float, offset: float, held: tuple[tuple[flo
     return agents
 
 
-def is_held(held: tuple[tuple[float, float], ...]) -> np.ndarray:
+def is_held(held: tuple[tuple[float, float], ...]) -> NDArray[np.bool_]:
     """At which of TIMES (n,) some span of seconds holds."""
     return np.any([(start <= TIMES) & (end > TIMES) for start, end in held], axis=0) if held else TIMES < -1.0
 
 
-def _runs(flags: np.ndarray) -> list[Array]:
+def _runs(flags: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
     """Indices of the stretches in which a flag holds, two samples or more."""
     indices = np.flatnonzero(flags)
     parts = np.split(indices, np.flatnonzero(np.diff(indices) > 1) + 1)

@@ -55,7 +55,7 @@ def draw_suite(path: Path, scenes: Sequence[Scene], conditions: Conditions = CLE
         _draw_from_above(above, scene, time_us)
         front.imshow(front_view(scene, time_us, conditions))
         front.set_title(f"{scene.name.removeprefix('longtail_')}, {time_us * 1e-6:.1f} s", fontsize=8)
-    figure.tight_layout(pad=0.4)
+    figure.tight_layout(pad=0.4, h_pad=1.4)
     with write_whole(path) as temporary:
         figure.savefig(temporary, format=path.suffix.removeprefix("."), dpi=70)
     pyplot.close(figure)

@@ -5,12 +5,12 @@ from functools import lru_cache
 
 import numpy as np
 
+from olt_closed_loop.privileged.holds import holds_of
+from olt_closed_loop.privileged.plan import plan_drive
+from olt_closed_loop.privileged.truth import Truth, area_of
 from olt_closed_loop.scenes.driving import SAMPLE_US
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scenes.scene_map import with_map
-from olt_closed_loop.simulation.planning.holds import holds_of
-from olt_closed_loop.simulation.planning.plan import plan_drive
-from olt_closed_loop.simulation.planning.truth import Truth, area_of
 from olt_closed_loop.suite.catalogue import Entry, find_event
 from olt_closed_loop.suite.courses import DURATION_US
 from olt_closed_loop.suite.event import Event
@@ -30,7 +30,7 @@ _BEYOND_US = 3_000_000
 def make_scene(name: str, seed: int | None = None) -> Scene:
     """The scene of an event; the same name and seed give the same scene. By default the seed is the catalogue's.
 
-    The recorded ego is a drive planned with the truth (`simulation.planning`).
+    The recorded ego is a drive planned with the truth (`privileged.plan`).
 
     Raises:
         InputError: there is no such event.

@@ -10,12 +10,12 @@ from olt_closed_loop.commands import app
 from olt_closed_loop.evaluation.evaluation import load_scene
 from olt_closed_loop.evaluation.suite_check import EventCheck, SuiteCheck, check_event, check_suite
 from olt_closed_loop.evaluation.suite_table import label_scores, summarize_suite
+from olt_closed_loop.privileged.holds import HUMAN
 from olt_closed_loop.scenes.maps.frames import moved
 from olt_closed_loop.scenes.procedural import generate_scene
 from olt_closed_loop.scenes.scene_file import read_scene, write_scene
 from olt_closed_loop.scenes.scene_map import map_of, with_map
 from olt_closed_loop.scoring.definitions import RolloutScore
-from olt_closed_loop.simulation.planning.holds import HUMAN
 from olt_closed_loop.suite.apart import lane_shape, shared_lanes
 from olt_closed_loop.suite.catalogue import CATEGORIES, EVENTS, FACTORS, LONGTAIL
 from olt_closed_loop.suite.files import Suite, SuiteScene, built_in_suites, find_suite, read_suite, write_suite

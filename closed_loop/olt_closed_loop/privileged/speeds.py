@@ -11,9 +11,9 @@ import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
+from olt_closed_loop.privileged.truth import Truth, box_of, stands
+from olt_closed_loop.privileged.ways import Way
 from olt_closed_loop.scoring.moving_boxes import separations
-from olt_closed_loop.simulation.planning.truth import Truth, box_of, stands
-from olt_closed_loop.simulation.planning.ways import Way
 from olt_generator.poses import Array
 
 TIME_STEP, SPEED_STEP = 0.5, 0.5
@@ -51,7 +51,7 @@ def plan_speeds(truth: Truth, way: Way, now_us: int, speed: float) -> Progress:
     arc = np.arange(0.0, way.length, ARC_STEP)
     taken = _taken(truth, way, times)
     every = round(TIME_STEP * 1e6) // _SAMPLE_US
-    layers = maximum_filter1d(taken, 2 * _SPREAD + 1, axis=0)[::every]
+    layers = np.asarray(maximum_filter1d(taken, 2 * _SPREAD + 1, axis=0), dtype=bool)[::every]
     layers = layers[:, np.minimum((arc / _SPACING).round().astype(np.int64), taken.shape[1] - 1)]
     limits = np.minimum(truth.cruise, np.sqrt(LATERAL / np.maximum(way.curvature(arc), 1e-4)))
     steps, obstructed = _cheapest(layers, limits, speed, truth.cruise)

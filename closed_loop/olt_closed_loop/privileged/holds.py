@@ -3,8 +3,8 @@
 import numpy as np
 import shapely
 
+from olt_closed_loop.privileged.truth import Hold
 from olt_closed_loop.scenes.maps.lanes import Lane, Light
-from olt_closed_loop.simulation.planning.truth import Hold
 
 HUMAN = "human"
 """How the ids of lights begin whose states are the signals of a person."""

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from olt_closed_loop import run_closed_loop
+from olt_closed_loop.privileged.driver import PrivilegedDriver
 from olt_closed_loop.scenes.procedural import CATEGORIES, generate_scene
 from olt_closed_loop.scoring.definitions import score_rollout
 from olt_closed_loop.simulation.closed_loop import simulate
 from olt_closed_loop.simulation.policies import make_policy
-from olt_closed_loop.simulation.privileged_driver import PrivilegedDriver
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.errors import InputError
 

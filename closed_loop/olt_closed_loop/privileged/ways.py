@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
 
+from olt_closed_loop.privileged.truth import Truth
 from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.polylines import arc_lengths, without_repeats
-from olt_closed_loop.simulation.planning.truth import Truth
 from olt_generator.poses import Array
 
 STATION_STEP, OFFSET_STEP, FARTHEST = 2.0, 0.25, 6.0

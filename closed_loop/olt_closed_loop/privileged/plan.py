@@ -7,12 +7,12 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from olt_closed_loop.privileged.speeds import Progress, plan_speeds
+from olt_closed_loop.privileged.truth import Truth, box_of, stands
+from olt_closed_loop.privileged.ways import Way, plan_way
 from olt_closed_loop.scenes.actors import corners, footprints
 from olt_closed_loop.scenes.polylines import wrap
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.simulation.planning.speeds import Progress, plan_speeds
-from olt_closed_loop.simulation.planning.truth import Truth, box_of, stands
-from olt_closed_loop.simulation.planning.ways import Way, plan_way
 from olt_generator.poses import Array
 
 ROUNDS = 3
@@ -87,7 +87,7 @@ def _leaves_road(drive: Drive, truth: Truth) -> bool:
 
 def _at_cruise(truth: Truth, now_us: int) -> Progress:
     times = np.array([now_us, truth.end_us], dtype=np.int64)
-    return Progress(times, truth.cruise * 1e-6 * (times - now_us), False)
+    return Progress(times, truth.cruise * (1e-6 * (times - now_us).astype(np.float64)), False)
 
 
 def _may_be_passed(agent: Agent, way: Way, truth: Truth, now_us: int) -> bool:

@@ -6,13 +6,13 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from olt_closed_loop.privileged.holds import HUMAN, holds_of
+from olt_closed_loop.privileged.plan import plan_drive
+from olt_closed_loop.privileged.truth import Hold, Truth, box_of
 from olt_closed_loop.scenes.actors import SIZES, corners
 from olt_closed_loop.scenes.maps.lanes import Lane, Light
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.moving_boxes import separations
-from olt_closed_loop.simulation.planning.holds import HUMAN, holds_of
-from olt_closed_loop.simulation.planning.plan import plan_drive
-from olt_closed_loop.simulation.planning.truth import Hold, Truth, box_of
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 END_US = 14_000_000
@@ -87,7 +87,7 @@ def test_it_touches_nobody_who_crosses(meets, speed, side):
 
 
 def test_it_waits_for_oncoming_traffic_before_it_passes():
-    oncoming = [moving(f"oncoming_{i}", 130.0 + 12.0 * i, 1.75, 9.0, np.pi) for i in range(4)]
+    oncoming = [moving(f"oncoming_{i}", 110.0 + 11.0 * i, 1.75, 9.0, np.pi) for i in range(4)]
     agents = [standing("van", 80.0, -2.3), *oncoming]
     given_truth = truth(agents)
     poses, times = driven(given_truth)

@@ -2,17 +2,17 @@
 
 It knows the map, the route, who will be where, and which lines are held by red lights or by somebody's hand; it knows
 nothing of the recorded drive but its first pose and its highest speed, which stands for the speed limit. It plans a way
-and a progress (`simulation.planning`), follows them, and plans anew where it has come off them.
+and a progress (`privileged.plan`), follows them, and plans anew where it has come off them.
 """
 
 from abc import ABC, abstractmethod
 
 import numpy as np
 
+from olt_closed_loop.privileged.holds import holds_of
+from olt_closed_loop.privileged.plan import Drive, plan_drive
+from olt_closed_loop.privileged.truth import Truth, area_of
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.planning.holds import holds_of
-from olt_closed_loop.simulation.planning.plan import Drive, plan_drive
-from olt_closed_loop.simulation.planning.truth import Truth, area_of
 from olt_closed_loop.simulation.reckoning import Reckoning
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, planar_pose
@@ -105,7 +105,7 @@ def truth_of(scene: Scene) -> Truth:
         agents=scene.agents,
         holds=holds_of(scene.lanes, scene.lights, scene.route, end_us),
         vehicle=scene.vehicle,
-        cruise=float(np.hypot(*velocity.T).max()),
+        cruise=float(np.hypot(velocity[:, 0], velocity[:, 1]).max()),
         end_us=end_us,
     )
 
