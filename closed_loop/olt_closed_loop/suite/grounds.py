@@ -71,7 +71,7 @@ class Ground:
             states.append("green")
         for begin, end in held:
             times += [round(begin * 1e6), round(end * 1e6)]
-            states += ["red", "green"]
+            states.extend(("red", "green"))
         return self.with_light(Light(f"{HUMAN}_{way}", (way,), np.array(times, dtype=np.int64), tuple(states)))
 
     def _begins_at(self, name: str) -> float:
