@@ -3,8 +3,9 @@
 import shutil
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -13,12 +14,16 @@ from scipy.stats import binomtest
 from olt_datasets.benchmarks.image_faults import ImageFault
 from olt_datasets.benchmarks.planted_faults import FAULTS, Fault
 from olt_datasets.benchmarks.verified_clips import write_clean_store
+from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
 from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.findings import Finding, Verdict
 from olt_toolkit.clips.verification.store_checks import check_store
-from olt_toolkit.clips.verification.verify import CLIP_CHECKS, GROUPS, STORE_GROUP, verify_clip
+from olt_toolkit.clips.verification.verify import CLIP_CHECKS, STORE_GROUP, verify_clip
+from olt_toolkit.runtime.console import show_progress
+from olt_toolkit.runtime.environment import describe_machine
 from olt_toolkit.runtime.threads import use_one_thread
+from olt_toolkit.runtime.workers import default_workers, map_parallel
 
 Outcome = Literal["found", "not compared", "missed"]
 _AIM = 0.95
@@ -42,7 +47,37 @@ class StoreMeasure:
     clips: int = 2
 
 
-def measure_store(number: int, seed: int, faults: Sequence[str]) -> StoreMeasure:
+Measure = Callable[..., list[StoreMeasure]]
+"""Measures the store of a number, with a seed and the names of faults."""
+
+
+def count_faults(
+    benchmark: str,
+    measure: Measure,
+    faults: Sequence[Fault | ImageFault],
+    groups: Sequence[str],
+    stores: int,
+    seed: int,
+    asked: str | None,
+    workers: int | None,
+) -> dict[str, Any]:
+    """Measure so many stores, with the faults whose name holds the text that is asked for, and sum up.
+
+    Raises:
+        InputError: no fault is called so.
+    """
+    names = tuple(fault.name for fault in faults if asked is None or asked in fault.name)
+    if not names:
+        raise InputError(f"--faults {asked!r}: no fault is called so")
+    with show_progress(f"bench {benchmark}", stores) as (on_progress, _):
+        measured = map_parallel(
+            partial(measure, seed=seed, faults=names), list(range(stores)), workers or default_workers(), on_progress
+        )
+    summary = summarize([each for of_store in measured for each in of_store], faults, groups)
+    return {"benchmark": benchmark, "stores": stores, "seed": seed, **summary, "machine": describe_machine()}
+
+
+def measure_store(number: int, seed: int, faults: Sequence[str]) -> list[StoreMeasure]:
     """Make a store of two good clips, look at it, and plant each of the faults into a copy of its own."""
     use_one_thread()
     with tempfile.TemporaryDirectory(prefix="verify.") as folder:
@@ -54,7 +89,7 @@ def measure_store(number: int, seed: int, faults: Sequence[str]) -> StoreMeasure
             for fault in FAULTS
             if fault.name in faults
         }
-    return StoreMeasure(outcomes, [each.verdict for each in findings], word_alarms(findings), seconds)
+    return [StoreMeasure(outcomes, [each.verdict for each in findings], word_alarms(findings), seconds)]
 
 
 def tell_outcome(findings: Sequence[Finding]) -> Outcome:
@@ -73,8 +108,8 @@ def word_alarms(findings: Sequence[Finding]) -> list[str]:
 
 def summarize(
     measured: Sequence[StoreMeasure],
-    faults: Sequence[Fault | ImageFault] = FAULTS,
-    groups: Sequence[str] = GROUPS,
+    faults: Sequence[Fault | ImageFault],
+    groups: Sequence[str],
 ) -> dict[str, Any]:
     """Shares of faults and false alarms with exact (Clopper-Pearson) intervals of 95 %; time by what is looked at."""
     rows = [_summarize_fault(fault, measured) for fault in faults if fault.name in measured[0].outcomes]

@@ -61,11 +61,6 @@ class Fault:
     groups: tuple[str, ...]
 
 
-def list_faults() -> list[Fault]:
-    """All kinds, in the order in which they are reported."""
-    return [*FAULTS]
-
-
 _POSITION, _VELOCITY, _ACCELERATION = ["x", "y", "z"], ["vx", "vy", "vz"], ["ax", "ay", "az"]
 _QUATERNION = ["qx", "qy", "qz", "qw"]
 

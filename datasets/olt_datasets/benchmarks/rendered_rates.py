@@ -3,7 +3,6 @@
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 from olt_datasets.benchmarks.fault_rates import Outcome, StoreMeasure, tell_outcome, word_alarms
@@ -14,7 +13,7 @@ from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.clip_evidence import ClipEvidence, gather_evidence
 from olt_toolkit.clips.verification.decoded_videos import ClipVideos
 from olt_toolkit.clips.verification.image_checks import check_images
-from olt_toolkit.clips.verification.neighbour_checks import check_neighbours, find_agreeing
+from olt_toolkit.clips.verification.neighbour_checks import check_neighbours, with_neighbours
 from olt_toolkit.runtime.threads import use_one_thread
 
 
@@ -49,5 +48,5 @@ def measure_good_store(store: ClipStore, seed: int, faults: Sequence[str]) -> li
 
 def _plant(fault: ImageFault, clip: ClipEvidence, other: ClipEvidence, seed: int) -> Outcome:
     bad = fault.plant(clip, other, make_generator("planted faults", seed, clip.clip_id, fault.name))
-    bad = replace(bad, agreeing=find_agreeing(bad, check_neighbours(bad)))
+    bad = with_neighbours(bad, list(check_neighbours(bad)))
     return tell_outcome([finding for look in fault.looks for finding in look(bad)])

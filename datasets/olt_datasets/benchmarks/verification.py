@@ -16,32 +16,12 @@ def verify(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Plant every kind of fault into good clips and count which are found, and count what is said of the good clips."""
-    from functools import partial
+    from olt_datasets.benchmarks.fault_rates import count_faults, measure_store
+    from olt_datasets.benchmarks.planted_faults import FAULTS
+    from olt_toolkit.clips.verification.verify import GROUPS
+    from olt_toolkit.runtime.console import print_json
 
-    from olt_datasets.benchmarks.fault_rates import measure_store, summarize
-    from olt_datasets.benchmarks.planted_faults import list_faults
-    from olt_generator.errors import InputError
-    from olt_toolkit.runtime.console import print_json, show_progress
-    from olt_toolkit.runtime.environment import describe_machine
-    from olt_toolkit.runtime.workers import default_workers, map_parallel
-
-    names = tuple(fault.name for fault in list_faults() if faults is None or faults in fault.name)
-    if not names:
-        raise InputError(f"--faults {faults!r}: no fault is called so")
-    with show_progress("bench verify", stores) as (on_progress, _):
-        measured = map_parallel(
-            partial(measure_store, seed=seed, faults=names),
-            list(range(stores)),
-            workers or default_workers(),
-            on_progress,
-        )
-    result = {
-        "benchmark": "verify",
-        "stores": stores,
-        "seed": seed,
-        **summarize(measured),
-        "machine": describe_machine(),
-    }
+    result = count_faults("verify", measure_store, FAULTS, GROUPS, stores, seed, faults, workers)
     print_json(result) if as_json else print_result(result)
 
 

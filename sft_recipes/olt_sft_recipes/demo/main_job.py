@@ -20,7 +20,7 @@ from olt_closed_loop import (
 )
 from olt_closed_loop.evaluation.baselines import run_baselines
 from olt_closed_loop.evaluation.comparison import compare_scores
-from olt_closed_loop.evaluation.evaluation import count_left_out, pass_gate
+from olt_closed_loop.evaluation.evaluation import Result, count_left_out, pass_gate
 from olt_closed_loop.scenes.procedural import CATEGORIES
 from olt_closed_loop.sensors.recorder import record_drive
 from olt_datasets import Mixture, compose_mixture, find_recipe, read_clip_tables
@@ -366,6 +366,7 @@ def drive_suite(
     """
     gate = [result.to_dict() for result in pass_gate(suite)]
     policies, driven = {}, {}
+    results: list[Result] = []
     for index, name in enumerate(RECIPES):
         results = run_closed_loop(
             suite,

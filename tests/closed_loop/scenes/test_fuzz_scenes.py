@@ -6,18 +6,25 @@ from olt_closed_loop.scenes.procedural import generate_scene
 from olt_closed_loop.scenes.scene_file import write_scene
 
 from ...fuzzing import SECONDS
+from .maps.crossroads import crossroads_scene
 from .test_scene_sources import motion_scenario, scenario, sensor_log, write_scenario
 
 __all__ = ["motion_scenario", "sensor_log"]  # fixtures
 
-SCENES = (("scene.usda", "scene.usda"), ("scene.usda", "scene.looks.usda"), ("scene.usdc", "scene.usdc"))
+SCENES = (
+    ("scene.usda", "scene.usda"),
+    ("scene.usda", "scene.looks.usda"),
+    ("scene.usdc", "scene.usdc"),
+    ("crossroads.usda", "crossroads.usda"),
+)
 
 
 @pytest.fixture
 def scene_files(tmp_path):
-    """A scene as text and one in binary, each with its looks."""
+    """A scene as text and one in binary, each with its looks, and one with a whole map."""
     for suffix in ("usda", "usdc"):
         write_scene(generate_scene("nominal", 3), tmp_path / suffix / f"scene.{suffix}")
+    write_scene(crossroads_scene(), tmp_path / "usda" / "crossroads.usda")
     return tmp_path
 
 

@@ -1,5 +1,6 @@
 """Recorded drives as scenes, on small invented files of the data sets' formats."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import strategies as st
 from pyarrow import feather
 
 from olt_closed_loop.evaluation.gate import check_gate
+from olt_closed_loop.scenes.maps.lanes import Marking
 from olt_closed_loop.scenes.scene import Lane
 from olt_closed_loop.scenes.scene_file import read_scene, write_scene
 from olt_closed_loop.scenes.sources import find_recordings, read_recording
@@ -27,7 +29,7 @@ from olt_closed_loop.scenes.sources.swath import add_room
 from olt_generator.errors import InputError
 from olt_generator.poses import yaw_of
 
-from .recordings import SPEED, STEPS, scenario, write_motion_scenario, write_scenario, write_sensor_log
+from .recordings import CITY, SPEED, STEPS, points, scenario, write_motion_scenario, write_scenario, write_sensor_log
 
 
 @pytest.fixture
@@ -38,6 +40,28 @@ def sensor_log(tmp_path):
 @pytest.fixture
 def motion_scenario(tmp_path):
     return write_motion_scenario(tmp_path / "scenario")
+
+
+def test_a_map_of_argoverse_tells_markings_neighbours_and_crossings(sensor_log):
+    path = sensor_log / "map" / "log_map_archive_x.json"
+    content = json.loads(path.read_text())
+    first, second = (content["lane_segments"][name] for name in ("1", "2"))
+    first |= {"left_lane_mark_type": "DOUBLE_SOLID_YELLOW", "right_lane_mark_type": "DASHED_WHITE"}
+    first |= {"left_neighbor_id": 9, "right_neighbor_id": None, "is_intersection": False}
+    second |= {"left_lane_mark_type": "NONE", "right_lane_mark_type": "UNKNOWN", "is_intersection": True}
+    corners = [np.add(CITY, (x, y, 0.0)) for x, y in ((10, 5), (10, -5), (13, 5), (13, -5))]
+    edges = {"edge1": points(corners[:2]), "edge2": points(corners[2:])}
+    content["pedestrian_crossings"] = {"5": {"id": 5, **edges}}
+    path.write_text(json.dumps(content))
+    scene = read_recording(sensor_log)
+    one, other = scene.lanes
+    assert (one.left_marking, one.right_marking) == (Marking("double", False), Marking("dashed", True))
+    assert (one.left_neighbours, one.right_neighbours, one.junction) == (("9",), (), None)
+    assert (other.left_marking, other.right_marking, other.left_neighbours) == (Marking("none"), None, None)
+    assert (one.type, other.junction, other.yields_to) == ("driving", "intersection", None)
+    (crossing,) = scene.crossings
+    assert crossing.lanes == ("1",) and crossing.zebra is None
+    assert shapely.Polygon(crossing.outline[:, :2]).is_valid and shapely.LinearRing(crossing.outline[:, :2]).is_ccw
 
 
 def test_a_sensor_log_is_read_into_the_world_frame(sensor_log):

@@ -43,6 +43,8 @@ def junction(arms: Sequence[Arm], turn_radius: float = 8.0, left_hand: bool = Fa
     order = _check_arms(arms, turn_radius)
     turns = {(i, j): _turn(arms[i], arms[j]) for i, j in permutations(range(len(arms)), 2)}
     pairs = list(_pair_lanes(arms, turns))
+    if not pairs:
+        raise InputError("nothing leads through the junction; give lanes in and out, and turns from one to the other")
     mouths = _mouths(arms, order, pairs, turn_radius)
     laid = [lay_arm(arm, f"arm{k}", mouths[k]) for k, arm in enumerate(arms)]
     ways, through = [], []

@@ -112,7 +112,7 @@ class RoadMap:
         """By lane, those through the same junction that cross it or end in the same lane, without those that split
         from it at the start: one may not be on both at once. Symmetric."""
         ways = [lane for lane in self.lanes if lane.junction is not None]
-        areas = [lane_polygon(lane).buffer(-_LEAST_OVERLAP / 2.0) for lane in ways]
+        areas = np.array([lane_polygon(lane).buffer(-_LEAST_OVERLAP / 2.0) for lane in ways], dtype=object)
         tree = shapely.STRtree(areas)
         found: dict[str, list[str]] = {lane.id: [] for lane in self.lanes}
         for one, other in zip(*tree.query(areas, predicate="intersects"), strict=True):

@@ -95,6 +95,8 @@ def roundabout(
 def _check(arms: Sequence[Arm], radius: float, ring_width: float, turn_radius: float) -> None:
     if len(arms) < 2:
         raise InputError(f"a roundabout of {len(arms)} arms; give two or more")
+    if not (any(arm.inbound for arm in arms) and any(arm.outbound for arm in arms)):
+        raise InputError("nothing leads through the roundabout; give an arm a lane in and one a lane out")
     if not (3.0 <= ring_width <= 10.0 and 4.0 <= turn_radius <= 50.0 and ring_width + 2.0 <= radius <= 200.0):
         raise InputError(
             f"a roundabout of radius {radius:g} m, ring width {ring_width:g} m and turn radius {turn_radius:g} m; give "

@@ -79,10 +79,10 @@ def _groups(lanes: Mapping[str, Lane], lane_ids: Sequence[str]) -> list[list[str
         lane = lanes[before]
         if after in lane.successors:
             groups.append([after])
-        elif after in (*(lane.left_neighbours or ()), *(lane.right_neighbours or ())):
+        elif after in (*(lane.left_neighbours or ()), *(lane.right_neighbours or ())) and _same_way(lane, lanes[after]):
             groups[-1].append(after)
         else:
-            raise InputError(f"lane {after:.80} neither follows lane {before:.80} nor lies beside it")
+            raise InputError(f"lane {after:.80} neither follows lane {before:.80} nor runs beside it")
     return groups
 
 

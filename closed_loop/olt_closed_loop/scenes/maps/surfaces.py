@@ -13,19 +13,38 @@ from olt_generator.poses import Array
 _CRACK = 1e-4
 """Metres over which areas that touch grow together."""
 _CAP = 0.01
+LEAST_ISLAND = 2.0
+"""Square metres of the smallest island."""
 
 
 def lane_polygon(lane: Lane) -> BaseGeometry:
-    """The area between a lane's borders, valid also where they cross each other."""
-    polygon = shapely.Polygon(np.concatenate([lane.left[:, :2], lane.right[::-1, :2]]))
-    return polygon if polygon.is_valid else shapely.make_valid(polygon)
+    """The area between a lane's borders; of a lane that crosses itself, or whose borders do, piece by piece."""
+    left, right = lane.left[:, :2], lane.right[:, :2]
+    if len(left) < 2:
+        return shapely.Polygon()
+    polygon = shapely.Polygon(np.concatenate([left, right[::-1]]))
+    if polygon.is_valid:
+        return polygon
+    pieces = shapely.polygons(np.stack([left[:-1], left[1:], right[1:], right[:-1]], axis=1))
+    return shapely.union_all(shapely.make_valid(pieces))
 
 
 def paved_area(lanes: Iterable[Lane], more: Iterable[BaseGeometry] = ()) -> BaseGeometry:
-    """The area of all lanes that are paved for vehicles and of further polygons, grown together."""
+    """The area of all lanes that are paved for vehicles and of further polygons, grown together.
+
+    Gaps between lanes of less than LEAST_ISLAND square metres are paved as well.
+    """
     parts = [lane_polygon(lane) for lane in lanes if lane.type in PAVED]
     grown = shapely.buffer([*parts, *more], _CRACK, join_style="mitre")
-    return shapely.union_all(grown).buffer(-_CRACK, join_style="mitre")
+    area = shapely.union_all(grown).buffer(-_CRACK, join_style="mitre")
+    return shapely.union_all([_without_small_holes(part) for part in shapely.get_parts(area)])
+
+
+def _without_small_holes(polygon: BaseGeometry) -> BaseGeometry:
+    if not isinstance(polygon, shapely.Polygon):
+        return polygon
+    islands = [ring for ring in polygon.interiors if shapely.Polygon(ring).area >= LEAST_ISLAND]
+    return shapely.Polygon(polygon.exterior, islands)
 
 
 def outlines_of(area: BaseGeometry) -> tuple[Array, ...]:

@@ -17,6 +17,7 @@ from olt_toolkit.clips.verification.motion_checks import (
     FRAME_TIMES,
     MIRRORED,
     MOTION,
+    MOTION_OF_CLIP,
     MOTION_SCALE,
     MOTION_SIDES,
     MOTION_TIMES,
@@ -28,7 +29,17 @@ from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
 from .blob_world import bend_motion, blob_clip
 
 ALL_CHECKS = {CAMERA_NAME, OWN_VIDEO, TELE_INSIDE, TELE_TIMES, NEIGHBOURS}
-ALL_CHECKS |= {MOTION_SCALE, MOTION_SIDES, MOTION_TIMES, FRAME_ORDER, FRAME_TIMES, MIRRORED, MOTION, THIS_CLIP}
+ALL_CHECKS |= {
+    MOTION_OF_CLIP,
+    MOTION_SCALE,
+    MOTION_SIDES,
+    MOTION_TIMES,
+    FRAME_ORDER,
+    FRAME_TIMES,
+    MIRRORED,
+    MOTION,
+    THIS_CLIP,
+}
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
@@ -185,7 +196,7 @@ MORE_FAULTS = [
     (scale_motion(100.0), {MOTION_SCALE}),
     (scale_motion(0.01), {MOTION_SCALE}),
     (scale_motion(2.0), {MOTION_SCALE}),
-    (motion_of_other, {MOTION}),
+    (motion_of_other, {MOTION_OF_CLIP}),
 ]
 
 

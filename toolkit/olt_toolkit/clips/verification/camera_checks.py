@@ -12,6 +12,7 @@ from olt_toolkit.clips.verification.clip_evidence import ClipEvidence
 from olt_toolkit.clips.verification.findings import Finding, Verdict, not_compared
 from olt_toolkit.clips.verification.gains import average, sum_up
 from olt_toolkit.clips.verification.image_evidence import Hypothesis
+from olt_toolkit.clips.verification.ruled_out_shifts import judge_ruled_out
 from olt_toolkit.clips.verification.shared_view import (
     LEAST_PAIRS,
     SHIFTS,
@@ -141,11 +142,9 @@ def _judge_tele_times(match: TeleMatch, speed: float) -> Finding:
         detail = f"the tele view shows what the front view shows {when}; correct the times of one of them"
         return Finding(TELE_TIMES, FRONT_TELE, Verdict.FAILED, detail, float(means[best]), 0.02)
     told = [abs(shift) for shift, column in zip(SHIFTS, gains.T, strict=True) if surely_above(-column, 0.02)]
-    both = [shift for shift in told if told.count(shift) == 2]
-    if both:
-        detail = f"neither is later than the other by {min(both):.1f} s"
-        return Finding(TELE_TIMES, FRONT_TELE, Verdict.PASSED, detail, float(means[best]), 0.02)
-    return not_compared(TELE_TIMES, FRONT_TELE, "the front views hardly change with time, or do not match")
+    ruled_out = {abs(shift): told.count(abs(shift)) == 2 for shift in SHIFTS}
+    otherwise = "the front views hardly change with time, or do not match"
+    return judge_ruled_out(TELE_TIMES, FRONT_TELE, ruled_out, "the tele images were taken", otherwise)
 
 
 def _best_names(names: list[str], gains: dict[tuple[str, str], Array]) -> dict[str, str]:

@@ -42,6 +42,7 @@ class ClipEvidence:
 
     `other_motions` are those of clips beside it in its store, by name. `agreeing` are the cameras that show what the
     ones beside them show where both look, at the same time: what moves in them otherwise than the vehicle is traffic.
+    `accused` are those that show another thing than all that look there, too.
     """
 
     clip_id: str
@@ -51,6 +52,7 @@ class ClipEvidence:
     evidence: dict[str, ImageEvidence]
     other_motions: dict[str, Hypothesis]
     agreeing: frozenset[str] = frozenset()
+    accused: frozenset[str] = frozenset()
 
     @cached_property
     def said(self) -> dict[str, Array]:

@@ -15,7 +15,7 @@ from olt_toolkit.clips.verification.motion_checks import (
     check_motion,
     check_this_clip,
 )
-from olt_toolkit.clips.verification.neighbour_checks import check_neighbours, find_agreeing
+from olt_toolkit.clips.verification.neighbour_checks import check_neighbours, with_neighbours
 
 # In narrower images, pixels, too little can be followed.
 LEAST_WIDTH = 160
@@ -42,7 +42,7 @@ def check_images(store: ClipStore, clip_id: str, videos: ClipVideos) -> Iterator
 def _check_all(clip: ClipEvidence) -> Iterator[Finding]:
     neighbours = list(check_neighbours(clip))
     yield from neighbours
-    clip = replace(clip, agreeing=find_agreeing(clip, neighbours))
+    clip = with_neighbours(clip, neighbours)
     yield from check_motion(clip)
     yield from check_names(clip)
     yield from check_own_videos(clip)

@@ -1,6 +1,7 @@
 """Checks of whether neighbouring cameras show the same where they look over the same ground, and at the same time."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -34,10 +35,16 @@ def check_neighbours(clip: ClipEvidence) -> Iterator[Finding]:
         yield _judge(match, _name_pair(first, second), clip.way)
 
 
-def find_agreeing(clip: ClipEvidence, findings: Iterable[Finding]) -> frozenset[str]:
-    """Cameras that some pair of `check_neighbours` finds to show what another one shows."""
-    passed = {each.where for each in findings if each.verdict is Verdict.PASSED}
-    pairs = [pair for pair in combinations(clip.images, 2) if _name_pair(*pair) in passed]
+def with_neighbours(clip: ClipEvidence, findings: Sequence[Finding]) -> ClipEvidence:
+    """The clip with what its `check_neighbours` found."""
+    agreeing = _find_cameras(clip, findings, Verdict.PASSED)
+    return replace(clip, agreeing=agreeing, accused=_find_cameras(clip, findings, Verdict.FAILED) - agreeing)
+
+
+def _find_cameras(clip: ClipEvidence, findings: Iterable[Finding], verdict: Verdict) -> frozenset[str]:
+    """Cameras of some pair of which `check_neighbours` says so."""
+    told = {each.where for each in findings if each.verdict is verdict}
+    pairs = [pair for pair in combinations(clip.images, 2) if _name_pair(*pair) in told]
     return frozenset(camera for pair in pairs for camera in pair)
 
 
@@ -73,7 +80,9 @@ def _judge(match: NeighbourMatch, where: str, way: float) -> Finding:
         )
         return Finding(NEIGHBOURS, where, Verdict.FAILED, detail, said, ABSENT)
     # As many tries for what is said as for what is not: the best of several times would often beat one mirrored view.
-    if said >= ABSENT and surely_above(match.as_said - match.mirrored, MARGIN):
-        detail = f"where both look they correlate {said:.2f}, mirrored {mirrored:.2f}"
+    # Where the longest shifts fit as well, a view may be of any time.
+    wrong = [match.mirrored, *match.shifted[:, np.abs(shifts) == np.abs(shifts).max()].T]
+    if said >= ABSENT and all(surely_above(match.as_said - rival, MARGIN) for rival in wrong):
+        detail = f"where both look they correlate {said:.2f}, mirrored {mirrored:.2f}, and less at other times"
         return Finding(NEIGHBOURS, where, Verdict.PASSED, detail, said, mirrored)
     return not_compared(NEIGHBOURS, where, f"what both see is too near or too even: {said:.2f} as said")
