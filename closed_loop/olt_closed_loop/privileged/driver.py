@@ -1,8 +1,8 @@
 """A driver that sees the truth of a scene: it shows that the scene can be driven, and what a perfect eye is worth.
 
 It knows the map, the route, who will be where, and which lines are held by red lights or by somebody's hand; it knows
-nothing of the recorded drive but its first pose and its highest speed, which stands for the speed limit. It plans a way
-and a progress (`privileged.plan`), follows them, and plans anew where it has come off them.
+nothing of the recorded drive but its first pose and its highest speed, which stands for the speed limit. It plans a
+path and a progress (`privileged.plan`), follows them, and plans anew where it has come off them.
 """
 
 from abc import ABC, abstractmethod

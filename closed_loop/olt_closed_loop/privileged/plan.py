@@ -7,16 +7,16 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from olt_closed_loop.privileged.paths import Path, plan_path
 from olt_closed_loop.privileged.speeds import Progress, plan_speeds
 from olt_closed_loop.privileged.truth import Truth, box_of, stands
-from olt_closed_loop.privileged.ways import Way, plan_way
 from olt_closed_loop.scenes.actors import corners, footprints
 from olt_closed_loop.scenes.polylines import wrap
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array
 
 ROUNDS = 3
-"""How often a way past moving ones is planned anew with the times of the drive before."""
+"""How often a path past moving ones is planned anew with the times of the drive before."""
 _SAME_WAY, _SLOWER = np.deg2rad(50.0), 0.85
 _BEFORE, _BEHIND = 6.0, 8.0
 _NEAR = 2.5
@@ -27,9 +27,9 @@ _MORE_LENGTH = 20.0
 
 @dataclass(frozen=True)
 class Drive:
-    """A planned drive: the way, and the progress along it."""
+    """A planned drive: the path, and the progress along it."""
 
-    way: Way
+    path: Path
     progress: Progress
 
     def poses(self, timestamps_us: NDArray[np.int64]) -> tuple[Array, Array, Array]:
@@ -37,7 +37,7 @@ class Drive:
         known, arc = self.progress.timestamps_us, self.progress.arc
         asked = np.interp(timestamps_us, known, arc)
         last = (arc[-1] - arc[-2]) / (known[-1] - known[-2])
-        return self.way.poses(asked + last * np.maximum(timestamps_us - known[-1], 0))
+        return self.path.poses(asked + last * np.maximum(timestamps_us - known[-1], 0))
 
 
 def plan_drive(truth: Truth, now_us: int, x: float, y: float, speed: float) -> Drive:
@@ -47,8 +47,8 @@ def plan_drive(truth: Truth, now_us: int, x: float, y: float, speed: float) -> D
     obstacles = [_outline(agent, agent.poses[:1]) for agent in parked]
     length = max(truth.cruise, speed) * 1e-6 * (truth.end_us - now_us) + _MORE_LENGTH
     best = _drive(truth, now_us, x, y, speed, length, obstacles)
-    slow = [agent for agent in moving if _may_be_passed(agent, best.way, truth, now_us)]
-    driven = Drive(best.way, _at_cruise(truth, now_us))
+    slow = [agent for agent in moving if _may_be_passed(agent, best.path, truth, now_us)]
+    driven = Drive(best.path, _at_cruise(truth, now_us))
     for _ in range(ROUNDS if slow else 0):
         passed = [shape for agent in slow for shape in _beside(agent, driven, truth)]
         driven = _drive(truth, now_us, x, y, speed, length, [*obstacles, *passed])
@@ -65,8 +65,8 @@ def _drive(
     length: float,
     obstacles: Sequence[shapely.Geometry],
 ) -> Drive:
-    way = plan_way(truth, x, y, length, obstacles)
-    return Drive(way, plan_speeds(truth, way, now_us, speed))
+    path = plan_path(truth, x, y, length, obstacles)
+    return Drive(path, plan_speeds(truth, path, now_us, speed))
 
 
 def _badness(drive: Drive, truth: Truth) -> float:
@@ -76,10 +76,10 @@ def _badness(drive: Drive, truth: Truth) -> float:
 
 
 def _leaves_road(drive: Drive, truth: Truth) -> bool:
-    """Whether the vehicle leaves the road before the way ends."""
+    """Whether the vehicle leaves the road before the path ends."""
     if truth.drivable is None:
         return False
-    x, y, yaw = drive.way.poses(np.arange(0.0, min(float(drive.progress.arc[-1]), drive.way.length), 0.5))
+    x, y, yaw = drive.path.poses(np.arange(0.0, min(float(drive.progress.arc[-1]), drive.path.length), 0.5))
     boxes = np.asarray(shapely.polygons(corners(truth.box_poses(x, y, yaw), truth.half_size)))
     shapely.prepare(truth.drivable)
     return not bool(np.asarray(shapely.covers(truth.drivable, boxes)).all())
@@ -90,15 +90,15 @@ def _at_cruise(truth: Truth, now_us: int) -> Progress:
     return Progress(times, truth.cruise * (1e-6 * (times - now_us).astype(np.float64)), False)
 
 
-def _may_be_passed(agent: Agent, way: Way, truth: Truth, now_us: int) -> bool:
-    """Whether an agent goes along the way, slower than the vehicle would or against it."""
+def _may_be_passed(agent: Agent, path: Path, truth: Truth, now_us: int) -> bool:
+    """Whether an agent goes along the path, slower than the vehicle would or against it."""
     box = box_of(agent)
     times = np.arange(max(now_us, int(box.timestamps_us[0])), int(box.timestamps_us[-1]), 500_000, dtype=np.int64)
     if len(times) < 3:
         return False
     poses = box.at(times)
-    arc = np.arange(0.0, way.length, 1.0)
-    x, y, yaw = way.poses(arc)
+    arc = np.arange(0.0, path.length, 1.0)
+    x, y, yaw = path.poses(arc)
     distances = np.hypot(x - poses[:, :1], y - poses[:, 1:2])
     nearest = np.argmin(distances, axis=1)
     near = distances.min(axis=1) < _NEAR + 0.5 * agent.width

@@ -1,6 +1,6 @@
-"""How fast to drive along a way: dynamic programming over time, arc length and speed.
+"""How fast to drive along a path: dynamic programming over time, arc length and speed.
 
-What agents and held lines take of the way at each time is known, so waiting, following, and going first are all found
+What agents and held lines take of the path at each time is known, so waiting, following, and going first are all found
 by one search (the path-time space of Kant and Zucker, Int. J. Robot. Res. 5, 1986).
 """
 
@@ -11,8 +11,8 @@ import shapely
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d, maximum_filter1d
 
+from olt_closed_loop.privileged.paths import Path
 from olt_closed_loop.privileged.truth import Truth, box_of, stands
-from olt_closed_loop.privileged.ways import Way
 from olt_closed_loop.scoring.moving_boxes import separations
 from olt_generator.poses import Array
 
@@ -26,7 +26,7 @@ LATERAL = 2.0
 AHEAD, ASIDE = 1.5, 0.4
 """Metres that are kept from who moves: before and behind, and to the sides."""
 STANDING_ROOM = 0.15
-"""Metres that are kept from who stands; ways are planned with more."""
+"""Metres that are kept from who stands; paths are planned with more."""
 STOP_SHORT = 1.0
 """Metres between the front and a held line."""
 
@@ -38,22 +38,22 @@ _SMOOTHING = 2.5
 
 @dataclass(frozen=True)
 class Progress:
-    """Arc lengths (n,) in metres along a way at times (n,) in microseconds, and whether something is in the way."""
+    """Arc lengths (n,) in metres along a path at times (n,) in microseconds, and whether something is in the way."""
 
     timestamps_us: NDArray[np.int64]
     arc: Array
     obstructed: bool
 
 
-def plan_speeds(truth: Truth, way: Way, now_us: int, speed: float) -> Progress:
-    """The cheapest progress along a way from its start at `speed` m/s that touches nobody."""
+def plan_speeds(truth: Truth, path: Path, now_us: int, speed: float) -> Progress:
+    """The cheapest progress along a path from its start at `speed` m/s that touches nobody."""
     times = now_us + _SAMPLE_US * np.arange((truth.end_us - now_us) // _SAMPLE_US + 1, dtype=np.int64)
-    arc = np.arange(0.0, way.length, ARC_STEP)
-    taken = _taken(truth, way, times)
+    arc = np.arange(0.0, path.length, ARC_STEP)
+    taken = _taken(truth, path, times)
     every = round(TIME_STEP * 1e6) // _SAMPLE_US
     layers = np.asarray(maximum_filter1d(taken, 2 * _SPREAD + 1, axis=0), dtype=bool)[::every]
     layers = layers[:, np.minimum((arc / _SPACING).round().astype(np.int64), taken.shape[1] - 1)]
-    limits = np.minimum(truth.cruise, np.sqrt(LATERAL / np.maximum(way.curvature(arc), 1e-4)))
+    limits = np.minimum(truth.cruise, np.sqrt(LATERAL / np.maximum(path.curvature(arc), 1e-4)))
     steps, obstructed = _cheapest(layers, limits, speed, truth.cruise)
     planned = np.concatenate([[0.0], np.cumsum(0.5 * TIME_STEP * (steps[1:] + steps[:-1]))])
     layer_us = now_us + round(TIME_STEP * 1e6) * np.arange(len(steps), dtype=np.int64)
@@ -63,16 +63,16 @@ def plan_speeds(truth: Truth, way: Way, now_us: int, speed: float) -> Progress:
     seconds = 1e-6 * (times - now_us)
     speeds = np.maximum(speeds + (speed - speeds[0]) * np.exp(-seconds / 0.6), 0.0)
     driven = np.concatenate([[0.0], np.cumsum(0.05 * (speeds[1:] + speeds[:-1]))])
-    # Smoothing moves no standstill: what is off fades with the way.
+    # Smoothing moves no standstill: what is off fades with the path.
     drift = np.interp(times, layer_us, planned) - driven
     driven = np.maximum.accumulate(driven + gaussian_filter1d(drift, 5.0, mode="nearest") * (1.0 - np.exp(-seconds)))
     return Progress(times, driven, obstructed)
 
 
-def _taken(truth: Truth, way: Way, times: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which places every _SPACING metres of the way are taken at times: (times, places)."""
-    places = np.arange(0.0, way.length + _SPACING, _SPACING)
-    x, y, yaw = way.poses(places)
+def _taken(truth: Truth, path: Path, times: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Which places every _SPACING metres of the path are taken at times: (times, places)."""
+    places = np.arange(0.0, path.length + _SPACING, _SPACING)
+    x, y, yaw = path.poses(places)
     ego = truth.box_poses(x, y, yaw)
     ego[:, 2] = 0.0
     taken = np.zeros((len(times), len(places)), dtype=bool)

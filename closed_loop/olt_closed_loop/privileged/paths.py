@@ -1,4 +1,4 @@
-"""Where to drive: a way along the route that keeps clear of what stands, and of whom it overtakes.
+"""Where to drive: a path along the route that keeps clear of what stands, and of whom it overtakes.
 
 Dynamic programming over a grid of stations and offsets, with the slope as part of the state, so that bends cost (the
 lattice of Werling et al., ICRA 2010, without time); the result is smoothed.
@@ -34,8 +34,8 @@ _FINE = 0.25
 
 
 @dataclass(frozen=True)
-class Way:
-    """A smooth way of the rig origin: position (x, y) by arc length, metres, and how long it is."""
+class Path:
+    """A smooth path of the rig origin: position (x, y) by arc length, metres, and how long it is."""
 
     line: CubicSpline
     length: float
@@ -65,8 +65,8 @@ class _Frame:
     offset: float
 
 
-def plan_way(truth: Truth, x: float, y: float, length: float, obstacles: Sequence[shapely.Geometry]) -> Way:
-    """The way from the place beside (x, y) along the route, `length` metres, past obstacles that keep their places."""
+def plan_path(truth: Truth, x: float, y: float, length: float, obstacles: Sequence[shapely.Geometry]) -> Path:
+    """The path from the place beside (x, y) along the route, `length` metres, past obstacles that keep their places."""
     frame = _frame(truth.route, x, y, length)
     offsets = np.arange(-FARTHEST, FARTHEST + OFFSET_STEP / 2, OFFSET_STEP)
     costs = _costs(truth, frame, offsets, obstacles)
@@ -78,7 +78,7 @@ def plan_way(truth: Truth, x: float, y: float, length: float, obstacles: Sequenc
     rough = CubicSpline(arc_lengths(points), points)
     fine = rough(np.arange(0.0, rough.x[-1], _FINE))
     arc = arc_lengths(fine)
-    return Way(CubicSpline(arc, fine), float(arc[-1]))
+    return Path(CubicSpline(arc, fine), float(arc[-1]))
 
 
 def _frame(route: Array, x: float, y: float, length: float) -> _Frame:
@@ -132,7 +132,7 @@ def _nearness(boxes: NDArray[np.object_], obstacles: Sequence[shapely.Geometry])
 
 
 def _cheapest(costs: Array, offsets: Array, start: float) -> NDArray[np.int64]:
-    """Indices (stations,) of the offsets of the cheapest way; it begins at the offset `start` without slope."""
+    """Indices (stations,) of the offsets of the cheapest path; it begins at the offset `start` without slope."""
     count, slopes = len(offsets), np.arange(-STEEPEST, STEEPEST + 1)
     total = np.full((len(slopes), count), np.inf)
     total[STEEPEST, np.argmin(np.abs(offsets - start))] = 0.0
