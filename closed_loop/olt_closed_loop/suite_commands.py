@@ -48,7 +48,7 @@ def make(
     out: Annotated[Path, typer.Option(help="Folder for the scene files and suite.yaml.")],
     suite: SuiteArgument = "longtail",
     only: OnlyOption = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of the events; by default the one each has.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of the events; 0 by default.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Write the scenes of a suite as files, and a suite that names them; the same call writes the same bytes."""

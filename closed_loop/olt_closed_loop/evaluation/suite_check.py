@@ -18,9 +18,6 @@ from olt_closed_loop.scoring.definitions import DEFINITIONS, score_rollout
 from olt_closed_loop.simulation.closed_loop import simulate
 from olt_closed_loop.simulation.policies import make_policy
 from olt_closed_loop.suite.apart import lane_shape
-from olt_closed_loop.suite.catalogue import find_event
-from olt_closed_loop.suite.scenes import PREFIX
-from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
 from olt_toolkit.runtime.workers import map_parallel
 
@@ -147,28 +144,3 @@ def check_event(source: str) -> EventCheck:
 def _strict(scene: Scene, rollout: Rollout) -> tuple[float | None, bool]:
     score = score_rollout(scene, rollout)
     return score.score, bool(score.collided)
-
-
-def find_seed(name: str, most: int = 50) -> int:
-    """The first seed from 0 on at which an event can be driven, and no baseline scores 1 on it.
-
-    If there is none, the first at which it can be driven and no baseline solves it. Those of the category "nominal"
-    only have to be drivable.
-
-    Raises:
-        InputError: there is no such event, or no such seed below `most`.
-    """
-    nominal = find_event(name).category == "nominal"
-    second: int | None = None
-    for seed in range(most):
-        try:
-            event = check_event(f"{PREFIX}{name}:{seed}")
-        except InputError:
-            continue
-        if event.solvable and (nominal or not event.scored_by):
-            return seed
-        if event.solvable and not event.solved_by and second is None:
-            second = seed
-    if second is None:
-        raise InputError(f"event {name}: none of the seeds 0 to {most - 1} gives a scene that holds the checks")
-    return second

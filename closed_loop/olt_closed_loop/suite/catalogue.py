@@ -1,7 +1,7 @@
-"""The events of the suite by name: category, factors, how each is made, and the seed that was found for it.
+"""The events of the suite by name: category, factors, and how each is made.
 
-The 53 stand in the paper's proportion, 8 : 2 : 6 : 2 (docs/formats/paper.md). Seeds are the first ones, from 0 on, at
-which the event can be driven and knowing nothing does not drive it (`evaluation.suite_check.find_seed`).
+The 53 stand in the paper's proportion, 8 : 2 : 6 : 2 (docs/formats/paper.md). What `evaluation.suite_check` promises
+is checked for seed 0 of each; others are made the same way, and are to be checked before they are used.
 """
 
 from collections.abc import Callable, Mapping
@@ -14,7 +14,6 @@ from olt_closed_loop.scenes.maps.lanes import Control
 from olt_closed_loop.suite import cyclists, extras, intersections, vehicles, work_zones
 from olt_closed_loop.suite.event import Event
 from olt_closed_loop.suite.intersections import five, four, skewed, three, wye
-from olt_closed_loop.suite.seeds import SEEDS
 from olt_generator.errors import InputError
 
 REASSIGNED, GUIDED, CONED = "temporary_path_reassignment", "human_guided_traffic_control", "cone_delineated_path"
@@ -48,14 +47,12 @@ class Entry:
         category: the paper's, or one beside them.
         factors: which of FACTORS hold.
         make: makes the event from a generator.
-        seed: the seed that was found for it.
     """
 
     name: str
     category: str
     factors: tuple[str, ...]
     make: Callable[[np.random.Generator], Event]
-    seed: int
 
 
 Row = tuple[str, tuple[str, ...], Callable[[np.random.Generator], Event]]
@@ -291,9 +288,7 @@ _BESIDE: dict[str, tuple[Row, ...]] = {
 def _entries() -> dict[str, Entry]:
     groups = dict(zip(CATEGORIES, (_COMPLEX, _CYCLISTS, _VEHICLES, _WORK_ZONES), strict=True)) | _BESIDE
     return {
-        name: Entry(name, category, factors, make, SEEDS.get(name, 0))
-        for category, rows in groups.items()
-        for name, factors, make in rows
+        name: Entry(name, category, factors, make) for category, rows in groups.items() for name, factors, make in rows
     }
 
 

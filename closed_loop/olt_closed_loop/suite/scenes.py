@@ -27,16 +27,15 @@ SEES_US = 2_000_000
 _BEYOND_US = 3_000_000
 
 
-def make_scene(name: str, seed: int | None = None) -> Scene:
-    """The scene of an event; the same name and seed give the same scene. By default the seed is the catalogue's.
+def make_scene(name: str, seed: int = 0) -> Scene:
+    """The scene of an event; the same name and seed give the same scene.
 
     The recorded ego is a drive planned with the truth (`privileged.plan`).
 
     Raises:
         InputError: there is no such event.
     """
-    entry = find_event(name)
-    return _make(entry, entry.seed if seed is None else seed)
+    return _make(find_event(name), seed)
 
 
 def scene_of(source: str) -> Scene:
@@ -48,7 +47,7 @@ def scene_of(source: str) -> Scene:
     name, colon, seed = source.removeprefix(PREFIX).partition(":")
     if colon and not seed.isdecimal():
         raise InputError(f"scene {source!r}: {seed!r} is no seed; give {PREFIX}NAME or {PREFIX}NAME:SEED")
-    return make_scene(name, int(seed) if colon else None)
+    return make_scene(name, int(seed) if colon else 0)
 
 
 @lru_cache(maxsize=8)
