@@ -209,16 +209,14 @@ _VEHICLES: tuple[Row, ...] = (
     (
         "delivery_van",
         (ONCOMING,),
-        partial(
-            vehicles.standing_vehicle, label="other_vehicle", size=vehicles.VAN, offset=-0.5, turn=0.0, traffic=True
-        ),
+        partial(vehicles.standing_vehicle, label="heavy_truck", size=vehicles.VAN, offset=-0.5, turn=0.0, traffic=True),
     ),
     (
         "delivery_van_on_curve",
         (CURVED, ONCOMING),
         partial(
             vehicles.standing_vehicle,
-            label="other_vehicle",
+            label="heavy_truck",
             size=vehicles.VAN,
             offset=-0.4,
             turn=0.0,
@@ -236,9 +234,7 @@ _VEHICLES: tuple[Row, ...] = (
     (
         "lost_trailer",
         (ONCOMING,),
-        partial(
-            vehicles.standing_vehicle, label="other_vehicle", size=vehicles.TRAILER, offset=-0.2, turn=0.5, traffic=True
-        ),
+        partial(vehicles.standing_vehicle, label="trailer", size=vehicles.TRAILER, offset=-0.2, turn=0.5, traffic=True),
     ),
     ("oversize_load", (ONCOMING, TAKEN), partial(vehicles.oversize_load, curve=0.0)),
     ("oversize_load_on_curve", (ONCOMING, TAKEN, CURVED), partial(vehicles.oversize_load, curve=-1 / 160)),

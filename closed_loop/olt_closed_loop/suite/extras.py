@@ -73,7 +73,7 @@ def ambulance_crosses(generator: np.random.Generator) -> Event:
     mine, theirs = ground.course.meets(course, after=ground.crux)
     speed = float(generator.uniform(12.0, 14.0))
     stations = at_speed(theirs, ground.arrival(mine) + 0.1, speed)
-    agents = go_while_there("ambulance", "other_vehicle", course, stations, 0.0, AMBULANCE)
+    agents = go_while_there("ambulance", "heavy_truck", course, stations, 0.0, AMBULANCE)
     second = go_while_there("fire_engine", "heavy_truck", course, stations - 13.0)
     return Event(ground, (*agents, *second))
 

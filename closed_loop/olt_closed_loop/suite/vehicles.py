@@ -97,7 +97,7 @@ def bus_pulls_out(generator: np.random.Generator) -> Event:
     moved = np.where(seconds < ramp, 0.6 * seconds**2, 0.6 * ramp**2 + speed * (seconds - ramp))
     stations = ground.crux + moved
     offsets = np.interp(moved, [0.0, 1.0, 14.0], [-3.4, -3.3, 0.0])
-    bus = go("bus", "heavy_truck", ground.course, stations, offsets, 0.0, BUS)
+    bus = go("bus", "bus", ground.course, stations, offsets, 0.0, BUS)
     return Event(ground, (bus, *_traffic(ground, generator, True)))
 
 
