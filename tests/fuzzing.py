@@ -142,9 +142,9 @@ def mutations(name, valid):
     elif name.endswith(".gz"):
         inner = mutations(name.removesuffix(".gz"), gzip.decompress(valid))
         choices += [inner.map(gzip.compress)] * 3
-    elif name.endswith(".zip"):
+    elif name.endswith((".zip", ".usdz")):
         choices += [repacked(valid), repacked(valid), repacked(valid)]
-    elif name.endswith((".json", ".yaml", ".csv", ".txt", ".usda")):
+    elif name.endswith((".json", ".yaml", ".csv", ".txt", ".usda", ".xml", ".xodr", ".xosc")):
         choices += [reworded(valid), reworded(valid)]
     elif name.endswith(".mp4"):
         choices += [resized(valid)]

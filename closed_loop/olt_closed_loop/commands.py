@@ -63,12 +63,17 @@ Traffic = Literal["recorded", "idm"]  # rollouts.rollout
 Vehicle = Literal["kinematic", "tyres"]  # simulation.settings
 Controller = Literal["lqr", "linear", "nonlinear"]  # control.tracking
 Integrator = Literal["auto", "midpoint", "rk4", "radau", "cvodes"]  # vehicle.integrators
+Light = Literal["day", "low_sun", "night"]  # scenes.conditions
 Isolation = Literal["auto", "none", "process"]  # simulation.policy_hosts
+HostOption = Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for other machines.")]
+SessionsOption = Annotated[int, typer.Option(min=1, help="Most sessions at once.")]
 
 
 @app.command()
 def run(
-    policy: Annotated[str, typer.Option(help="NAME or NAME:PATH, for example route or toy:CHECKPOINT.")] = "route",
+    policy: Annotated[
+        str, typer.Option(help="NAME, NAME:PATH or grpc://HOST:PORT, such as route or toy:CHECKPOINT.")
+    ] = "route",
     scenes: Annotated[
         list[str] | None, typer.Argument(help="Scene files, recorded drives (file or folder), or CATEGORY:SEED.")
     ] = None,
@@ -80,6 +85,7 @@ def run(
     seed: Annotated[int, typer.Option(help="Seed of the first drive; the next has the next number.")] = 0,
     duration: Annotated[float, typer.Option(help="Seconds of a drive, 1.7 s of warm-up included.")] = 20.0,
     planner_delay: Annotated[float, typer.Option(help="Seconds from asking for a plan until it is in force.")] = 0.0,
+    plan_interval: Annotated[float, typer.Option(help="Seconds from asking for a plan until the next.")] = 0.1,
     traffic: Annotated[Traffic, typer.Option(help="How agents move.")] = "recorded",
     vehicle: Annotated[Vehicle, typer.Option(help="How the ego moves.")] = "kinematic",
     controller: Annotated[
@@ -94,6 +100,17 @@ def run(
     integrator: Annotated[
         Integrator, typer.Option(help="How the vehicle is integrated; auto: the cheapest within 3e-7 m a step.")
     ] = "auto",
+    light: Annotated[Light, typer.Option(help="Light in which cameras see the scene.")] = "day",
+    weather: Annotated[
+        str, typer.Option(help="Weather in which they see it: clear, rain, fog, or an amount as in rain:0.3.")
+    ] = "clear",
+    camera_fault: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="KIND=AMOUNT or KIND:CAMERA=AMOUNT: noise (grey levels), exposure (stops), dropped (share), "
+            "late (seconds), frozen (from second), swapped:CAMERA=CAMERA. Several add up in order."
+        ),
+    ] = None,
     definition: Annotated[Definition, typer.Option(help="How the score is defined.")] = "strict",
     baselines: Annotated[
         bool, typer.Option(help="Drive constant speed, go straight, stop and route beside the policy.")
@@ -127,17 +144,23 @@ def run(
     from olt_closed_loop.evaluation.comparison_report import save_comparison
     from olt_closed_loop.evaluation.evaluation import count_left_out, count_vehicle_steps, find_scenes
     from olt_closed_loop.evaluation.suite_table import save_suite_table, summarize_suite
+    from olt_closed_loop.scenes.conditions import parse_conditions
+    from olt_closed_loop.simulation.camera_faults import parse_camera_fault
+    from olt_toolkit.rigs.rig import CAMERA_INDEX
     from olt_toolkit.runtime.console import make_progress, print_json, print_line
     from olt_toolkit.runtime.workers import default_workers
 
     settings = SimulationSettings(
         duration_us=round(duration * 1e6),
         planner_delay_us=round(planner_delay * 1e6),
+        plan_interval_us=round(plan_interval * 1e6),
         traffic=traffic,
         vehicle=vehicle,
         integrator=integrator,
         control=ControlSettings(method=controller, smoothing_window=smoothing_window, smoothing_delay=smoothing_delay),
         skip=skip,
+        conditions=parse_conditions(light, weather),
+        camera_faults=tuple(parse_camera_fault(text, list(CAMERA_INDEX)) for text in camera_fault or ()),
         limits=_limits(isolate, policy_timeout, policy_memory),
     )
     driven_suite = _suite_of(suite, [*(scenes or []), *(scene or [])])
@@ -197,6 +220,8 @@ def run(
                 "controller": controller,
                 "smoothing": {"window": smoothing_window, "delay": smoothing_delay},
                 "integrator": integrator,
+                "conditions": settings.conditions.words,
+                "camera_faults": [fault.words for fault in settings.camera_faults],
                 "table": table.to_dict(),
                 "suite": by_suite.to_dict() if by_suite else None,
                 "scores": [score.to_dict() for score in scores],
@@ -216,6 +241,55 @@ def run(
         _print_notes(scores, table.overall.rollout_incidents, vehicle_steps, left_out)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
+
+
+@app.command()
+def serve(
+    policy: Annotated[str, typer.Option(help="NAME or NAME:PATH, as `run` takes it.")],
+    host: HostOption = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="0 for any free one.", envvar="ALPASIM_DRIVER_PORT")] = 6789,
+    sessions: SessionsOption = 64,
+) -> None:
+    """Serve a policy as a driver of AlpaSim (gRPC service egodriver), until told to end.
+
+    Whoever reaches the port can drive with the policy: there are no passwords.
+    """
+    from olt_closed_loop.drivers.driver_service import DriverService
+    from olt_closed_loop.drivers.server import serving, wait_for_end
+    from olt_toolkit.runtime.console import print_line
+
+    with serving(DriverService(policy, sessions), host, port) as bound:
+        print_line(f"{policy} serves egodriver.EgodriverService at {host}:{bound}")
+        wait_for_end()
+
+
+@app.command()
+def serve_vehicle(
+    vehicle: Annotated[Vehicle, typer.Option(help="How it moves.")] = "tyres",
+    controller: Annotated[
+        Controller, typer.Option(help="What follows the plan: LQR, linear or nonlinear MPC.")
+    ] = "linear",
+    integrator: Annotated[Integrator, typer.Option(help="How the vehicle is integrated.")] = "auto",
+    host: HostOption = "127.0.0.1",
+    port: Annotated[int, typer.Option(help="0 for any free one.")] = 6790,
+    sessions: SessionsOption = 64,
+) -> None:
+    """Serve the vehicle and its controller to AlpaSim (gRPC service VDCService), until told to end."""
+    from olt_closed_loop import ControlSettings
+    from olt_closed_loop.drivers.driven_vehicle import DrivenVehicle
+    from olt_closed_loop.drivers.server import serving, wait_for_end
+    from olt_closed_loop.drivers.vehicle_service import VehicleService
+    from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres
+    from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
+    from olt_toolkit.runtime.console import print_line
+
+    make = vehicle_with_tyres if vehicle == "tyres" else VehicleParameters.from_dimensions
+    parameters, settings = make(DEFAULT_VEHICLE), ControlSettings(method=controller)
+    name = f"{vehicle}-{controller}"
+    service = VehicleService(lambda: DrivenVehicle(parameters, settings, integrator), name, sessions)
+    with serving(service, host, port) as bound:
+        print_line(f"{name} serves controller.VDCService at {host}:{bound}")
+        wait_for_end()
 
 
 @app.command()

@@ -208,7 +208,7 @@ class _Job:
 
             for run in runs:
                 scene = scenes[run.index]
-                request = RolloutRequest(scene, run.seed, rig_sensors(scene))
+                request = RolloutRequest(scene, run.seed, rig_sensors(scene, self.settings.conditions))
                 yield run, next(drive([request], host, self.settings))
         else:
             requests = [RolloutRequest(scenes[run.index], run.seed) for run in runs]
@@ -303,10 +303,10 @@ def pass_gate(
 
 
 def find_scenes(sources: Sequence[SceneSource]) -> list[SceneSource]:
-    """The scenes, with the recorded drives of a folder in its place."""
+    """The scenes, with the recorded drives of a folder, or of a file of many, in its place."""
     scenes: list[SceneSource] = []
     for source in sources:
-        if isinstance(source, str) and Path(source).is_dir():
+        if isinstance(source, str) and (Path(source).is_dir() or ".tfrecord" in source):
             from olt_closed_loop.scenes.sources import find_recordings
 
             scenes.extend(str(path) for path in find_recordings(Path(source)))
@@ -330,7 +330,7 @@ def _read_scene(source: str) -> Scene:
         from olt_closed_loop.scenes.scene_file import read_scene
 
         return read_scene(Path(source))
-    if Path(source).exists():
+    if Path(source).exists() or "#" in source:
         from olt_closed_loop.scenes.sources import read_recording
 
         return read_recording(Path(source))

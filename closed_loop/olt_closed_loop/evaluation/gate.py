@@ -32,6 +32,7 @@ from olt_closed_loop.simulation.recorded_driver import RecordedDriver
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.poses import Array
+from olt_toolkit.policy.contract import STEP_US
 
 WALL_LENGTH, WALL_WIDTH, WALL_HEIGHT = 0.5, 8.0, 2.0
 SIDEWAYS = 0.1
@@ -104,7 +105,7 @@ def check_gate(
 ) -> GateResult:
     """Score given drives of the scene by a definition, with the vehicle and the controller of the settings.
 
-    Agents replay the recording, whatever the settings say of traffic.
+    Agents replay the recording, and a plan is made in every step, whatever the settings say of traffic and plans.
 
     Replaying the recording must score 1 without a collision; a car that stands from the hand-over on must make no
     progress and score 0; replaying it into a wall across the road must give exactly one collision, at fault, score 0;
@@ -113,7 +114,7 @@ def check_gate(
     Raises:
         InputError: the recording is too short to be driven.
     """
-    settings = replace(settings or SimulationSettings(), traffic="recorded")
+    settings = replace(settings or SimulationSettings(), traffic="recorded", plan_interval_us=STEP_US)
     full = full_definition(definition)
     gate = _Gate(scene, settings, full)
     checks = (gate.replay(), gate.standing(), gate.wall(), gate.driving(), gate.room())

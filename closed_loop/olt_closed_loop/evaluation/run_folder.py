@@ -44,6 +44,7 @@ ROLLOUTS, SCORES, TIMINGS, RUN = "rollouts.parquet", "scores.json", "timings.jso
 _OPTIONS = {
     "duration_us": "--duration",
     "planner_delay_us": "--planner-delay",
+    "plan_interval_us": "--plan-interval",
     "traffic": "--traffic",
     "vehicle": "--vehicle",
     "integrator": "--integrator",
@@ -51,6 +52,10 @@ _OPTIONS = {
     "control.smoothing_window": "--smoothing-window",
     "control.smoothing_delay": "--smoothing-delay",
     "skip": "--skip",
+    "conditions.light": "--light",
+    "conditions.rain": "--weather rain",
+    "conditions.fog": "--weather fog",
+    "camera_faults": "--camera-fault",
     "limits.call_seconds": "--policy-timeout",
     "limits.memory_bytes": "--policy-memory",
 }
@@ -228,7 +233,8 @@ def _flatten(record: Any, prefix: str = "") -> Iterator[tuple[str, Any]]:
         if dataclasses.is_dataclass(value):
             yield from _flatten(value, f"{prefix}{field.name}.")
         else:
-            yield f"{prefix}{field.name}", value
+            faults = field.name == "camera_faults"
+            yield f"{prefix}{field.name}", [fault.words for fault in value] if faults else value
 
 
 def describe_scene(source: str | Scene) -> dict[str, str | None]:

@@ -14,6 +14,8 @@ from olt_closed_loop.privileged.plan import Drive, plan_drive
 from olt_closed_loop.privileged.truth import Truth, area_of
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.simulation.reckoning import Reckoning
+from olt_closed_loop.simulation.recorded_motion import recorded_motion
+from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, planar_pose
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, PlannedTrajectory, Policy
@@ -70,12 +72,17 @@ class PrivilegedDriver:
         if len(scene.route) < 2:
             raise InputError(f"policy {self.name}: scene {scene.name} gives no route; choose another policy or scene")
         self._truth = truth_of(scene)
-        self._reckoning = Reckoning(scene)
+        self._scene = scene
+        self._reckoning: Reckoning | None = None
         self._drive: Drive | None = None
 
     def plan(self, observation: Observation) -> PlannedTrajectory:
         """See `Policy.plan`."""
-        T_world_rig = self._reckoning.update(observation)
+        if self._reckoning is None:
+            self._reckoning = Reckoning(_recorded_pose(self._scene, observation.time_us), observation.time_us)
+        else:
+            self._reckoning.move_to(observation)
+        T_world_rig = self._reckoning.T_frame_rig
         drive = self._current_drive(T_world_rig, observation)
         times = observation.time_us + STEP_US * np.arange(1, FUTURE_STEPS + 1, dtype=np.int64)
         x, y, yaw = drive.poses(times)
@@ -93,6 +100,13 @@ class PrivilegedDriver:
         speed = max((3.0 * now - 4.0 * last + before) / (2.0 * STEP_SECONDS), 0.0)
         self._drive = plan_drive(self._truth, now_us, float(x), float(y), float(speed))
         return self._drive
+
+
+def _recorded_pose(scene: Scene, time_us: int) -> Array:
+    """The recorded pose (4, 4) at a time, upright as the simulated vehicle is."""
+    states, heights = recorded_motion(scene, np.array([time_us], dtype=np.int64))
+    x, y, yaw = states[0, : STATE.speed]
+    return planar_pose(x, y, yaw, heights[0])
 
 
 def truth_of(scene: Scene) -> Truth:

@@ -85,6 +85,8 @@ class Rollout:
         timings: seconds spent by kind of work; the only part that differs between equal runs.
         traffic: whether the agents replayed the recording ("recorded") or reacted to the ego ("idm").
         reacted: the agents that came to differ from the recording, as they moved.
+        conditions: light and weather in which pictures were taken, in words; None where none was.
+        camera_faults: how many pictures each fault of the cameras changed, by the fault in words.
     """
 
     scene: str
@@ -109,6 +111,8 @@ class Rollout:
     timings: dict[str, float] = field(default_factory=dict)
     traffic: Traffic = "recorded"
     reacted: tuple[Agent, ...] = ()
+    conditions: str | None = None
+    camera_faults: dict[str, int] = field(default_factory=dict)
 
     @classmethod
     def not_driven(cls, scene: str, category: str, policy: str, seed: int, kind: str, reason: str) -> "Rollout":

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
 from olt_closed_loop.scenes.maps.frames import with_points
-from olt_closed_loop.scenes.scene import Hills, Scene
+from olt_closed_loop.scenes.scene import Agent, Hills, Scene
 from olt_closed_loop.scenes.scene_map import map_of, with_map
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, make_pose
@@ -21,6 +21,7 @@ from olt_toolkit.rigs.rig import VehicleDimensions
 
 STEP = 1.0
 _REACH = 1500.0
+_UPRIGHT = frozenset(("person",))
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,7 @@ def _lay(direction: float, height: Callable[[Array], Array]) -> Hills:
 
 
 def put_on_hills(scene: Scene, hills: Hills) -> Scene:
-    """A scene on level ground, lifted onto hills: the ego leans with the road, agents stay upright."""
+    """A scene on level ground, lifted onto hills: the ego leans with the road; agents do where filmed (`stand_up`)."""
     lift = partial(_lift, hills)
     poses = pose_on_hills(hills, scene.ego.T_world_rig, scene.vehicle)
     agents = tuple(
@@ -107,6 +108,29 @@ def pose_on_hills(hills: Hills, T_world_rig: Array, vehicle: VehicleDimensions) 
     z = np.cross(x, across)
     z /= np.linalg.norm(z, axis=-1, keepdims=True)
     return make_pose(np.stack([x, np.cross(z, x), z], axis=-1), base)
+
+
+def stand_up(agent: Agent, pose: Array, hills: Hills | None) -> Array:
+    """The pose (4, 4) of an agent's box, from x, y, z of its centre and yaw (4,).
+
+    On hills it leans with the ground under its ends and sides, about the ground below its centre; people stay upright.
+    """
+    x, y, z, yaw = pose.tolist()
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    flat = np.array([[cos, -sin, 0.0, x], [sin, cos, 0.0, y], [0.0, 0.0, 1.0, z], [0.0, 0.0, 0.0, 1.0]])
+    if hills is None or agent.label in _UPRIGHT:
+        return flat
+    ahead, left = flat[:3, 0], flat[:3, 1]
+    rises = [
+        (hills.height(pose[:2] + reach * side[:2]) - hills.height(pose[:2] - reach * side[:2])) / (2.0 * reach)
+        for side, reach in ((ahead, agent.length / 2), (left, agent.width / 2))
+    ]
+    forward, across = (side + rise * flat[:3, 2] for side, rise in zip((ahead, left), rises, strict=True))
+    forward /= np.linalg.norm(forward)
+    up = np.cross(forward, across)
+    up /= np.linalg.norm(up)
+    ground = np.array([x, y, hills.height(pose[:2])])
+    return make_pose(np.stack([forward, np.cross(up, forward), up], axis=-1), ground + (z - ground[2]) * up)
 
 
 def _lift(hills: Hills, points: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Everything in a scene that stands on the ground, as upright boxes, and their colours where rays meet them."""
+"""Everything in a scene that stands on the ground, as boxes, and their colours where rays meet them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.looks import Color, SceneryBox
 from olt_closed_loop.scenes.scene import Agent
-from olt_closed_loop.sensors.surfaces import SURFACE_INDEX, TILE, lamp_glow, sample_surfaces
-from olt_closed_loop.sensors.textures import FloatImage
-from olt_generator.poses import Array
+from olt_closed_loop.sensors.bodies import parts_of
+from olt_closed_loop.sensors.surfaces import SURFACE_INDEX, TILE, sample_surfaces
+from olt_closed_loop.sensors.textures import FloatImage, Image
+from olt_generator.poses import Array, planar_pose
 
 # Faces in the order +x, -x, +y, -y, +z, -z: the axes that run across and up the face.
 FACE_ACROSS = np.array([1, 1, 0, 0, 0, 0])
@@ -20,12 +21,12 @@ FACE_UP = np.array([2, 2, 2, 2, 1, 1])
 
 @dataclass(frozen=True)
 class Boxes:
-    """Upright boxes.
+    """Boxes.
 
     Attributes:
         center: (n, 3) metres.
         half: (n, 3) half of length, width, height.
-        yaw: (n,) radians.
+        axes: (n, 3, 3) rotation matrices whose columns are the directions of length, width and height.
         color: (n, 3) base colour, 0 ... 255.
         surface: (n, 6) index of the surface on each face.
         repeats: (n, 3) how often surfaces repeat along each axis.
@@ -34,7 +35,7 @@ class Boxes:
 
     center: Array
     half: Array
-    yaw: Array
+    axes: Array
     color: FloatImage
     surface: NDArray[np.int32]
     repeats: FloatImage
@@ -53,79 +54,17 @@ class Boxes:
         return cls(*(np.concatenate([getattr(group, field.name) for group in groups]) for field in fields(cls)))
 
     def moved(self, pose: Array) -> "Boxes":
-        """The boxes of a body, given relative to it, in the world where the body's pose (4,) is x, y, z, yaw."""
-        cos, sin = np.cos(pose[3]), np.sin(pose[3])
-        turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
-        return replace(self, center=self.center @ turn + pose[:3], yaw=self.yaw + pose[3])
+        """The boxes of a body, given relative to it, in the axes in which the body's pose is (4, 4)."""
+        rotation = pose[:3, :3]
+        return replace(self, center=self.center @ rotation.T + pose[:3, 3], axes=rotation @ self.axes)
 
     def corners(self) -> Array:
-        """Corners (n, 8, 3) in the world."""
+        """Corners (n, 8, 3)."""
         signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
-        local = signs * self.half[:, None]
-        cos, sin = np.cos(self.yaw)[:, None], np.sin(self.yaw)[:, None]
-        turned = [cos * local[..., 0] - sin * local[..., 1], sin * local[..., 0] + cos * local[..., 1], local[..., 2]]
-        return self.center[:, None] + np.stack(turned, axis=-1)
-
-
-@dataclass(frozen=True)
-class Part:
-    """A box of a body: its extent as shares of the body's (low and high corner, 0 ... 1), surfaces and colour.
-
-    `surfaces` are those of the front, rear, sides and top.
-    """
-
-    low: tuple[float, float, float]
-    high: tuple[float, float, float]
-    surfaces: tuple[str, str, str, str] = ("plain", "plain", "plain", "plain")
-    color: Color | None = None
+        return self.center[:, None] + (signs * self.half[:, None]) @ np.swapaxes(self.axes, 1, 2)
 
 
 _AMBIENT = 0.55
-_DARK: Color = (40.0, 40.0, 44.0)
-_WHOLE = Part((0, 0, 0), (1, 1, 1))
-
-_BODIES: dict[str, tuple[Part, ...]] = {
-    "automobile": (
-        Part((0, 0, 0.08), (1, 1, 0.62), ("car_front", "car_rear", "car_side", "plain")),
-        Part((0.18, 0.06, 0.62), (0.72, 0.94, 1), ("glass", "glass", "glass", "plain")),
-    ),
-    "heavy_truck": (
-        Part((0.78, 0.02, 0.1), (1, 0.98, 0.85), ("car_front", "plain", "glass", "plain")),
-        Part((0, 0, 0.05), (0.76, 1, 1), ("plain", "car_rear", "panels", "plain")),
-    ),
-    "other_vehicle": (
-        Part((0.45, 0.28, 0.2), (1, 0.72, 0.62), ("car_front", "plain", "plain", "plain")),
-        Part((0.08, 0.18, 0.35), (0.45, 0.82, 1), ("glass", "glass", "glass", "plain")),
-        Part((0, 0, 0), (0.42, 0.24, 0.58), ("plain", "plain", "wheel", "plain"), _DARK),
-        Part((0, 0.76, 0), (0.42, 1, 0.58), ("plain", "plain", "wheel", "plain"), _DARK),
-        Part((0.72, 0.06, 0), (0.98, 0.24, 0.36), ("plain", "plain", "wheel", "plain"), _DARK),
-        Part((0.72, 0.76, 0), (0.98, 0.94, 0.36), ("plain", "plain", "wheel", "plain"), _DARK),
-    ),
-    "rider": (
-        Part((0, 0.42, 0), (0.38, 0.58, 0.38), ("plain", "plain", "wheel", "plain"), _DARK),
-        Part((0.62, 0.42, 0), (1, 0.58, 0.38), ("plain", "plain", "wheel", "plain"), _DARK),
-        Part((0.3, 0.25, 0.2), (0.6, 0.75, 0.5), color=_DARK),
-        Part((0.3, 0.1, 0.48), (0.65, 0.9, 0.84)),
-        Part((0.5, 0.33, 0.84), (0.66, 0.67, 1), ("skin", "plain", "plain", "plain")),
-    ),
-    "person": (
-        Part((0.2, 0.15, 0), (0.8, 0.85, 0.48), color=_DARK),
-        Part((0.1, 0, 0.46), (0.9, 1, 0.85)),
-        Part((0.25, 0.3, 0.85), (0.75, 0.7, 1), ("skin", "skin", "skin", "plain")),
-    ),
-    "animal": (
-        Part((0.1, 0.1, 0.4), (0.85, 0.9, 0.72)),
-        Part((0.75, 0.3, 0.6), (1, 0.7, 1)),
-        Part((0.12, 0.15, 0), (0.2, 0.85, 0.42)),
-        Part((0.72, 0.15, 0), (0.8, 0.85, 0.42)),
-    ),
-    "cone": (
-        Part((0, 0, 0), (1, 1, 0.06), color=_DARK),
-        Part((0.2, 0.2, 0.06), (0.8, 0.8, 0.5), ("cone", "cone", "cone", "plain")),
-        Part((0.34, 0.34, 0.5), (0.66, 0.66, 1), ("cone", "cone", "cone", "plain")),
-    ),
-    "barrier": (Part((0, 0, 0), (1, 1, 1), ("stripes", "stripes", "stripes", "plain")),),
-}
 
 _PLAIN = (("plain", "plain", "plain", "plain"), np.inf, np.inf)
 # By kind: surfaces of front, rear, sides and top, and how many metres one picture of them covers across and up. That of
@@ -142,13 +81,13 @@ def body_boxes(agent: Agent, color: Color, lit: bool = True) -> Boxes:
 
     `lit` tells whether its lamps are switched on, which shows at night.
     """
-    parts = _BODIES.get(agent.label, (_WHOLE,))
+    parts = parts_of(agent)
     size = np.array([agent.length, agent.width, agent.height])
     low, high = (np.array([getattr(part, end) for part in parts]) for end in ("low", "high"))
     return Boxes(
         center=((low + high) / 2 - 0.5) * size,
         half=(high - low) / 2 * size,
-        yaw=np.zeros(len(parts)),
+        axes=np.tile(np.eye(3), (len(parts), 1, 1)),
         color=np.array([part.color or color for part in parts], dtype=np.float32),
         surface=np.array([_faces(*part.surfaces) for part in parts], dtype=np.int32),
         repeats=np.ones((len(parts), 3), dtype=np.float32),
@@ -166,7 +105,7 @@ def scenery_boxes(scenery: Sequence[SceneryBox]) -> Boxes:
     return Boxes(
         center=np.array([box.center for box in scenery]).reshape(-1, 3),
         half=size / 2,
-        yaw=np.array([box.yaw for box in scenery]),
+        axes=planar_pose(0.0, 0.0, np.array([box.yaw for box in scenery]))[..., :3, :3],
         color=np.array([box.color for box in scenery], dtype=np.float32).reshape(-1, 3),
         surface=np.array([_faces(*names) for names, _, _ in surfaces], dtype=np.int32).reshape(-1, 6),
         repeats=(np.maximum(np.round(parts * size / covered), 1.0) / parts).astype(np.float32),
@@ -180,27 +119,27 @@ def _faces(front: str, rear: str, side: str, top: str) -> list[int]:
 
 
 class Paint(NamedTuple):
-    """What rays (n,) see of boxes: colour (n, 3) without light, light (n,) of the day, and colour (n, 3) of lamps."""
+    """What rays (n,) see of boxes: colour (n, 3) without light, light (n,) of the day, and the surface and texel there.
+
+    `surface` (n,) is -1 where lamps are off, and `texture` (n, 4) as of `surfaces.sample_surfaces`.
+    """
 
     color: FloatImage
     light: FloatImage
-    glow: FloatImage
+    surface: NDArray[np.int32]
+    texture: Image
 
 
-def paint_boxes(
-    boxes: Boxes, box: NDArray[np.intp], offset: FloatImage, position: Array, pixel_size: FloatImage, sun: Array
-) -> Paint:
-    """What is seen where rays meet boxes, lit by a sun in direction (3,).
+def paint_boxes(boxes: Boxes, box: NDArray[np.intp], offset: FloatImage, pixel_size: FloatImage, sun: Array) -> Paint:
+    """What is seen where rays from the origin meet boxes, lit by a sun in direction (3,).
 
-    The rays meet the boxes of index `box` (n,) at `offset` (3, n) from the camera's `position` (3,), where a pixel
-    covers `pixel_size` (n,) metres.
+    The rays meet the boxes of index `box` (n,) at `offset` (3, n), where a pixel covers `pixel_size` (n,) metres.
     """
-    relative = (position - boxes.center).astype(np.float32)
-    ahead, left, height = offset + np.take(relative, box, axis=0).T
-    cos, sin = (np.take(values.astype(np.float32), box) for values in (np.cos(boxes.yaw), np.sin(boxes.yaw)))
-    place = np.stack([cos * ahead + sin * left, cos * left - sin * ahead, height])
     # In the box's own axes, where it reaches from -1 to 1: the face, and the coordinates across and up that face.
-    x, y, z = place * np.take((1.0 / boxes.half).astype(np.float32), box, axis=0).T
+    to_box = (boxes.axes / boxes.half[:, None]).astype(np.float32)
+    origin = np.einsum("nij,ni->nj", boxes.axes, boxes.center) / boxes.half
+    columns = [_into_box(to_box[:, :, axis], origin[:, axis].astype(np.float32), box, offset) for axis in range(3)]
+    x, y, z = columns
     ax, ay, az = np.abs(x), np.abs(y), np.abs(z)
     front, top = (ax >= ay) & (ax >= az), (az > ax) & (az > ay)
     behind = np.where(front, x, np.where(top, z, y)) < 0.0
@@ -212,9 +151,20 @@ def paint_boxes(
     texels = pixel_size * np.take(density, entry)
     surface = np.take(boxes.surface, entry)
     texture = sample_surfaces(surface, u - np.floor(u), v - np.floor(v), texels)
-    gain = texture[:, 3:] * np.float32(1.0 / 128.0)
-    glow = lamp_glow(np.where(np.take(boxes.lit, box), surface, -1), texture)
-    return Paint(texture[:, :3] + gain * np.take(boxes.color, box, axis=0), np.take(light, entry), glow)
+    gain = texture[:, 3] * np.float32(1.0 / 128.0)
+    color = np.take(boxes.color, box, axis=0)
+    color *= gain[:, None]
+    color += texture[:, :3]
+    return Paint(color, np.take(light, entry), np.where(np.take(boxes.lit, box), surface, -1), texture)
+
+
+def _into_box(axis: FloatImage, origin: FloatImage, box: NDArray[np.intp], offset: FloatImage) -> FloatImage:
+    """Places (n,) along one axis of the boxes, scaled (boxes, 3), of points (3, n) in the boxes of index (n,)."""
+    place = np.take(axis[:, 0], box) * offset[0]
+    place += np.take(axis[:, 1], box) * offset[1]
+    if axis[:, 2].any():
+        place += np.take(axis[:, 2], box) * offset[2]
+    return np.subtract(place, np.take(origin, box), out=place)
 
 
 def _face_tables(boxes: Boxes, sun: Array) -> list[FloatImage]:
@@ -222,9 +172,7 @@ def _face_tables(boxes: Boxes, sun: Array) -> list[FloatImage]:
     across, up = boxes.repeats[:, FACE_ACROSS], boxes.repeats[:, FACE_UP]
     area = 4.0 * boxes.half[:, FACE_ACROSS] * boxes.half[:, FACE_UP]
     density = TILE * np.sqrt(across * up / area)
-    cos, sin = np.cos(boxes.yaw), np.sin(boxes.yaw)
-    ahead, left = cos * sun[0] + sin * sun[1], cos * sun[1] - sin * sun[0]
-    above = np.full_like(cos, sun[2])
-    facing = np.stack([ahead, -ahead, left, -left, above, -above], axis=-1)
+    towards = sun @ boxes.axes
+    facing = np.stack([towards, -towards], axis=-1).reshape(-1, 6)
     light = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(facing, 0.0) * 1.3
     return [values.astype(np.float32).ravel() for values in (across, up, density, light)]

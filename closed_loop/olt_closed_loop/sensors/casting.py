@@ -1,17 +1,18 @@
 """Which box each ray of a view meets first.
 
-Whether any ray of a block can meet a box is decided by one ray, the block's mean ray, against the box grown by the
-width of the block's cone at the box's far side. Only the pairs of block and box that remain are cast ray by ray.
+Boxes are asked for from coarse squares of pixels to fine ones: whether any ray of a square can meet a box is decided by
+one ray, the square's mean ray, against the box grown by the width of the square's cone at the box's far side. Only the
+pairs of finest square and box that remain are cast ray by ray.
 """
 
-from functools import reduce
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.sensors.boxes import Boxes
-from olt_closed_loop.sensors.camera_rays import CameraRays
+from olt_closed_loop.sensors.camera_rays import Squares
 from olt_closed_loop.sensors.textures import FloatImage
 from olt_generator.poses import Array
 
@@ -19,74 +20,130 @@ from olt_generator.poses import Array
 _FARTHEST = 160.0
 _SMALLEST = 0.5
 
-# Blocks that are worked on at once: few enough to stay in the processor's cache.
-CHUNK = 64
+# Pairs of square and box that are cast at once: few enough to stay in the processor's cache.
+_CHUNK = 256
+_TINY = np.float32(1e-12)
 
 
 class Hits(NamedTuple):
-    """Rays (n,), by index of block and of pixel in it, the box that each meets first, and how far along, metres."""
+    """Rays (n,): the pixel of each, its number in the finest squares, the box it meets first, and how far, metres."""
 
-    block: NDArray[np.intp]
     pixel: NDArray[np.intp]
+    ray: NDArray[np.intp]
     box: NDArray[np.intp]
     distance: FloatImage
 
 
-def boxes_in_view(boxes: Boxes, position: Array, axis: Array, camera_rays: CameraRays) -> Boxes:
-    """The boxes that a camera at `position` (3,) looking along `axis` (3,) may see."""
+def boxes_in_view(boxes: Boxes, position: Array, axis: Array, field: float, finest: float) -> Boxes:
+    """The boxes that a camera at `position` (3,) may see.
+
+    It looks along `axis` (3,), its field reaches `field` radians from that, and its finest pixel is `finest` radians.
+    """
     offset = boxes.center - position
-    away = np.linalg.norm(offset, axis=1)
-    radius = np.linalg.norm(boxes.half, axis=1)
+    away = np.sqrt(np.einsum("ni,ni->n", offset, offset))
+    radius = np.sqrt(np.einsum("ni,ni->n", boxes.half, boxes.half))
     off_axis = np.arccos(np.clip(offset @ axis / np.maximum(away, 1e-9), -1.0, 1.0))
     apparent = np.arcsin(np.minimum(radius / np.maximum(away, 1e-9), 1.0))
-    inside = (away <= radius) | (off_axis - apparent <= camera_rays.field)
-    large = apparent > _SMALLEST * 0.5 * float(camera_rays.angles.min())
+    inside = (away <= radius) | (off_axis - apparent <= field)
+    large = apparent > _SMALLEST * 0.5 * finest
     return boxes.select(inside & large & (away - radius < _FARTHEST))
 
 
 def cast(
-    boxes: Boxes, position: Array, rays: FloatImage, middle: FloatImage, spread: FloatImage, farthest: FloatImage
+    boxes: Boxes, squares: Sequence[Squares], rays: FloatImage, pixels: NDArray[np.intp], farthest: FloatImage
 ) -> Hits:
-    """Cast world rays (3, b, p) from `position` (3,); `middle` (3, b) and `spread` (b,) are those of their blocks.
+    """Cast the rays (3, b, p) of the finest squares, which belong to `pixels` (b, p), from the origin against boxes.
 
-    Only what a ray meets before `farthest` (b, p) metres is told.
+    `squares` have their mean rays in the same axes. Only what is met before `farthest` (n,) metres is told.
     """
-    # The camera's place in each box's own axes, half the box, and cosine and sine of its yaw: (3, n), (3, n), (2, n).
-    (x, y, z), (cos, sin) = (position - boxes.center).T, (np.cos(boxes.yaw), np.sin(boxes.yaw))
-    columns = (np.stack([cos * x + sin * y, cos * y - sin * x, z]), boxes.half.T, np.stack([cos, sin]))
-    place, half, turn = (column.astype(np.float32) for column in columns)
-    reach = np.linalg.norm(boxes.center - position, axis=1) + np.linalg.norm(boxes.half, axis=1)
-    growth = spread[:, None] * reach.astype(np.float32)
-    entry, leave = _intersect(place, half[:, None] + growth, turn, middle[:, :, None])
-    block, box = np.nonzero((entry <= leave) & (leave > 0.0))
-
-    distance = np.empty((len(block), rays.shape[2]), dtype=np.float32)
-    for start in range(0, len(block), CHUNK):
-        chunk = slice(start, start + CHUNK)
-        these = box[chunk, None]
-        entry, leave = _intersect(place[:, these], half[:, these], turn[:, these], rays[:, block[chunk]])
+    origin = -np.einsum("nij,ni->nj", boxes.axes, boxes.center)
+    place, half = (np.ascontiguousarray(values.T, dtype=np.float32) for values in (origin, boxes.half))
+    axes = np.ascontiguousarray(np.moveaxis(boxes.axes, 0, -1), dtype=np.float32)
+    shapes = (place, half, axes, bool(np.all(boxes.axes[:, 2, :2] == 0.0)))
+    reach = (np.linalg.norm(boxes.center, axis=1) + np.linalg.norm(boxes.half, axis=1)).astype(np.float32)
+    square, box = _search(shapes, reach, squares)
+    if len(square) == 0:
+        nothing = np.zeros(0, dtype=np.intp)
+        return Hits(nothing, nothing, nothing, np.zeros(0, dtype=np.float32))
+    distance = np.empty((len(square), pixels.shape[1]), dtype=np.float32)
+    for start in range(0, len(square), _CHUNK):
+        chunk = slice(start, start + _CHUNK)
+        entry, leave = _intersect(shapes, box[chunk, None], np.take(rays, square[chunk], axis=1))
         reached = np.where(entry > 0.0, entry, leave)
-        distance[chunk] = np.where((entry <= leave) & (leave > 0.0), reached, np.float32(np.inf))
-    # The nearest for every ray: each keeps its number over all blocks.
-    pair, pixel = np.nonzero(distance < farthest[block])
-    met, ray = distance[pair, pixel], block[pair] * distance.shape[1] + pixel
-    best = np.full(farthest.size, np.inf, dtype=np.float32)
-    np.minimum.at(best, ray, met)
-    first = met == best[ray]
-    return Hits(block[pair[first]], pixel[first], box[pair[first]], met[first])
+        reached[(entry > leave) | (leave <= 0.0)] = np.inf
+        distance[chunk] = reached
+    return _nearest(distance, square, box, pixels, farthest)
+
+
+_Shapes = tuple[FloatImage, FloatImage, FloatImage, bool]
+"""The origin in each box's own axes (3, n), half the box (3, n), its axes (3, 3, n), and whether all stand upright."""
+
+
+def _search(
+    shapes: _Shapes, reach: FloatImage, squares: Sequence[Squares]
+) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Pairs (n,) of finest square, in order, and box that a ray of the square may meet."""
+    count = squares[0].spread.size
+    square, box = np.divmod(np.arange(count * len(reach)), max(len(reach), 1))
+    for index, level in enumerate(squares):
+        if index:
+            inside = squares[index - 1].children[square]
+            there = inside >= 0
+            square, box = inside[there], np.broadcast_to(box[:, None], inside.shape)[there]
+        growth = level.spread[square] * reach[box]
+        entry, leave = _intersect(shapes, box, np.take(level.middle, square, axis=1), growth)
+        met = (entry <= leave) & (leave > 0.0)
+        square, box = square[met], box[met]
+    order = np.argsort(square, kind="stable")
+    return square[order], box[order]
+
+
+def _nearest(
+    distance: FloatImage,
+    square: NDArray[np.intp],
+    box: NDArray[np.intp],
+    pixels: NDArray[np.intp],
+    farthest: FloatImage,
+) -> Hits:
+    """The first box of every ray, from distances (n, p) of pairs (n,) of square and box, in order of the squares."""
+    first = np.flatnonzero(np.diff(square, prepend=-1))
+    best = np.minimum.reduceat(distance, first, axis=0)
+    # The order of the pairs decides between two boxes that are met at the same distance.
+    number = np.repeat(np.arange(len(first)), np.diff(first, append=len(square)))
+    met = best < farthest[pixels[square[first]]]
+    best[~met] = -np.inf
+    pair, ray = np.nonzero(distance == best[number])
+    found = distance[pair, ray]
+    ray += square[pair] * pixels.shape[1]
+    # A square over the edge has a pixel several times.
+    return Hits(np.take(pixels, ray), ray, box[pair], found)
 
 
 def _intersect(
-    place: FloatImage, half: FloatImage, turn: FloatImage, rays: FloatImage
+    shapes: _Shapes, box: NDArray[np.intp], rays: FloatImage, growth: FloatImage | None = None
 ) -> tuple[FloatImage, FloatImage]:
-    """Where world rays (3, ...) enter and leave boxes (slab method); boxes and rays broadcast together.
+    """Where rays (3, ...) enter and leave boxes of an index that broadcasts with them (slab method).
 
-    The ray misses where it leaves before it enters, or leaves behind the camera.
+    The ray misses where it leaves before it enters, or leaves behind the origin. Boxes may be grown by `growth` metres.
     """
-    (x, y, z), (cos, sin), entries, leaves = rays, turn, [], []
-    for origin, size, direction in zip(place, half, (cos * x + sin * y, cos * y - sin * x, z), strict=True):
-        inverse = np.float32(1.0) / np.where(np.abs(direction) < 1e-9, np.float32(1e-9), direction)
-        middle, reach = -origin * inverse, size * np.abs(inverse)
-        entries.append(middle - reach)
-        leaves.append(middle + reach)
-    return reduce(np.maximum, entries), reduce(np.minimum, leaves)
+    place, half, axes, upright = shapes
+    (x, y, z), entry, leave = rays, None, None
+    for axis in range(3):
+        if upright and axis == 2:
+            direction = z + _TINY
+        else:
+            direction = np.take(axes[0, axis], box) * x
+            direction += np.take(axes[1, axis], box) * y
+            if not upright:
+                direction += np.take(axes[2, axis], box) * z
+            direction += _TINY
+        inverse = np.reciprocal(direction, out=direction)
+        size = np.take(half[axis], box)
+        middle = np.take(place[axis], box) * -inverse
+        reach = np.abs(inverse, out=inverse)
+        reach *= size if growth is None else size + growth
+        near, far = middle - reach, np.add(middle, reach, out=reach)
+        entry = near if entry is None else np.maximum(entry, near, out=entry)
+        leave = far if leave is None else np.minimum(leave, far, out=leave)
+    assert entry is not None and leave is not None
+    return entry, leave

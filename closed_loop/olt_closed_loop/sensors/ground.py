@@ -1,5 +1,6 @@
 """The ground of a scene as the renderer sees it: a map of materials, grain on top, and the shadows of boxes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -9,7 +10,8 @@ from numpy.typing import NDArray
 from olt_closed_loop.scenes.looks import Looks
 from olt_closed_loop.scenes.maps.markings import crossing_bars, line_strokes, stop_strokes
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.sensors.textures import NOISE_LAYERS, FloatImage, Image, ground_noise, noise_spread, sample
+from olt_closed_loop.sensors.level_view import GroundPixels, Stand
+from olt_closed_loop.sensors.textures import NOISE_LAYERS, FloatImage, Image, ground_noise, look_up, sample_pairs
 from olt_generator.poses import Array
 from olt_generator.seeds import make_generator
 
@@ -54,76 +56,106 @@ class Raster:
         return cls(np.zeros((height, width), dtype=np.uint8), low, resolution)
 
     def pixels(self, points: Array) -> Array:
-        """Pixel coordinates (n, 2) of world points (n, 2 or 3); (0, 0) is the centre of the first pixel."""
-        return (points[:, :2] - self.origin) / self.resolution - 0.5
+        """Pixel coordinates (..., 2) of world points (..., 2 or 3); (0, 0) is the centre of the first pixel."""
+        return (points[..., :2] - self.origin) / self.resolution - 0.5
+
+    def affine(self, stand: Stand) -> Array:
+        """Matrix (2, 3) from level places, metres, to pixel coordinates."""
+        matrix = stand.affine(self.origin, self.resolution)
+        matrix[:, 2] -= 0.5
+        return matrix
 
     def fill(self, outline: Array, value: int) -> None:
         """Fill the inside of an outline (n, 2 or 3) in world coordinates."""
-        cv2.fillPoly(self.image, [self._fixed_point(outline)], value, cv2.LINE_AA, _SUBPIXEL_BITS)
+        cv2.fillPoly(self.image, [self.fixed_point(outline)], value, cv2.LINE_AA, _SUBPIXEL_BITS)
 
     def draw(self, line: Array, width: float, value: int) -> None:
         """Draw a line (n, 2 or 3) of `width` metres."""
         thickness = max(1, round(width / self.resolution))
-        cv2.polylines(self.image, [self._fixed_point(line)], False, value, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+        cv2.polylines(self.image, [self.fixed_point(line)], False, value, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
 
-    def _fixed_point(self, points: Array) -> NDArray[np.int32]:
+    def fixed_point(self, points: Array) -> NDArray[np.int32]:
+        """Pixel coordinates (..., 2) of world points (..., 2 or 3) as OpenCV takes them, in sixteenths."""
         return np.round(self.pixels(points) * 2**_SUBPIXEL_BITS).astype(np.int32)
 
 
 class Ground:
-    """Samples the colour of the ground plane z = 0."""
+    """Samples the colour of the ground."""
 
     def __init__(self, scene: Scene, looks: Looks) -> None:
         self._raster = draw_materials(scene)
-        self._mips, self._left, self._top = _mip_atlas(self._raster.image)
+        self._mips, self._top = _mip_atlas(self._raster.image)
         values, known = np.arange(256), [GRASS, GRAVEL, ASPHALT, PAINT]
         colors = np.array([looks.grass, looks.gravel, looks.asphalt, looks.paint])
-        palette = [np.interp(values, known, channel) for channel in colors.T]
-        self._palette = np.stack(palette, axis=-1).astype(np.float32)
+        self._palette = [np.interp(values, known, channel).astype(np.float32) for channel in colors.T]
         # How strongly the noise shows on each material.
         self._contrast = np.interp(values, known, [0.16, 0.16, 0.12, 0.04]).astype(np.float32)
+        self._paved = np.interp(values, [GRAVEL, ASPHALT], [0.0, 1.0]).astype(np.float32)
         generator = make_generator("ground", looks.texture_seed)
         self._noise_offsets = generator.uniform(0.0, 1000.0, size=(len(NOISE_LAYERS), 2))
 
-    def color(self, camera: Array, dx: FloatImage, dy: FloatImage, across: FloatImage, along: FloatImage) -> FloatImage:
-        """Colours (n, m, 3), 0 ... 255, without light and haze.
-
-        Args:
-            camera: world position (3,) from which the places are counted.
-            dx, dy: (n, m) places on the ground relative to the camera, metres.
-            across, along: (n, m) size of the pixel on the ground, square to the ray and along it, metres.
-        """
-        material = self._material(camera, dx, dy, across)
-        gain = 1.0 + np.take(self._contrast, material) * self._noise(camera, dx, dy, np.sqrt(across * along))
-        return np.take(self._palette, material, axis=0) * gain[..., None]
-
-    def paved(self, camera: Array, dx: FloatImage, dy: FloatImage, across: FloatImage) -> FloatImage:
-        """How much of a place (n, m) is road and not grass or gravel, 0 ... 1; arguments as of `color`."""
-        material = self._material(camera, dx, dy, across).astype(np.float32)
-        return np.clip((material - np.float32(GRAVEL)) / np.float32(ASPHALT - GRAVEL), 0.0, 1.0)
-
-    def _material(self, camera: Array, dx: FloatImage, dy: FloatImage, footprint: FloatImage) -> Image:
-        raster = self._raster
-        start = (camera[:2] - raster.origin) / raster.resolution
+    def lay_out(self, pixels: GroundPixels) -> "MapPlaces":
+        """The part of the way into the map that does not depend on where the camera stands."""
         # Narrow marks must survive at a distance, so the level follows the short side of the footprint.
-        level = np.log2(np.maximum(footprint * np.float32(1.5 / raster.resolution), 1.0))
+        level = np.log2(np.maximum(pixels.across * np.float32(1.5 / self._raster.resolution), 1.0))
         level = np.minimum(level + np.float32(0.5), _LEVELS - 1).astype(np.int32)
-        scale = np.take(np.float32(0.5) ** np.arange(_LEVELS, dtype=np.float32), level)
-        height, width = raster.image.shape
-        x = _inside(dx / np.float32(raster.resolution) + np.float32(start[0]), width) * scale - np.float32(0.5)
-        y = _inside(dy / np.float32(raster.resolution) + np.float32(start[1]), height) * scale - np.float32(0.5)
-        return sample(self._mips, x + np.take(self._left, level), y + np.take(self._top, level))
+        scale, top = np.take(np.float32(0.5) ** np.arange(_LEVELS, dtype=np.float32), level), np.take(self._top, level)
+        height = self._raster.image.shape[0]
+        scaled = np.stack([pixels.place[..., 0] * scale, pixels.place[..., 1] * scale, scale, top], axis=-1)
+        # Grass surrounds the map; beyond it rows would be those of another level.
+        edge = np.float32(2 ** (_LEVELS - 1))
+        return MapPlaces(scaled, top + edge * scale, top + (height - edge) * scale)
 
-    def _noise(self, camera: Array, dx: FloatImage, dy: FloatImage, footprint: FloatImage) -> FloatImage:
-        total = np.zeros_like(dx)
+    def materials(self, places: "MapPlaces", stand: Stand) -> Image:
+        """Values (r, 512) of the material map."""
+        turn = stand.affine(self._raster.origin, self._raster.resolution)
+        matrix = np.column_stack([turn, [0.0, 1.0], [-0.5, -0.5]])
+        found = cv2.transform(places.scaled, matrix)
+        rows = found[..., 1]
+        np.maximum(rows, places.first, out=rows)
+        np.minimum(rows, places.last, out=rows)
+        return sample_pairs(self._mips, found)
+
+    def color(
+        self, material: Image, pixels: GroundPixels, stand: Stand, light: Sequence[FloatImage | None]
+    ) -> list[FloatImage]:
+        """Red, green and blue (r, 512) each, 0 ... 255 and above, under `light` of the three; None for full light."""
+        gain = cv2.LUT(material, self._contrast) * self._noise(pixels, stand)
+        gain += np.float32(1.0)
+        gains = [gain if share is None else gain * share for share in light]
+        return [cv2.LUT(material, palette) * gain for palette, gain in zip(self._palette, gains, strict=True)]
+
+    def paved(self, material: Image) -> FloatImage:
+        """How much of a place (r, 512) of the material map is road and not grass or gravel, 0 ... 1."""
+        return np.asarray(cv2.LUT(material, self._paved), np.float32)
+
+    def _noise(self, pixels: GroundPixels, stand: Stand) -> FloatImage:
+        total = np.zeros(pixels.away.shape, dtype=np.float32)
         for index, ((texel, size), layer) in enumerate(zip(NOISE_LAYERS, ground_noise(), strict=True)):
-            start = np.remainder((camera[:2] + self._noise_offsets[index]) / (texel * size), 1.0)
-            places = []
-            for delta, offset in ((dx, start[0]), (dy, start[1])):
-                turns = delta * np.float32(1.0 / (texel * size)) + np.float32(offset)
-                places.append((turns - np.floor(turns)) * np.float32(size))
-            total += sample(layer, places[0], places[1]) * noise_spread(index, footprint)
+            resolved = pixels.noise[index]
+            if not len(resolved):
+                continue
+            turn = stand.affine(-self._noise_offsets[index], texel * size)
+            turn[:, 2] = np.remainder(turn[:, 2], 1.0)
+            turns = cv2.transform(pixels.place[: len(resolved)], turn)
+            turns -= np.floor(turns)
+            turns *= np.float32(size)
+            total[: len(resolved)] += sample_pairs(layer, turns) * resolved
         return total
+
+
+@dataclass(frozen=True)
+class MapPlaces:
+    """Places in the material map: level x and y by the scale of their level, that scale, and the level's first row.
+
+    Attributes:
+        scaled: (r, 512, 4).
+        first, last: (r, 512) rows between which the level's map lies.
+    """
+
+    scaled: FloatImage
+    first: FloatImage
+    last: FloatImage
 
 
 def draw_materials(scene: Scene) -> Raster:
@@ -162,35 +194,28 @@ def add_shadows(shadows: Raster, corners: Array, sun: Array) -> Raster:
     """The raster with the shadows of boxes given by their corners (n, 8, 3) added, for a sun in direction (3,)."""
     raster = Raster(shadows.image.copy(), shadows.origin, shadows.resolution)
     on_ground = corners[..., :2] - corners[..., 2:] * (sun[:2] / sun[2])
-    for box in on_ground.astype(np.float32):
-        raster.fill(cv2.convexHull(box)[:, 0].astype(np.float64), 255)
+    for box in raster.fixed_point(on_ground):
+        cv2.fillConvexPoly(raster.image, cv2.convexHull(box), 255, cv2.LINE_AA, _SUBPIXEL_BITS)
     return raster
 
 
-def sunlight(shadows: Raster, camera: Array, dx: FloatImage, dy: FloatImage) -> FloatImage:
-    """Share of light (n, m) that reaches places on the ground, given relative to the camera."""
-    scale = np.float32(1.0 / shadows.resolution)
-    start = ((camera[:2] - shadows.origin) / shadows.resolution - 0.5).astype(np.float32)
-    shade = sample(shadows.image, dx * scale + start[0], dy * scale + start[1])
-    return np.float32(1.0) - shade * np.float32(_SHADOW_DEPTH / 255.0)
+def sunlight(shadows: Raster, places: FloatImage, stand: Stand) -> FloatImage:
+    """Share of light (n, m) that reaches level places (n, m, 2) on the ground."""
+    shade = look_up(shadows.image, places, shadows.affine(stand)).astype(np.float32)
+    shade *= np.float32(-_SHADOW_DEPTH / 255.0)
+    shade += np.float32(1.0)
+    return shade
 
 
-def _mip_atlas(image: Image) -> tuple[Image, FloatImage, FloatImage]:
-    """The image and its halvings in one picture, and the left and top corner (levels,) of each."""
-    height, width = image.shape
-    atlas = np.zeros((height, width + width // 2), dtype=np.uint8)
-    left, top = 0, 0
-    corners = []
-    level = image
-    for index in range(_LEVELS):
-        corners.append((left, top))
-        atlas[top : top + level.shape[0], left : left + level.shape[1]] = level
-        left, top = (width, 0) if index == 0 else (left, top + level.shape[0])
-        level = cv2.resize(level, (level.shape[1] // 2, level.shape[0] // 2), interpolation=cv2.INTER_AREA)
-    lefts, tops = np.array(corners, dtype=np.float32).T
-    return atlas, lefts, tops
-
-
-def _inside(pixels: FloatImage, size: int) -> FloatImage:
-    """Beyond the map lies what its outermost pixels show, which is grass."""
-    return np.clip(pixels, np.float32(2**_LEVELS), np.float32(size - 2**_LEVELS))
+def _mip_atlas(image: Image) -> tuple[Image, FloatImage]:
+    """The image and its halvings, one below the other, and the first row (levels,) of each."""
+    levels = [image]
+    for _ in range(1, _LEVELS):
+        height, width = levels[-1].shape
+        half = cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA)
+        levels.append(np.asarray(half, np.uint8))
+    tops = np.cumsum([0, *(len(level) for level in levels[:-1])])
+    atlas = np.zeros((sum(len(level) for level in levels), image.shape[1]), dtype=np.uint8)
+    for top, level in zip(tops.tolist(), levels, strict=True):
+        atlas[top : top + len(level), : level.shape[1]] = level
+    return atlas, tops.astype(np.float32)

@@ -12,16 +12,19 @@ from olt_closed_loop.scenes.scene import Agent, Hills, Scene
 from olt_closed_loop.sensors.boxes import Boxes, Paint
 from olt_closed_loop.sensors.ground import add_shadows, empty_shadows, sunlight
 from olt_closed_loop.sensors.lamps import add_headlights, lamp_light, light_street, own_headlights
+from olt_closed_loop.sensors.level_view import GroundPixels, Stand, as_rows
+from olt_closed_loop.sensors.surfaces import lamp_glow
 from olt_closed_loop.sensors.textures import FloatImage
 from olt_generator.poses import Array
 
-_MOTOR_VEHICLES = ("automobile", "heavy_truck", "other_vehicle")
+_MOTOR_VEHICLES = ("automobile", "heavy_truck", "bus", "train_or_tram_car", "other_vehicle")
 
 
 class Illumination(Protocol):
-    """Lights colours as they would be in plain daylight; rays (3, ...) are those of the world, distances in metres.
+    """Lights colours as they would be in plain daylight; rays and places are those of level axes, in metres.
 
-    `face_sun` (3,) is the direction of the light that shades the faces of boxes, as long as it is strong.
+    `face_sun` (3,) is the direction in the world of the light that shades the faces of boxes, as long as it is strong.
+    `R_level_rig` (3, 3) is the turn of the vehicle that films, None for a camera on none.
     """
 
     face_sun: Array
@@ -30,16 +33,14 @@ class Illumination(Protocol):
         """Take note of boxes that change, and of agents that move, with their poses (4,)."""
         ...
 
-    def on_ground(
-        self, color: FloatImage, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
-    ) -> None:
-        """Light colours (n, m, 3) of ground in place."""
+    def on_ground(self, pixels: GroundPixels, stand: Stand, R_level_rig: Array | None) -> list[FloatImage | None]:
+        """The light (r, 512) on ground for red, green and blue; None where all of it is there."""
         ...
 
     def on_boxes(
-        self, paint: Paint, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
+        self, paint: Paint, rays: FloatImage, distance: FloatImage, stand: Stand, R_level_rig: Array | None
     ) -> FloatImage:
-        """Colours (n, 3) of boxes, lit."""
+        """Colours (n, 3) of boxes, lit, where rays (3, n) end after distances (n,)."""
         ...
 
 
@@ -55,17 +56,17 @@ class Daylight:
         """See `Illumination`: the shadows of boxes."""
         self._shadows = add_shadows(self._fixed, self._corners(boxes), self._sun)
 
-    def on_ground(
-        self, color: FloatImage, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
-    ) -> None:
+    def on_ground(self, pixels: GroundPixels, stand: Stand, R_level_rig: Array | None) -> list[FloatImage | None]:
         """See `Illumination`."""
-        light = sunlight(self._shadows, position, distance * rays[0], distance * rays[1])
+        if self._share == 0.0:
+            return [None, None, None]
+        light = sunlight(self._shadows, pixels.place, stand)
         if self._share < 1.0:
             light = np.float32(1.0) - np.float32(self._share) * (np.float32(1.0) - light)
-        color *= light[..., None]
+        return [light, light, light]
 
     def on_boxes(
-        self, paint: Paint, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
+        self, paint: Paint, rays: FloatImage, distance: FloatImage, stand: Stand, R_level_rig: Array | None
     ) -> FloatImage:
         """See `Illumination`."""
         return paint.color * paint.light[:, None]
@@ -94,24 +95,24 @@ class LampLight:
         poses = np.array([pose for _, pose in cars]).reshape(-1, 4)
         self._lamps = add_headlights(self._street, poses, np.array([length for length, _ in cars]))
 
-    def on_ground(
-        self, color: FloatImage, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
-    ) -> None:
+    def on_ground(self, pixels: GroundPixels, stand: Stand, R_level_rig: Array | None) -> list[FloatImage | None]:
         """See `Illumination`."""
-        light = lamp_light(self._lamps, position, distance * rays[0], distance * rays[1])
-        if T_world_rig is not None:
-            light += self._wet * own_headlights(T_world_rig, rays, distance)[..., None]
-        color *= light
+        light = lamp_light(self._lamps, pixels.place, stand)
+        if R_level_rig is not None:
+            own = self._wet * own_headlights(R_level_rig, pixels.rays, pixels.away)
+            light = [share + own for share in light]
+        return list(light)
 
     def on_boxes(
-        self, paint: Paint, position: Array, rays: FloatImage, distance: FloatImage, T_world_rig: Array | None
+        self, paint: Paint, rays: FloatImage, distance: FloatImage, stand: Stand, R_level_rig: Array | None
     ) -> FloatImage:
         """See `Illumination`: what the ground below has of street lights lights boxes, too."""
-        light = lamp_light(self._lamps, position, distance * rays[0], distance * rays[1])
+        places = as_rows((rays[:2] * distance).T)
+        light = np.stack(lamp_light(self._lamps, places, stand), axis=-1).reshape(-1, 3)[: len(distance)]
         light *= paint.light[:, None]
-        if T_world_rig is not None:
-            light += own_headlights(T_world_rig, rays, distance)[:, None]
-        return paint.color * light + paint.glow
+        if R_level_rig is not None:
+            light += own_headlights(R_level_rig, rays, distance)[:, None]
+        return paint.color * light + lamp_glow(paint.surface, paint.texture)
 
 
 def illuminate(scene: Scene, looks: Looks, conditions: Conditions, fixed: Boxes) -> Illumination:

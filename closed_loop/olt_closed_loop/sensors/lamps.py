@@ -7,7 +7,8 @@ from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.conditions import Conditions
 from olt_closed_loop.scenes.looks import Looks, SceneryBox
 from olt_closed_loop.sensors.ground import Raster
-from olt_closed_loop.sensors.textures import FloatImage, sample, sample_list
+from olt_closed_loop.sensors.level_view import Stand
+from olt_closed_loop.sensors.textures import FloatImage, look_up
 from olt_generator.poses import Array
 
 # Light that falls on everything, and colours of lamps, as factors of a surface's colour by day.
@@ -66,18 +67,16 @@ def add_headlights(street: Raster, poses: Array, lengths: Array) -> Raster:
     return Raster(np.maximum(street.image, beams.image), street.origin, street.resolution)
 
 
-def lamp_light(lamps: Raster, camera: Array, dx: FloatImage, dy: FloatImage) -> FloatImage:
-    """Light (..., 3) of ambience and lamps at places (...) on the ground, given relative to the camera."""
-    scale = np.float32(1.0 / lamps.resolution)
-    start = ((camera[:2] - lamps.origin) / lamps.resolution - 0.5).astype(np.float32)
-    look_up = sample_list if dx.ndim == 1 else sample
-    strength = look_up(lamps.image, dx * scale + start[0], dy * scale + start[1])
-    return _AMBIENT + (strength * np.float32(_STREET_STRENGTH / 255.0))[..., None] * _STREET_COLOR
+def lamp_light(lamps: Raster, places: FloatImage, stand: Stand) -> list[FloatImage]:
+    """Red, green and blue light (n, m) each of ambience and lamps at level places (n, m, 2) on the ground."""
+    strength = look_up(lamps.image, places, lamps.affine(stand)).astype(np.float32)
+    strength *= np.float32(_STREET_STRENGTH / 255.0)
+    return [ambient + strength * color for ambient, color in zip(_AMBIENT, _STREET_COLOR, strict=True)]
 
 
-def own_headlights(T_world_rig: Array, rays: FloatImage, distance: FloatImage) -> FloatImage:
-    """Light (...) of the own dipped beam where world rays (3, ...) end after a distance (...)."""
-    turn = T_world_rig[:3, :3].astype(np.float32)
+def own_headlights(R_level_rig: Array, rays: FloatImage, distance: FloatImage) -> FloatImage:
+    """Light (...) of the own dipped beam where level rays (3, ...) end after a distance (...)."""
+    turn = R_level_rig.astype(np.float32)
     x, y, z = rays
     ahead, left, up = (a * x + b * y + c * z for a, b, c in turn.T)
     aside = left / np.maximum(ahead, np.float32(1e-3)) / np.float32(_BEAM_WIDTH)

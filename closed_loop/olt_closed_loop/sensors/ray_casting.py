@@ -1,27 +1,29 @@
 """Camera images of a scene by ray casting, exact for every camera model: one ray through the centre of each pixel."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.actors import agent_poses
 from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions, relight
-from olt_closed_loop.scenes.hills import pose_on_hills
+from olt_closed_loop.scenes.hills import pose_on_hills, stand_up
 from olt_closed_loop.scenes.looks import Looks, generate_looks
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.sensors.boxes import Boxes, body_boxes, paint_boxes, scenery_boxes
-from olt_closed_loop.sensors.camera_rays import STRIP_ROWS, CameraRays, camera_rays
-from olt_closed_loop.sensors.casting import CHUNK, Hits, boxes_in_view, cast
-from olt_closed_loop.sensors.ground import Ground
+from olt_closed_loop.sensors.camera_rays import CameraRays, camera_rays
+from olt_closed_loop.sensors.casting import Hits, boxes_in_view, cast
+from olt_closed_loop.sensors.ground import Ground, MapPlaces
 from olt_closed_loop.sensors.illumination import illuminate, sink_into_hills
 from olt_closed_loop.sensors.lamps import hang_street_lights
+from olt_closed_loop.sensors.level_view import LevelView, Stand, lay_out, rotate, sky_places
 from olt_closed_loop.sensors.sky import Sky
-from olt_closed_loop.sensors.terrain import FARTHEST, GroundHits, meet_ground
+from olt_closed_loop.sensors.terrain import meet_ground
 from olt_closed_loop.sensors.textures import FloatImage, Image
 from olt_closed_loop.sensors.wet_road import mirrored_share, mix_mirrored
 from olt_generator.cameras import Camera
@@ -29,6 +31,9 @@ from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_toolkit.rigs.rig import Rig
 from olt_toolkit.rigs.rig_files import pav_rig
+
+# Views of more pixels are laid out anew for each picture, so that they take no memory.
+_LARGEST_KEPT = 500_000
 
 
 @dataclass(frozen=True)
@@ -40,7 +45,7 @@ class Rendering:
 
 
 class _Layers(NamedTuple):
-    """What rays in blocks (b, p) see: colours and distances, and on a wet road the mirror image and its share."""
+    """What the pixels of an image or a strip of it see: colours and distances, and on a wet road what it mirrors."""
 
     rgb: Image
     distance: FloatImage
@@ -49,13 +54,29 @@ class _Layers(NamedTuple):
 
     @classmethod
     def join(cls, strips: "Sequence[_Layers]") -> "_Layers":
-        """The layers of all strips of a picture."""
+        """The layers of all strips of a picture, one below the other."""
         rgb, distance = (np.concatenate([getattr(strip, name) for strip in strips]) for name in ("rgb", "distance"))
         mirrored = [strip.mirrored for strip in strips if strip.mirrored is not None]
         share = [strip.share for strip in strips if strip.share is not None]
         if not mirrored:
             return cls(rgb, distance, None, None)
         return cls(rgb, distance, np.concatenate(mirrored), np.concatenate(share))
+
+    def develop(self) -> Rendering:
+        """The picture."""
+        rgb = self.rgb
+        if self.mirrored is not None and self.share is not None:
+            rgb = mix_mirrored(rgb, self.mirrored, self.share)
+        return Rendering(rgb, self.distance)
+
+
+class _Laid(NamedTuple):
+    """A view laid out for a turn and a height above level ground, with its way into the map of the ground."""
+
+    turn: Array
+    height: float
+    view: LevelView
+    places: MapPlaces
 
 
 class SceneRenderer:
@@ -77,12 +98,13 @@ class SceneRenderer:
             (agent, body_boxes(agent, self.looks.agent_colors[agent.id], lit=not still))
             for agent, still in zip(scene.agents, stands, strict=True)
         ]
-        fixed = [_pose_body(*body, 0) for body, still in zip(bodies, stands, strict=True) if still]
+        fixed = [self._pose_body(*body) for body, still in zip(bodies, stands, strict=True) if still]
         self._changing = [body for body, still in zip(bodies, stands, strict=True) if not still]
         self._fixed = Boxes.concatenate([self._place_scenery(), *fixed])
         self._light = illuminate(scene, self.looks, conditions, self._fixed)
         # What stands in the scene at `_time_us`.
         self._time_us: int | None = None
+        self._laid: dict[Camera, _Laid] = {}
         self._boxes = self._fixed
 
     def render(
@@ -93,8 +115,7 @@ class SceneRenderer:
         `T_world_rig` (4, 4) is the pose of the vehicle that films, whose headlights shine at night; None for a camera
         that is on none.
         """
-        view = camera_rays(camera)
-        return self._develop(view, self._see(view, T_world_camera, time_us, T_world_rig))
+        return self._see(camera_rays(camera), camera, T_world_camera, time_us, T_world_rig).develop()
 
     def render_strips(
         self, camera: Camera, T_world_camera: Array, times_us: Sequence[int], T_world_rig: Array | None = None
@@ -107,97 +128,89 @@ class SceneRenderer:
             times_us: (n,) times in the recording.
             T_world_rig: (n, 4, 4) or None, as in `render`.
         """
-        view = camera_rays(camera, STRIP_ROWS)
         rigs = [None] * len(times_us) if T_world_rig is None else list(T_world_rig)
-        strips = [
-            self._see(strip, pose, time_us, rig)
-            for strip, pose, time_us, rig in zip(view.strips, T_world_camera, times_us, rigs, strict=True)
-        ]
-        return self._develop(view, _Layers.join(strips))
+        strips = zip(camera_rays(camera).strips, T_world_camera, times_us, rigs, strict=True)
+        return _Layers.join(
+            [self._see(strip, None, pose, time_us, rig) for strip, pose, time_us, rig in strips]
+        ).develop()
 
-    def _develop(self, view: CameraRays, layers: _Layers) -> Rendering:
-        rgb = view.image(layers.rgb)
-        if layers.mirrored is not None and layers.share is not None:
-            rgb = mix_mirrored(rgb, view.image(layers.mirrored), view.image(layers.share))
-        return Rendering(rgb, view.image(layers.distance))
-
-    def _see(self, view: CameraRays, T_world_camera: Array, time_us: int, T_world_rig: Array | None) -> _Layers:
+    def _see(
+        self, view: CameraRays, kept_as: Camera | None, T_world_camera: Array, time_us: int, T_world_rig: Array | None
+    ) -> _Layers:
         self._show(time_us)
-        position, rotation = T_world_camera[:3, 3], T_world_camera[:3, :3].astype(np.float32)
-        rays, middle = _rotate(rotation, view.rays), _rotate(rotation, view.middle)
-        ground = meet_ground(self._hills, position, rays)
-        boxes = boxes_in_view(self._boxes, position, T_world_camera[:3, 2], view)
-        hits = cast(boxes, position, rays, middle, view.spread, ground.distance)
+        stand = Stand.of(T_world_camera)
+        laid, places = self._lay_out(view, kept_as, stand)
+        R_level_rig = None if T_world_rig is None else stand.level(T_world_rig[:3, :3])
+        boxes = self._boxes_in_view(stand, stand.R_level_camera[:, 2], view)
+        hits = cast(boxes, laid.camera_rays.squares, laid.rays, view.pixels, laid.distance)
 
-        distance = ground.distance
-        rgb, sky = np.empty((*distance.shape, 3), dtype=np.uint8), np.isinf(distance)
-        blocks = np.nonzero(sky.any(axis=1))[0]
-        if len(blocks):
-            rgb[blocks] = self._sky.color(rays[:, blocks])
-        blocks = np.nonzero(~sky.all(axis=1))[0]
-        for start in range(0, len(blocks), CHUNK):
-            some = blocks[start : start + CHUNK]
-            these, away = rays[:, some], np.minimum(distance[some], np.float32(FARTHEST))
-            across = away * view.angles[some]
-            color = self._ground.color(position, away * these[0], away * these[1], across, ground.along(some, across))
-            self._light.on_ground(color, position, these, away, T_world_rig)
-            seen = rgb[some]
-            np.copyto(seen, self._hazy(color, away), where=~sky[some][..., None])
-            rgb[some] = seen
-        mirrored, share = self._mirror(view, position, T_world_camera, rays, middle, ground)
-        self._draw_boxes(rgb, boxes, hits, rays, view, position, T_world_rig)
-        distance[hits.block, hits.pixel] = hits.distance
+        material = self._ground.materials(places, stand)
+        light = self._light.on_ground(laid.ground, stand, R_level_rig)
+        color = self._ground.color(material, laid.ground, stand, light)
+        rgb = laid.image(self._hazy(color, laid.ground.clear), self._sky.color(laid.sky, stand.heading))
+        self._draw_boxes(rgb, boxes, hits, laid, stand, R_level_rig)
+        distance = laid.distance.copy()
+        distance[hits.pixel] = hits.distance
+        mirrored, share = self._mirror(laid, material, stand)
         if share is not None:
-            share[hits.block, hits.pixel] = 0.0
-        return _Layers(rgb, distance, mirrored, share)
+            share.reshape(-1)[hits.pixel] = 0.0
+        return _Layers(rgb, distance.reshape(view.size), mirrored, share)
+
+    def _lay_out(self, view: CameraRays, kept_as: Camera | None, stand: Stand) -> tuple[LevelView, MapPlaces]:
+        """The view, kept for the next picture of its camera, which on level ground mostly has the same turn."""
+        height = round(float(stand.position[2]), 6)
+        kept = self._laid.get(kept_as) if kept_as and self._hills is None else None
+        if kept and kept.height == height and np.array_equal(kept.turn, stand.R_level_camera):
+            return kept.view, kept.places
+        rays = rotate(stand.R_level_camera, view.rays)
+        if self._hills is None:
+            hits = meet_ground(None, np.array([0.0, 0.0, height]), rays)
+        else:
+            hits = meet_ground(self._hills, stand.position, rotate(stand.R_world_level, rays))
+        laid = lay_out(view, rays, stand.R_level_camera, hits, self.conditions.haze_distance)
+        places = self._ground.lay_out(laid.ground)
+        if kept_as and view.angles.size <= _LARGEST_KEPT:
+            self._laid[kept_as] = _Laid(stand.R_level_camera, height, laid, places)
+        return laid, places
+
+    def _boxes_in_view(self, stand: Stand, axis: Array, view: CameraRays) -> Boxes:
+        """The boxes that a camera that looks along `axis` (3,), in level axes, may see; in those axes."""
+        found = boxes_in_view(self._boxes, stand.position, stand.R_world_level @ axis, view.field, view.finest)
+        return found.moved(stand.T_level_world)
 
     def _draw_boxes(
-        self,
-        rgb: Image,
-        boxes: Boxes,
-        hits: Hits,
-        rays: FloatImage,
-        view: CameraRays,
-        position: Array,
-        T_world_rig: Array | None,
+        self, rgb: Image, boxes: Boxes, hits: Hits, laid: LevelView, stand: Stand, R_level_rig: Array | None
     ) -> None:
         if len(hits.box) == 0:
             return
-        these = rays[:, hits.block, hits.pixel]
-        pixel_size = hits.distance * view.angles[hits.block, hits.pixel]
-        paint = paint_boxes(boxes, hits.box, these * hits.distance, position, pixel_size, self._light.face_sun)
-        color = self._light.on_boxes(paint, position, these, hits.distance, T_world_rig)
-        rgb[hits.block, hits.pixel] = self._hazy(color, hits.distance)
+        these = np.take(laid.rays.reshape(3, -1), hits.ray, axis=1)
+        pixel_size = hits.distance * np.take(laid.camera_rays.angles, hits.pixel)
+        paint = paint_boxes(boxes, hits.box, these * hits.distance, pixel_size, stand.level(self._light.face_sun))
+        color = self._light.on_boxes(paint, these, hits.distance, stand, R_level_rig)
+        clear = np.exp(hits.distance * self._haze)
+        hazy = self._hazy([color[:, index][None] for index in range(3)], clear[None])
+        rgb.reshape(-1, 3)[hits.pixel] = hazy[0]
 
-    def _mirror(
-        self,
-        view: CameraRays,
-        position: Array,
-        T_world_camera: Array,
-        rays: FloatImage,
-        middle: FloatImage,
-        ground: GroundHits,
-    ) -> tuple[Image | None, FloatImage | None]:
-        """What a wet road mirrors (b, p, 3), and the share of it (b, p); None where the road is dry.
+    def _mirror(self, laid: LevelView, material: Image, stand: Stand) -> tuple[Image | None, FloatImage | None]:
+        """What a wet road mirrors (h, w, 3), and the share of it (h, w); None where the road is dry.
 
         The mirror image is what a camera as far below the road sees that looks upwards through it.
         """
         if self.conditions.rain == 0.0:
             return None, None
-        below = position.copy()
-        below[2] = 2.0 * self._height(position) - position[2]
-        turn = np.array([1.0, 1.0, -1.0], dtype=np.float32)[:, None]
-        upwards, axis = np.abs(rays[2]), T_world_camera[:3, 2] * [1.0, 1.0, -1.0]
-        mirrored_rays = np.stack([rays[0], rays[1], upwards])
-        boxes = boxes_in_view(self._boxes, below, axis, view)
-        endless = np.where(rays[2] < 0.0, np.float32(np.inf), np.float32(0.0))
-        hits = cast(boxes, below, mirrored_rays, middle * turn, view.spread, endless)
-        image = self._sky.color(mirrored_rays)
-        self._draw_boxes(image, boxes, hits, mirrored_rays, view, below, None)
-        away = np.minimum(ground.distance, np.float32(FARTHEST))
-        paved = self._ground.paved(position, away * rays[0], away * rays[1], away * view.angles)
-        share = paved * mirrored_share(ground.sine, self.conditions.rain)
-        return image, np.where(np.isinf(ground.distance), np.float32(0.0), share)
+        below = stand.position.copy()
+        below[2] = 2.0 * self._height(below) - below[2]
+        stand, laid = replace(stand, position=below), laid.upwards()
+        boxes = self._boxes_in_view(stand, stand.R_level_camera[:, 2] * [1.0, 1.0, -1.0], laid.camera_rays)
+        endless = np.where(np.isfinite(laid.distance), np.float32(np.inf), np.float32(0.0))
+        hits = cast(boxes, laid.camera_rays.squares, laid.rays, laid.camera_rays.pixels, endless)
+        ground = laid.ground
+        upwards = np.stack([ground.rays[0], ground.rays[1], np.abs(ground.rays[2])])
+        above, sky = (self._sky.color(places, stand.heading) for places in (sky_places(upwards), laid.sky))
+        image = laid.image(above, sky)
+        self._draw_boxes(image, boxes, hits, laid, stand, None)
+        share = self._ground.paved(material) * mirrored_share(ground.sine, self.conditions.rain)
+        return image, laid.image(share, np.zeros(laid.sky.shape[:2], dtype=np.float32))
 
     def _height(self, position: Array) -> float:
         return 0.0 if self._hills is None else float(self._hills.height(position))
@@ -207,6 +220,10 @@ class SceneRenderer:
         if self.conditions.light == "night" and self.conditions.street_lights:
             boxes = Boxes.concatenate([boxes, scenery_boxes(hang_street_lights(self.looks))])
         return boxes if self._hills is None else sink_into_hills(boxes, self._hills)
+
+    def _pose_body(self, agent: Agent, body: Boxes) -> Boxes:
+        """The body of an agent that never moves."""
+        return body.moved(stand_up(agent, agent.poses[0], self._hills))
 
     def _show(self, time_us: int) -> None:
         """Put the agents where they are at a time; the cameras of a rig ask for the same one in a row."""
@@ -218,16 +235,17 @@ class SceneRenderer:
             if agent.timestamps_us[0] <= time_us <= agent.timestamps_us[-1]
         ]
         self._time_us = time_us
-        self._boxes = Boxes.concatenate([self._fixed, *(body.moved(pose) for _, body, pose in present)])
+        self._boxes = Boxes.concatenate(
+            [self._fixed, *(body.moved(stand_up(agent, pose, self._hills)) for agent, body, pose in present)]
+        )
         changing = self._boxes.select(np.arange(len(self._boxes)) >= len(self._fixed))
         self._light.show(changing, [(agent, pose) for agent, _, pose in present])
 
-    def _hazy(self, color: FloatImage, distance: FloatImage) -> Image:
-        """Blend colours (n, ..., 3) into the colour of the horizon with distance; works in place."""
-        color -= self._horizon
-        color *= np.exp(distance * self._haze)[..., None]
-        color += self._horizon + np.float32(0.5)
-        return np.minimum(color, np.float32(255.0), out=color).astype(np.uint8)
+    def _hazy(self, color: Sequence[FloatImage], clear: FloatImage) -> Image:
+        """Blend red, green and blue (n, m) into the colour of the horizon by the share (n, m) that is not clear."""
+        veil = np.float32(1.0) - clear
+        channels = (share * clear + veil * horizon for share, horizon in zip(color, self._horizon, strict=True))
+        return np.asarray(cv2.merge([cv2.convertScaleAbs(channel) for channel in channels]), np.uint8)
 
 
 def render_rig(
@@ -273,17 +291,7 @@ def _load_looks(scene: Scene) -> Looks:
     return looks
 
 
-def _rotate(rotation: FloatImage, rays: FloatImage) -> FloatImage:
-    """Rotate rays (3, ...), summed in a fixed order, so that the bytes do not depend on a BLAS and its threads."""
-    x, y, z = rays
-    return np.stack([a * x + b * y + c * z for a, b, c in rotation])
-
-
 def _always_stands(agent: Agent, end_us: int) -> bool:
     """Whether the agent is at one place during the whole recording."""
     throughout = agent.timestamps_us[0] <= 0 and agent.timestamps_us[-1] >= end_us
     return bool(throughout and np.all(agent.poses == agent.poses[0]))
-
-
-def _pose_body(agent: Agent, body: Boxes, time_us: int) -> Boxes:
-    return body.moved(agent_poses(agent, np.array([time_us]))[0])

@@ -4,11 +4,12 @@ import numpy as np
 
 from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions
 from olt_closed_loop.scenes.looks import Looks
-from olt_closed_loop.sensors.textures import FloatImage, Image, clouds, sample
+from olt_closed_loop.sensors.textures import FloatImage, Image, clouds, look_up, sample
 from olt_generator.seeds import make_generator
 
 _SIZE = 768
 _HILLS = (86.0, 104.0, 100.0)
+_FOG_LAYER = 60.0
 
 
 class Sky:
@@ -33,15 +34,20 @@ class Sky:
         sky = _mix(sky, 0.55 * horizon + 0.45 * np.array(_HILLS, dtype=np.float32), _hills(looks, x, y, z))
         if conditions.light == "low_sun":
             sky += _sun_glare(looks, x, y, z)
+        if conditions.fog > 0.0:
+            # A layer of fog lies before the sky, the deeper the flatter one looks.
+            depth = np.float32(_FOG_LAYER / conditions.haze_distance) / np.maximum(z, np.float32(1e-3))
+            sky = _mix(sky, horizon, np.float32(1.0) - np.exp(-depth))
         sky *= np.array(conditions.sky_light, dtype=np.float32)
         self._image = np.clip(sky + 0.5, 0, 255).astype(np.uint8)
 
-    def color(self, directions: FloatImage) -> Image:
-        """Colours (n, m, 3) uint8 of unit directions (3, n, m) with z >= 0."""
-        x, y, z = directions
-        scale = np.float32((_SIZE - 1) / 2) / (np.float32(1.0) + np.maximum(z, np.float32(0.0)))
-        center = np.float32((_SIZE - 1) / 2)
-        return sample(self._image, x * scale + center, y * scale + center)
+    def color(self, places: FloatImage, heading: float) -> Image:
+        """Colours (n, m, 3) uint8 at places (n, m, 2) of `level_view.sky_places`, in axes turned by `heading`."""
+        if places.size == 0:
+            return np.zeros((*places.shape[:2], 3), dtype=np.uint8)
+        center = (_SIZE - 1) / 2
+        cos, sin = center * np.cos(heading), center * np.sin(heading)
+        return look_up(self._image, places, np.array([[cos, -sin, center], [sin, cos, center]]))
 
 
 def _cloud_cover(looks: Looks, x: FloatImage, y: FloatImage, z: FloatImage) -> FloatImage:

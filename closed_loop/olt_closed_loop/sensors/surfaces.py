@@ -131,8 +131,46 @@ def lamp(tile: FloatImage, generator: np.random.Generator) -> None:
     tile[:] = (255.0, 226.0, 170.0, 0.0)
 
 
-SURFACES: tuple[Paint, ...]
-SURFACES = (plain, building, foliage, stripes, cone, car_side, car_front, car_rear, glass, panels, wheel, skin, lamp)
+def windows(tile: FloatImage, generator: np.random.Generator) -> None:
+    """A row of windows, as of a bus."""
+    tile[16:112] = _WINDOW
+    for left in range(0, TILE, 16):
+        tile[:, left : left + 3] = _base(1.0)
+
+
+def tyre(tile: FloatImage, generator: np.random.Generator) -> None:
+    """A tyre with a rim that fills the face."""
+    tile[:] = _TIRE
+    cv2.circle(tile, (TILE // 2, TILE // 2), 34, (150.0, 150.0, 155.0, 0.0), cv2.FILLED)
+
+
+def spokes(tile: FloatImage, generator: np.random.Generator) -> None:
+    """The wheel of a bicycle: a tyre with light between its spokes."""
+    tile[:] = (150.0, 155.0, 150.0, 0.0)
+    cv2.circle(tile, (TILE // 2, TILE // 2), 56, _TIRE, 14)
+    for angle in np.arange(0.0, 2.0 * np.pi, np.pi / 6.0):
+        end = (round(64 + 56 * np.cos(angle)), round(64 + 56 * np.sin(angle)))
+        cv2.line(tile, (64, 64), end, (90.0, 90.0, 90.0, 0.0), 2)
+
+
+def stop_face(tile: FloatImage, generator: np.random.Generator) -> None:
+    """A red face with a white rim and bar."""
+    tile[:] = (205.0, 20.0, 25.0, 0.0)
+    cv2.rectangle(tile, (4, 4), (TILE - 5, TILE - 5), _WHITE, 6)
+    cv2.rectangle(tile, (24, 52), (104, 76), _WHITE, cv2.FILLED)
+
+
+def go_face(tile: FloatImage, generator: np.random.Generator) -> None:
+    """A green face with a white rim and disc."""
+    tile[:] = (20.0, 150.0, 60.0, 0.0)
+    cv2.rectangle(tile, (4, 4), (TILE - 5, TILE - 5), _WHITE, 6)
+    cv2.circle(tile, (TILE // 2, TILE // 2), 28, _WHITE, cv2.FILLED)
+
+
+SURFACES: tuple[Paint, ...] = (
+    *(plain, building, foliage, stripes, cone, car_side, car_front, car_rear, glass, panels, wheel, skin, lamp),
+    *(windows, tyre, spokes, stop_face, go_face),
+)
 SURFACE_INDEX: dict[str, int] = {paint.__name__: index for index, paint in enumerate(SURFACES)}
 
 _BRIGHTNESS, _DULL = np.float32(4.0), np.float32(40.0)

@@ -23,7 +23,7 @@ _NEAREST = 1e-6
 
 
 class GroundHits(NamedTuple):
-    """Where rays (b, p) meet the ground: metres along each, inf for those that do not; and sine of the angle to it.
+    """Where rays (n,) meet the ground: metres along each, inf for those that do not; and sine of the angle to it.
 
     `height` is that of the camera over level ground, metres; None over hills.
     """
@@ -32,16 +32,16 @@ class GroundHits(NamedTuple):
     sine: FloatImage
     height: float | None
 
-    def along(self, blocks: NDArray[np.intp], across: FloatImage) -> FloatImage:
-        """Size of pixels along their rays, from that `across` (n, p), of the blocks of index (n,), metres."""
+    def along(self, rays: NDArray[np.intp], across: FloatImage) -> FloatImage:
+        """Size of pixels along their rays, from that `across` (n,), of the rays of index (n,), metres."""
         if self.height is None:
-            return across / self.sine[blocks]
-        away = np.minimum(self.distance[blocks], np.float32(FARTHEST))
+            return across / self.sine[rays]
+        away = np.minimum(self.distance[rays], np.float32(FARTHEST))
         return across * away / np.float32(max(self.height, 0.1))
 
 
 def meet_ground(hills: Hills | None, position: Array, rays: FloatImage) -> GroundHits:
-    """World rays (3, b, p) from `position` (3,), above the ground, against hills, or the plane z = 0 for None."""
+    """World rays (3, ...) from `position` (3,), above the ground, against hills, or the plane z = 0 for None."""
     if hills is not None:
         return meet_hills(hills, position, rays)
     fall = np.maximum(-rays[2], np.float32(1e-9))
@@ -50,7 +50,7 @@ def meet_ground(hills: Hills | None, position: Array, rays: FloatImage) -> Groun
 
 
 def meet_hills(hills: Hills, position: Array, rays: FloatImage) -> GroundHits:
-    """World rays (3, b, p) from `position` (3,), above the ground, against hills."""
+    """World rays (3, ...) from `position` (3,), above the ground, against hills."""
     x, y, z = rays
     cos, sin = np.float32(np.cos(hills.direction)), np.float32(np.sin(hills.direction))
     along = x * cos + y * sin

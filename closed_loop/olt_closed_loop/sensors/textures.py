@@ -28,6 +28,17 @@ def sample(image: NDArray[Any], x: FloatImage, y: FloatImage) -> NDArray[Any]:
     return cv2.remap(image, x, y, cv2.INTER_LINEAR)
 
 
+def sample_pairs(image: NDArray[Any], places: NDArray[Any], method: int = cv2.INTER_LINEAR) -> NDArray[Any]:
+    """Values (n, m, ...) of an image at pairs (n, m, 2) of column and row."""
+    no_second_map: Any = None
+    return cv2.remap(image, places, no_second_map, method)
+
+
+def look_up(image: NDArray[Any], places: FloatImage, matrix: Array) -> NDArray[Any]:
+    """Values (n, m, ...) of an image at places (n, m, 2), of which the matrix (2, 3) makes columns and rows."""
+    return sample_pairs(image, cv2.transform(places, matrix))
+
+
 def sample_list(image: NDArray[Any], x: FloatImage, y: FloatImage) -> NDArray[Any]:
     """Values (n, ...) of an image at columns x and rows y, each (n,), however many."""
     # Rows of 512, the last one filled up: `cv2.remap` takes none longer than 32766.

@@ -39,6 +39,14 @@ class PolicyFault:
         return f"the policy {self.what} at {seconds:.1f} s{f': {self.detail}' if self.detail else ''}"
 
 
+class PolicyFaulted(Exception):
+    """Raised by a policy that knows what kind of fault ends its rollout, as one at the end of a connection does."""
+
+    def __init__(self, fault: PolicyFault) -> None:
+        super().__init__(f"the policy {fault.what}{f': {fault.detail}' if fault.detail else ''}")
+        self.fault = fault
+
+
 Answer = PlannedTrajectory | PlanRefused | PolicyFault
 
 
@@ -53,6 +61,8 @@ def word_error(error: BaseException) -> str:
 
 def check_answer(answer: object) -> Answer:
     """One answer of `Policy.plan`: checked, and copied, so that the policy cannot change it any more."""
+    if isinstance(answer, PlanRefused):
+        return answer
     wrong = _wrong_kind(answer)
     if wrong or not isinstance(answer, PlannedTrajectory):
         return PolicyFault("wrong_answers", wrong)

@@ -94,7 +94,16 @@ def _run_in_step(running: Sequence[RunningRollout], host: PolicyHost, settings: 
         for rollout in running:
             rollout.take_pictures(step)
     for step in range(first, max(len(rollout.times) for rollout in running) - 1):
-        _plan([rollout for rollout in running if rollout.runs_at(step + delay)], host, step)
+        going = [rollout for rollout in running if rollout.runs_at(step + delay)]
+        until_asked = (first - step) % settings.plan_interval
+        if until_asked == 0:
+            _plan(going, host, step)
+        for rollout in going if until_asked else ():
+            # Pictures that no plan is made from are not taken; faults of cameras remember them all.
+            if until_asked < IMAGE_FRAMES or settings.camera_faults or not settings.skip:
+                rollout.take_pictures(step)
+            else:
+                rollout.leave_out_pictures()
         for rollout in running if step >= settings.handover else ():
             if rollout.runs_at(step):
                 rollout.move(step)

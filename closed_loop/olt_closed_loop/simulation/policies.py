@@ -177,9 +177,14 @@ load_constant_velocity = partial(_load, ConstantVelocityPolicy)
 load_route = partial(_load, RouteFollowingPolicy)
 load_standing = partial(_load, StandingPolicy)
 BUILT_IN = {
-    name: EntryPoint(name, f"{__name__}:load_{name}", "olt.policies")
-    for name in ("constant_speed", "constant_velocity", "route", "standing")
-} | {"privileged": EntryPoint("privileged", "olt_closed_loop.privileged.driver:load_privileged", "olt.policies")}
+    name: EntryPoint(name, f"{module}:load_{name}", "olt.policies")
+    for name, module in {
+        **dict.fromkeys(("constant_speed", "constant_velocity", "route", "standing"), __name__),
+        "grpc": "olt_closed_loop.drivers.remote_driver",
+        "privileged": "olt_closed_loop.privileged.driver",
+        "recorded": "olt_closed_loop.evaluation.recorded_policy",
+    }.items()
+}
 """Policies that are there whatever else is installed, by name."""
 
 

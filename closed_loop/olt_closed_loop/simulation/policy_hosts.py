@@ -18,7 +18,8 @@ from typing import Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 
-from olt_closed_loop.simulation.answers import Answer, PolicyFault, check_answer, check_batch, word_error
+from olt_closed_loop.control.plans import PlanRefused
+from olt_closed_loop.simulation.answers import Answer, PolicyFault, PolicyFaulted, check_answer, check_batch, word_error
 from olt_closed_loop.simulation.policies import BatchPolicy, ObservationBatch, find_policy, make_policy
 from olt_generator.errors import InputError
 from olt_toolkit.policy.contract import Observation, Policy, Resettable
@@ -72,6 +73,7 @@ class PolicyTraits:
     answers_batches: bool = False
     uses_route: bool = True
     resets: bool = False
+    closes: bool = False
 
     @classmethod
     def of(cls, policy: Policy) -> "PolicyTraits":
@@ -94,7 +96,26 @@ class PolicyTraits:
             raise InputError(f"{who}: image_size is {size}; give the height and width of its images")
         batches = isinstance(policy, BatchPolicy)
         route = policy.uses_route if isinstance(policy, BatchPolicy) else True
-        return cls(name, cameras, (size[0], size[1]), batches, route, isinstance(policy, Resettable))
+        resets, closes = isinstance(policy, Resettable), isinstance(policy, ClosablePolicy)
+        return cls(name, cameras, (size[0], size[1]), batches, route, resets, closes)
+
+
+@runtime_checkable
+class TimedPolicy(Protocol):
+    """A policy that keeps limits of time itself and says so by `PolicyFaulted`, as one at the end of a connection."""
+
+    def limit_time(self, call_seconds: float, start_seconds: float) -> None:
+        """Take these limits from now on (`PolicyLimits`)."""
+        ...
+
+
+@runtime_checkable
+class ClosablePolicy(Protocol):
+    """A policy that holds something open, which it is told to close after the last rollout."""
+
+    def close(self) -> None:
+        """Close it."""
+        ...
 
 
 @runtime_checkable
@@ -123,14 +144,18 @@ class PolicyHost(Protocol):
 class LocalPolicy:
     """A policy in this process. Those of this package are not watched: their tests show that they change nothing."""
 
-    def __init__(self, source: PolicySource, borrowed: bool = False) -> None:
-        """Build the policy. A `borrowed` object drives itself, not as a copy.
+    def __init__(self, source: PolicySource, borrowed: bool = False, limits: PolicyLimits | None = None) -> None:
+        """Build the policy. A `borrowed` object drives itself, not as a copy. A `TimedPolicy` takes the limits.
 
         Raises:
             InputError: the policy is not known, does not keep the contract, or cannot be copied.
+            PolicyFaulted: it says that it cannot drive.
         """
         self._make = _factory_of(source, borrowed)
         self._policy = self._make()
+        self._owned = self._policy is not source
+        if limits and isinstance(self._policy, TimedPolicy):
+            self._policy.limit_time(limits.call_seconds, limits.start_seconds)
         self.traits = PolicyTraits.of(self._policy)
         self._used = False
         self._watched = not is_of_package(source)
@@ -141,6 +166,7 @@ class LocalPolicy:
             policy = self._policy
             return _guard(lambda: policy.reset(seed, scene), self._watched)[1]
         if self._used and not self.traits.answers_batches:
+            self.close()
             self._policy, fault = _guard(self._make, self._watched)
             return fault
         self._used = True
@@ -163,7 +189,9 @@ class LocalPolicy:
         return [fault] * count if fault else check_batch(answer, count)
 
     def close(self) -> None:
-        """Nothing runs."""
+        """Have the policy close what it holds, unless it is someone else's."""
+        if self._owned and isinstance(self._policy, ClosablePolicy):
+            _guard(self._policy.close, self._watched)
 
 
 def _factory_of(source: PolicySource, borrowed: bool) -> Callable[[], Policy]:
@@ -192,6 +220,10 @@ def _guard(call: Callable[[], Any], watched: bool) -> tuple[Any, PolicyFault | N
         answer = call()
     except KeyboardInterrupt:
         raise
+    except PlanRefused as refusal:
+        answer = refusal
+    except PolicyFaulted as error:
+        return None, error.fault
     except SystemExit as error:
         if error.code == _TOLD_TO_STOP:
             raise
@@ -248,7 +280,10 @@ def _changed(given: object, shown: object) -> PolicyFault | None:
 
 
 def is_of_package(policy: PolicySource) -> bool:
-    """Whether a policy is one of this package's own, which are trusted to end and to hurt nothing."""
+    """Whether a policy is one of this package's own, which are trusted to end and to hurt nothing.
+
+    So is what speaks for a driver elsewhere: the driver itself is another process, and has limits of time.
+    """
     if isinstance(policy, str):
         module = getattr(find_policy(policy), "module", "")  # what only loads, and says not whence, is foreign
     else:

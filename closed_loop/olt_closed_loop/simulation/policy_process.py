@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from olt_closed_loop.control.plans import PlanRefused
-from olt_closed_loop.simulation.answers import Answer, PolicyFault, word_error
+from olt_closed_loop.simulation.answers import Answer, PolicyFault, PolicyFaulted, word_error
 from olt_closed_loop.simulation.policies import ObservationBatch
 from olt_closed_loop.simulation.policy_hosts import LocalPolicy, PolicyHost, PolicyLimits, PolicySource, PolicyTraits
 from olt_generator.errors import InputError
@@ -70,7 +70,7 @@ class PolicyProcess:
         kept = self._process is not None
         fault = self._reset(seed, scene)
         if fault and kept:  # by what an earlier rollout left behind
-            self.close()
+            self._end()
             fault = self._reset(seed, scene)
         return fault
 
@@ -93,7 +93,14 @@ class PolicyProcess:
         return [fault] * count if fault else self._ask(("plan_batch", observations), count, self._limits.call_seconds)
 
     def close(self) -> None:
-        """End the process, and those that it started."""
+        """End the process, and those that it started; its policy closes first what it holds (`ClosablePolicy`)."""
+        if self._process is not None and self.traits.closes and not self._failed:
+            with suppress(OSError):
+                self._connection.send(("close",))
+                self._connection.poll(_SECONDS_TO_DIE)
+        self._end()
+
+    def _end(self) -> None:
         if self._process is None:
             return
         self._ending()
@@ -129,10 +136,10 @@ class PolicyProcess:
             raise PolicyNotStarted(told)
         values = json.loads(told)
         if "refused" in values:
-            self.close()
+            self._end()
             raise InputError(values["refused"])
         if "fault" in values:
-            self.close()
+            self._end()
             raise PolicyNotStarted(PolicyFault(**values["fault"]))
         traits = values["traits"]
         self.traits = PolicyTraits(
@@ -152,7 +159,7 @@ class PolicyProcess:
     def _receive(self, count: int, seconds: float) -> bytes | PolicyFault:
         try:
             if not self._connection.poll(seconds):
-                self.close()
+                self._end()
                 return PolicyFault("policy_timeouts", f"gave no answer within {seconds:g} s")
             return self._connection.recv_bytes(_LONGEST_LINE + 8 * _PLAN_VALUES * count)
         except (EOFError, OSError):
@@ -165,7 +172,7 @@ class PolicyProcess:
             raise RuntimeError("the policy's process was not started")
         process.join(_SECONDS_TO_DIE)
         code = process.exitcode
-        self.close()
+        self._end()
         if code is None:
             how = "closed its connection"
         elif code < 0:
@@ -180,9 +187,14 @@ def host_policy(source: PolicySource, limits: PolicyLimits, borrowed: bool = Fal
 
     Raises:
         InputError: see `LocalPolicy` and `PolicyProcess`.
-        PolicyNotStarted: its process could not build it.
+        PolicyNotStarted: it, or its process, could not be built.
     """
-    return PolicyProcess(source, limits) if limits.isolate == "process" else LocalPolicy(source, borrowed)
+    if limits.isolate == "process":
+        return PolicyProcess(source, limits)
+    try:
+        return LocalPolicy(source, borrowed, limits)
+    except PolicyFaulted as error:
+        raise PolicyNotStarted(error.fault) from error
 
 
 def _kill(process: BaseProcess) -> None:
@@ -203,10 +215,12 @@ def _serve(connection: Connection, theirs: Connection, source: PolicySource, lim
     if "torch" in sys.modules:  # whose threads are not in a fork: more than one would wait for ever
         sys.modules["torch"].set_num_threads(1)
     try:
-        policy = LocalPolicy(source)
+        policy = LocalPolicy(source, limits=limits)
         told = {"traits": asdict(policy.traits)}
     except InputError as error:
         policy, told = None, {"refused": str(error)}
+    except PolicyFaulted as error:
+        policy, told = None, {"fault": asdict(error.fault)}
     except SystemExit as error:
         policy, told = None, {"fault": asdict(PolicyFault("policy_exits", "called for an exit", word_error(error)))}
     except Exception as error:

@@ -1,34 +1,34 @@
-"""Where a driver stands in the world, reckoned from what every policy is shown."""
+"""Where a rig is in a fixed frame, reckoned from what every policy is shown: its past poses as seen from now."""
 
-import numpy as np
-
-from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.simulation.recorded_motion import recorded_motion
-from olt_closed_loop.vehicle.state import STATE
-from olt_generator.poses import Array, invert, make_pose, planar_pose
-from olt_toolkit.policy.contract import STEP_US, Observation
+from olt_generator.errors import InputError
+from olt_generator.poses import Array, invert, make_pose
+from olt_toolkit.policy.contract import HISTORY_STEPS, STEP_US, Observation
 
 
 class Reckoning:
-    """The pose of the rig, which begins on the recording and adds up its own steps."""
+    """Adds up the moves between the calls of a policy.
 
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-        self._T_world_rig: Array | None = None
+    Attributes:
+        T_frame_rig: (4, 4) pose of the rig at the last call.
+    """
 
-    def update(self, observation: Observation) -> Array:
-        """T_world_rig (4, 4) at the time of an observation; it must be told of each step."""
-        if self._T_world_rig is None:
-            self._T_world_rig = self._recorded(observation.time_us)
-        else:
-            T_rig_before = make_pose(observation.history_rotation[-2], observation.history_xyz[-2])
-            self._T_world_rig = self._T_world_rig @ invert(T_rig_before)
-        return self._T_world_rig
+    def __init__(self, T_frame_rig: Array, time_us: int) -> None:
+        self.T_frame_rig, self._time_us = T_frame_rig, time_us
 
-    def _recorded(self, time_us: int) -> Array:
-        """The recorded pose, upright as the simulated vehicle is."""
-        start_us = int(self._scene.ego.timestamps_us[0])
-        on_grid = start_us + (time_us - start_us) // STEP_US * STEP_US
-        states, heights = recorded_motion(self._scene, np.array([on_grid], dtype=np.int64))
-        x, y, yaw = states[0, : STATE.speed]
-        return planar_pose(x, y, yaw, heights[0])
+    def move_to(self, observation: Observation) -> int:
+        """Take the pose of the rig at an observation; returns how many steps of 0.1 s that is after the last.
+
+        Raises:
+            InputError: it is not after the last, or more than 1.5 s after, so that what it shows does not reach back.
+        """
+        now_us = observation.time_us
+        steps, rest = divmod(now_us - self._time_us, STEP_US)
+        if rest or not 0 < steps < HISTORY_STEPS:
+            raise InputError(
+                f"policy asked at {now_us} us after {self._time_us} us; ask it in steps of {STEP_US} us, "
+                f"at least every {HISTORY_STEPS - 1} of them"
+            )
+        before = HISTORY_STEPS - 1 - steps
+        T_now_before = make_pose(observation.history_rotation[before], observation.history_xyz[before])
+        self.T_frame_rig, self._time_us = self.T_frame_rig @ invert(T_now_before), now_us
+        return steps

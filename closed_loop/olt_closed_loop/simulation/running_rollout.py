@@ -13,8 +13,10 @@ from olt_closed_loop.control.plans import PlanRefused, WorldPlan, place_plan
 from olt_closed_loop.control.tracking import TrackingController
 from olt_closed_loop.rollouts.progress import PathTracker
 from olt_closed_loop.rollouts.rollout import Incidents, Rollout
+from olt_closed_loop.scenes.conditions import CLEAR_DAY
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.simulation.answers import Answer, PolicyFault, word_error
+from olt_closed_loop.simulation.camera_faults import FaultyCameras
 from olt_closed_loop.simulation.policy_hosts import PolicyTraits
 from olt_closed_loop.simulation.reactive_agents import ReactiveAgents
 from olt_closed_loop.simulation.recorded_motion import recorded_motion
@@ -90,6 +92,8 @@ class RunningRollout:
         self._plans: list[WorldPlan] = []
         self._frames: deque[NDArray[np.uint8]] = deque(maxlen=IMAGE_FRAMES)
         self._timings: defaultdict[str, float] = defaultdict(float)
+        self._faults = FaultyCameras(settings.camera_faults, policy.cameras, derive_seed(self._seed, self._scene.name))
+        self._unseen = 0
         self._rendered, self._driven = 0, settings.handover
         self._follow_recording()
         reactive = settings.traffic == "idm"
@@ -157,11 +161,15 @@ class RunningRollout:
             return
         x, y, yaw = self._states[step, : STATE.speed]
         pose = planar_pose(x, y, yaw, self._heights[step])
+        now_us = int(self.times[step])
         with self._timed("rendering"):
-            self._frames.append(
-                self._sensors(self._policy.cameras, self._policy.image_size, pose, int(self.times[step]))
-            )
+            images = self._sensors(self._policy.cameras, self._policy.image_size, pose, now_us)
+            self._frames.append(self._faults.show(images, now_us))
         self._rendered += 1
+
+    def leave_out_pictures(self) -> None:
+        """Note that the policy's cameras take no picture at a step, because no plan is made from it."""
+        self._unseen += bool(self._policy.cameras)
 
     def accept(self, answer: Answer, step: int, seconds: float) -> None:
         """Keep the plan made at a step in so many seconds, count that it is refused, or end with the policy's fault."""
@@ -274,6 +282,8 @@ class RunningRollout:
             timings=dict(self._timings),
             traffic=self._settings.traffic,
             reacted=self._agents.reacted() if self._agents else (),
+            conditions=self._settings.conditions.words if self._rendered else None,
+            camera_faults=dict(self._faults.affected),
         )
 
     def _judge_refusals(self) -> None:
@@ -287,7 +297,13 @@ class RunningRollout:
         unused = [camera for camera in CAMERA_INDEX if camera not in self._policy.cameras]
         if unused:
             yield Omission(f"rendering of {', '.join(unused)}", f"{unseen}them")
+        if self._unseen:
+            yield Omission("pictures between decisions", "no plan is made from them", self._unseen)
         if self._settings.vehicle == "kinematic":
             yield Omission("tyre dynamics", "the vehicle is kinematic")
+        if not self._policy.cameras and self._settings.conditions != CLEAR_DAY:
+            yield Omission("light and weather", f"policy {self._policy.name} has no cameras")
+        if not self._policy.cameras and self._settings.camera_faults:
+            yield Omission("faults of cameras", f"policy {self._policy.name} has none")
         if self._ignores_route:
             yield Omission("the route ahead", f"{unseen}it")

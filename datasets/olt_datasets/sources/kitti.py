@@ -11,13 +11,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_datasets.sources.pictures import LARGEST_BYTES, decode_picture
 from olt_datasets.sources.times import images_within, nearest_images, starting_at
 from olt_generator.errors import InputError
 from olt_generator.files import read_bounded
 from olt_generator.video import shrink
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.drives import WHOLE, DatasetReader, Drive, Licence
+from olt_toolkit.recordings.pictures import LARGEST_BYTES, decode_picture
 from olt_toolkit.recordings.recording import OpenOptions, Recording
 from olt_toolkit.rigs.rig import FRONT_WIDE, VehicleDimensions
 

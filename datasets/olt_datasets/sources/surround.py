@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_datasets.sources.mosaic import Mosaic, coverage
-from olt_datasets.sources.pictures import LARGEST_BYTES, REDUCTIONS, decode_picture
 from olt_datasets.sources.times import FARTHEST_US, farthest_apart, images_within, nearest_images, starting_at
 from olt_generator import Camera, InputError, PinholeCamera, Trajectory
 from olt_generator.files import read_bounded
@@ -23,6 +22,7 @@ from olt_generator.video import shrink
 from olt_toolkit import Drive, OpenOptions, Recording
 from olt_toolkit.policy.window import Span
 from olt_toolkit.recordings.labels import Split
+from olt_toolkit.recordings.pictures import LARGEST_BYTES, REDUCTIONS, decode_picture
 from olt_toolkit.rigs.rig import CAMERA_INDEX, FRONT_WIDE, MountedCamera, VehicleDimensions, short_name
 from olt_toolkit.rigs.rig_files import pav_rig
 

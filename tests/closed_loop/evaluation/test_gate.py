@@ -144,3 +144,9 @@ def test_agents_replay_the_recording_whatever_drives(straight_scene, moving_agen
     follower = moving_agent("follower", (-20.0, 0.0), (10.0, 0.0))
     scene = straight_scene((follower,))
     assert check_gate(scene, SimulationSettings(traffic="idm")).to_dict() == check_gate(scene).to_dict()
+
+
+def test_the_gate_does_not_depend_on_how_often_the_policy_plans():
+    scene = generate_scene("work_zone", 1, 6_000_000)
+    seldom = SimulationSettings(plan_interval_us=1_000_000)
+    assert check_gate(scene, seldom).to_dict() == check_gate(scene).to_dict()

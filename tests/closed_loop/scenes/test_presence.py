@@ -167,7 +167,7 @@ TIMES = 0.1 * np.arange(STEPS)
         (change_map(polygon=[[0, 1e300], [1, 1], [2, 2]]), "map feature with area: polygon: row 0"),
         (change_map(polygon=[[1000, 500], [1001, 500]]), "map feature with area: polygon: 3 or more rows"),
         (change_map(polyline=[[0.0, 0.0], [1e6, 0.0]]), "map feature with area: polyline is more than 20 km"),
-        (lambda content: content["metadata"].update(dataset="waymo"), "metadata: dataset is waymo"),
+        (lambda content: content["metadata"].update(dataset="nuplan"), "metadata: dataset is nuplan"),
         (lambda content: content["tracks"].update(odd={"type": "UNSET"}), "track odd: category unset is not known"),
         (lambda content: content["tracks"].update(odd=[]), "track odd: type is missing"),
     ],

@@ -196,3 +196,18 @@ def test_agent_without_looks_is_named(scene: Scene, tmp_path: Path) -> None:
     stranger = crate("stranger", scene.ego.T_world_rig[0], 8.0, 0.0)
     with pytest.raises(InputError, match="no colour for agent stranger"):
         SceneRenderer(replace(stored, agents=(*stored.agents, stranger)))
+
+
+def test_what_is_kept_between_pictures_changes_none(scene: Scene) -> None:
+    poses = scene.ego.interpolate(np.array([0, 1_500_000, 0]))
+    poses[1] = (
+        poses[1]
+        @ camera_pose_in_rig([0.0, 0.0, 0.1], 0.02, 0.01, 0.3)
+        @ np.linalg.inv(camera_pose_in_rig([0.0, 0.0, 0.0], 0.0, 0.0, 0.0))
+    )
+    mount = camera_pose_in_rig([0.0, 0.0, 1.5], 0.0, 0.0, 0.0)
+    kept = SceneRenderer(scene)
+    for pose in (*poses, poses[0]):
+        fresh = SceneRenderer(scene).render(PINHOLE, pose @ mount, 0)
+        again = kept.render(PINHOLE, pose @ mount, 0)
+        assert np.array_equal(fresh.rgb, again.rgb) and np.array_equal(fresh.distance, again.distance)

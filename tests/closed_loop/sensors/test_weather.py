@@ -126,3 +126,11 @@ def test_hills_hide_what_lies_behind_a_crest(scene: Scene) -> None:
 def test_impossible_conditions_are_refused(values: dict[str, object], complaint: str) -> None:
     with pytest.raises(InputError, match=complaint):
         Conditions(**values)  # type: ignore[arg-type]
+
+
+def test_fog_hides_what_is_far(scene: Scene) -> None:
+    pictures = [shoot(scene, Conditions(fog=fog)) for fog in (0.0, 0.4, 1.0)]
+    far = (pictures[0].distance > 80.0) & np.isfinite(pictures[0].distance)
+    spread = [picture.rgb[far].std(axis=0).mean() for picture in pictures]
+    assert spread[0] > spread[1] > 3.0 * spread[2]
+    assert all(np.array_equal(picture.distance, pictures[0].distance) for picture in pictures)

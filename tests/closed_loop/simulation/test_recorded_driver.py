@@ -3,10 +3,17 @@
 import numpy as np
 import pytest
 
+from olt_closed_loop.evaluation.evaluation import run_closed_loop
 from olt_closed_loop.scenes.procedural import generate_scene
 from olt_closed_loop.simulation.closed_loop import replay, simulate
+from olt_closed_loop.simulation.policies import make_policy
 from olt_closed_loop.simulation.recorded_driver import RecordedDriver
 from olt_closed_loop.simulation.settings import SimulationSettings
+from olt_generator.errors import InputError
+from olt_generator.poses import planar_pose
+from olt_toolkit.policy.contract import Observation
+
+SHORT = SimulationSettings(duration_us=4_000_000)
 
 
 def deviations(scene, settings=None):
@@ -33,3 +40,52 @@ def test_its_plans_are_the_recorded_poses(straight_scene):
     for time_us, plan in zip(rollout.plan_times_us, rollout.plans, strict=True):
         ahead = plan[1:, 0] - 10.0 * (time_us * 1e-6 + 0.1 * np.arange(1, 65))
         np.testing.assert_allclose(ahead, 0.0, atol=1e-6)
+
+
+def test_it_may_be_asked_less_often(straight_scene):
+    """Every 0.5 s, as AlpaSim asks in some of its settings: where it is does not depend on that."""
+    scene = straight_scene(speed=10.0)
+    driver = RecordedDriver(scene)
+    for step in range(15, 70, 5):
+        plan = driver.plan(observe(step))
+        np.testing.assert_allclose(plan.xyz[:, 0], 10.0 * 0.1 * np.arange(1, 65), atol=1e-6)
+
+
+@pytest.mark.parametrize(("steps", "words"), [((-1,), "asked at -100000 us"), ((81,), "recording is there from 0 us")])
+def test_it_is_asked_within_its_recording(straight_scene, steps, words):
+    driver = RecordedDriver(straight_scene(duration=8.0))
+    with pytest.raises(InputError, match=words):
+        for step in steps:
+            driver.plan(observe(step))
+
+
+@pytest.mark.parametrize("steps", [(20, 20), (20, 19), (20, 36)])
+def test_it_refuses_calls_between_which_it_cannot_reckon(straight_scene, steps):
+    driver = RecordedDriver(straight_scene())
+    with pytest.raises(InputError, match="ask it in steps"):
+        for step in steps:
+            driver.plan(observe(step))
+
+
+def observe(step):
+    history = planar_pose(1.0 * np.arange(-15, 1), 0.0, 0.0)
+    return Observation(
+        images=None,
+        camera_indices=np.zeros(0, dtype=np.int64),
+        history_xyz=history[:, :3, 3],
+        history_rotation=history[:, :3, :3],
+        route_xy=np.zeros((0, 2)),
+        time_us=100_000 * step,
+        seed=0,
+    )
+
+
+def test_as_a_policy_it_drives_its_own_scene_only():
+    ((rollout, score),) = run_closed_loop(["cyclists:1"], "recorded:cyclists:1", 1, settings=SHORT)
+    assert rollout.failure is None
+    assert score.score is not None
+    ((rollout, _),) = run_closed_loop(["cyclists:2"], "recorded:cyclists:1", 1, settings=SHORT)
+    assert rollout.failure_kind == "policy_errors"
+    assert "it follows the recording of" in rollout.failure
+    with pytest.raises(InputError, match="give the scene whose recording it follows"):
+        make_policy("recorded")

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from olt_closed_loop.scoring.definitions import score_rollout
+from olt_closed_loop.simulation.camera_faults import CameraFault
 from olt_closed_loop.simulation.closed_loop import RolloutRequest, replay, simulate, simulate_batch, stand
 from olt_closed_loop.simulation.policies import (
     ConstantVelocityPolicy,
@@ -333,3 +334,44 @@ def test_a_recording_that_ends_in_the_warm_up_is_refused(straight_scene):
 def test_unusable_warm_ups_are_refused(warm_up_us):
     with pytest.raises(InputError, match="warm-up"):
         SimulationSettings(warm_up_us=warm_up_us)
+
+
+def test_pictures_that_no_plan_is_made_from_are_left_out_with_the_same_result(straight_scene):
+    policies, rollouts, taken = [], [], []
+    for skip in (True, False):
+        sensors = CountingSensors()
+        policies.append(Watcher())
+        settings = SimulationSettings(plan_interval_us=1_000_000, skip=skip)
+        rollouts.append(simulate(straight_scene(), policies[-1], settings, renderer=sensors))
+        taken.append(len(sensors.times))
+    for ours, full in zip(policies[0].observations, policies[1].observations, strict=True):
+        assert np.array_equal(ours.images, full.images)
+        assert ours.images[0, :, 0, 0, 0].tolist() == [ours.time_us // 100_000 - back for back in (3, 2, 1, 0)]
+    assert np.array_equal(rollouts[0].states, rollouts[1].states)
+    times = np.diff([observation.time_us for observation in policies[0].observations])
+    assert set(times.tolist()) == {1_000_000} and len(rollouts[0].plans) == len(times) + 1
+    (omission,) = (found for found in rollouts[0].left_out if found.what == "pictures between decisions")
+    assert omission.count == taken[1] - taken[0] > 0
+
+
+def test_plans_in_force_must_reach_beyond_the_next():
+    for interval in (0, 50_000, 3_100_000):
+        with pytest.raises(InputError, match="plans every"):
+            SimulationSettings(plan_interval_us=interval)
+
+
+def test_faults_of_cameras_are_counted_and_change_what_is_shown(straight_scene):
+    fault = CameraFault("late", FRONT_WIDE, 0.2)
+    settings = SimulationSettings(camera_faults=(fault,))
+    policy = Watcher()
+    rollout = simulate(straight_scene(), policy, settings, renderer=CountingSensors())
+    steps = policy.observations[5].images[:, -1, 0, 0, 0]
+    assert steps[1] - steps[0] == 2
+    # The second picture is the first again; the first has nothing before it.
+    assert rollout.camera_faults == {"late:camera_front_wide_120fov=0.2": rollout.rendered_images[FRONT_WIDE] - 1}
+    assert rollout.conditions == "day, clear"
+    blind = simulate(straight_scene(), Recorder(), settings)
+    assert any(omission.what == "faults of cameras" for omission in blind.left_out)
+    with pytest.raises(InputError, match="not camera_cross_left"):
+        unseen = CameraFault("noise", "camera_cross_left_120fov", 3.0)
+        simulate(straight_scene(), Watcher(), SimulationSettings(camera_faults=(unseen,)), renderer=CountingSensors())

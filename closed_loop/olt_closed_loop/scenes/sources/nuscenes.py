@@ -1,8 +1,9 @@
-"""nuScenes drives as ScenarioNet writes them: all tracks at 10 Hz and the lanes around, one JSON object, often gzipped.
+"""Drives of nuScenes and Waymo as ScenarioNet writes them: one JSON object, often gzipped: tracks at 10 Hz, lanes.
 
-The recording is planar: the ego's height is 0 throughout, and heights of others are relative to it at the moment of
-annotation. So all boxes are put on flat ground. The ego's position is that of the rear axle (in bends it does not move
-sideways, and it equals nuScenes' own ego pose), its box in the file has length and width swapped and is not used.
+nuScenes' recordings are planar: the ego's height is 0 throughout, and heights of others are relative to it at the
+moment of annotation. So all boxes are put on flat ground. Their ego's position is that of the rear axle (in bends it
+does not move sideways, and it equals nuScenes' own ego pose), its box in the file has length and width swapped and is
+not used. Waymo's are the middles of boxes.
 """
 
 import gzip
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.polylines import length_of, without_repeats
 from olt_closed_loop.scenes.scene import Agent, Lane, Scene
+from olt_closed_loop.scenes.sources.assembly import JAGUAR_I_PACE, behind
 from olt_closed_loop.scenes.sources.fields import FARTHEST, coordinates, expect, member, numbers
 from olt_closed_loop.scenes.sources.roads import NO_ROAD, edges, lane_around, link_by_place, outlines, route_along
 from olt_closed_loop.scenes.sources.swath import ego_swath
@@ -49,6 +51,11 @@ RENAULT_ZOE = VehicleDimensions(
 LANE_WIDTH = 3.7
 """Metres, for lanes of which only the centre line is recorded (AlpaSim's: docs/formats/alpasim.md)."""
 
+_CARS = {
+    "nuscenes": (RENAULT_ZOE, 0.0, "Renault Zoe"),
+    "waymo": (JAGUAR_I_PACE, JAGUAR_I_PACE.rear_axle_to_bbox_center, "Jaguar I-Pace, whose middle is recorded"),
+}
+"""The car of each data set, how far its rear axle is behind the recorded position, and its name."""
 _EGO = ("vehicle.ego", "ego_vehicle")
 # nuScenes' categories; after them, for tracks without one, the types of ScenarioNet.
 _LABELS = {
@@ -88,7 +95,9 @@ def read_scenario(path: Path) -> Scene:
     try:
         return _make_scene(scenario)
     except InputError as error:
-        raise InputError(f"{path}: not a ScenarioNet scenario of nuScenes ({error}); give an unchanged copy") from error
+        raise InputError(
+            f"{path}: not a ScenarioNet scenario of nuScenes or Waymo ({error}); give an unchanged copy"
+        ) from error
 
 
 def _read_content(path: Path) -> bytes:
@@ -105,26 +114,28 @@ def _read_content(path: Path) -> bytes:
 def _make_scene(scenario: Any) -> Scene:
     metadata = member(scenario, "metadata", dict, "scenario")
     dataset = str(metadata.get("dataset", "nuscenes"))
-    if not dataset.lower().startswith("nuscenes"):
+    source = next((name for name in _CARS if dataset.lower().startswith(name)), None)
+    if source is None:
         raise InputError(f"metadata: dataset is {dataset:.40}, of which neither the car nor the frame is known")
+    vehicle, back, car = _CARS[source]
     times_us = _read_times(metadata)
     tracks = dict(member(scenario, "tracks", dict, "scenario"))
     driver = member(metadata, "sdc_id", str, "metadata")
     if driver not in tracks:
         raise InputError(f"tracks: {driver:.80} is missing, which is the ego (metadata: sdc_id)")
-    ego, first, origin, ego_notes = _read_ego(tracks.pop(driver), f"track {driver:.80}", times_us)
+    ego, first, origin, ego_notes = _read_ego(tracks.pop(driver), f"track {driver:.80}", times_us, back)
     agents, agent_notes = _read_agents(tracks, times_us - times_us[first], origin, int(ego.timestamps_us[-1]))
     lanes, areas = _read_lanes(member(scenario, "map_features", dict, "scenario"), origin)
-    swath, beyond = ego_swath(ego, RENAULT_ZOE, areas) if areas else ([], 0)
+    swath, beyond = ego_swath(ego, vehicle, areas) if areas else ([], 0)
     road = (
         f"drivable area: the lanes, {LANE_WIDTH:g} m wide where only a centre line is recorded, and where the "
         f"recorded ego drove ({beyond} of its {len(ego)} poses reach beyond the lanes)"
     )
     return Scene(
-        name=f"nuscenes_{scenario.get('id', driver)!s:.200}",
+        name=f"{source}_{scenario.get('id', driver)!s:.200}",
         category="recorded",
         factors=(),
-        vehicle=RENAULT_ZOE,
+        vehicle=vehicle,
         ego=ego,
         agents=tuple(agents),
         lanes=tuple(lanes),
@@ -132,7 +143,7 @@ def _make_scene(scenario: Any) -> Scene:
         drivable=outlines([*areas, *swath]),
         route=route_along(ego.positions, float(yaw_of(ego.T_world_rig[-1])), lanes),
         assumptions=(
-            "ego box: data sheet of a Renault Zoe",
+            f"ego box: data sheet of a {car}",
             "flat ground, all boxes on it",
             *ego_notes,
             *agent_notes,
@@ -152,7 +163,7 @@ def _read_times(metadata: dict[str, Any]) -> Times:
     return times_us
 
 
-def _read_ego(track: Any, where: str, times_us: Times) -> tuple[Trajectory, int, Array, list[str]]:
+def _read_ego(track: Any, where: str, times_us: Times, back: float) -> tuple[Trajectory, int, Array, list[str]]:
     """The ego's drive from its first pose on, the step and place (2,) of that, and what was left out."""
     valid, motion = _read_motion(track, where, times_us)
     if len(valid) == 0:
@@ -161,6 +172,7 @@ def _read_ego(track: Any, where: str, times_us: Times) -> tuple[Trajectory, int,
     steps, poses = valid[kept], motion[kept]
     if len(steps) < 2:
         raise InputError(f"{where}: the ego is valid in {len(steps)} step at a time; a drive has more")
+    poses[:, :2] = behind(poses[:, :2], poses[:, 2], back)
     first, origin = int(steps[0]), poses[0, :2].copy()
     x, y = (poses[:, :2] - origin).T
     ego = Trajectory(times_us[steps] - times_us[first], planar_pose(x, y, poses[:, 2]))

@@ -16,11 +16,11 @@ from olt_datasets.sources.surround import CameraImages, SurroundDrive
 from olt_datasets.sources.waymo.frames import CAMERAS, read_images
 from olt_datasets.sources.waymo.index import SHARDS, build_index
 from olt_datasets.sources.waymo.motion import FramePath, chain_paths
-from olt_datasets.sources.waymo.tfrecord import map_records, read_record
 from olt_generator.errors import InputError
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
+from olt_toolkit.recordings.tfrecord import map_records, read_record
 from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
 NAME = "waymo_e2e"

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import polars as pl
 
 from olt_datasets.sources.waymo.frames import read_states
-from olt_datasets.sources.waymo.tfrecord import map_records, record_spans
 from olt_generator.errors import InputError
 from olt_generator.files import walk_files, write_whole
+from olt_toolkit.recordings.tfrecord import map_records, record_spans
 from olt_toolkit.runtime.workers import default_workers, map_parallel
 
 SHARDS = "*.tfrecord*"

@@ -7,14 +7,11 @@ are kept by the parser as unknown ones and never looked at. The encoding is that
 from collections.abc import Mapping
 from typing import Any
 
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message import DecodeError, Message
-from google.protobuf.message_factory import GetMessageClass
+from google.protobuf.message import DecodeError
 
 from olt_generator.errors import InputError
+from olt_toolkit.recordings.messages import make_message_class
 
-# Number, name and type of each field; a type with a star is repeated, and one that is no scalar is another message.
 _FIELDS = {
     "E2EDFrame": (
         (1, "frame", "Frame"),
@@ -97,21 +94,4 @@ def _encode(value: int) -> bytes:
     return bytes([*coded, value])
 
 
-def _make_frame_class() -> type[Message]:
-    file = FileDescriptorProto(name="olt_waymo_e2e.proto", package="olt.waymo", syntax="proto2")
-    for name, fields in _FIELDS.items():
-        message = file.message_type.add(name=name)
-        for number, field, kind in fields:
-            scalar = kind.rstrip("*")
-            label = FieldDescriptorProto.LABEL_REPEATED if kind.endswith("*") else FieldDescriptorProto.LABEL_OPTIONAL
-            added = message.field.add(name=field, number=number, label=label)
-            if scalar in _FIELDS:
-                added.type, added.type_name = FieldDescriptorProto.TYPE_MESSAGE, f".olt.waymo.{scalar}"
-            else:
-                added.type = FieldDescriptorProto.Type.Value(f"TYPE_{scalar.upper()}")
-    pool = DescriptorPool()
-    pool.Add(file)
-    return GetMessageClass(pool.FindMessageTypeByName("olt.waymo.E2EDFrame"))
-
-
-_FRAME = _make_frame_class()
+_FRAME = make_message_class("olt.waymo", _FIELDS, "E2EDFrame")

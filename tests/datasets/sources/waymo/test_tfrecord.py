@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from olt_datasets.sources.waymo.frames import read_images, read_states
 from olt_datasets.sources.waymo.messages import read_frame
-from olt_datasets.sources.waymo.tfrecord import map_records, masked_crc32c, read_record, record_spans
 from olt_generator.errors import InputError
+from olt_toolkit.recordings.tfrecord import map_records, masked_crc32c, read_record, record_spans
 
 # From RFC 3720, appendix B.4.
 KNOWN_CHECKSUMS = [

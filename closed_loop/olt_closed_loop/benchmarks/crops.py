@@ -1,0 +1,135 @@
+"""Crops of what stands before the front camera, each of a known kind at a known distance."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from olt_closed_loop.benchmarks.busy_junction import busy_junction
+from olt_closed_loop.scenes.actors import SIZES
+from olt_closed_loop.scenes.procedural import CATEGORIES, generate_scene
+from olt_closed_loop.scenes.scene import Agent
+from olt_closed_loop.sensors.ray_casting import SceneRenderer
+from olt_closed_loop.sensors.textures import Image
+from olt_generator.poses import Array, invert, transform
+from olt_generator.seeds import make_generator
+from olt_toolkit.rigs.rig import FRONT_WIDE
+from olt_toolkit.rigs.rig_files import pav_rig
+
+KINDS: tuple[str, ...] = (
+    *("automobile", "heavy_truck", "bus", "other_vehicle", "rider", "person", "animal", "cone", "barrier"),
+    *("officer_stops", "officer_waves", "sign_stop", "sign_go"),
+)
+CROP = 32
+NEAR, FAR = 5.0, 30.0
+_SCENES = 8
+_SLOT_US = 1_000
+_BUS: tuple[float, float, float] = (11.0, 2.5, 3.2)
+_ARM, _SIGN = (0.13, 0.75, 0.13), (0.06, 0.75, 0.75)
+
+
+def film_crops(size: tuple[int, int], count: int, seed: int) -> tuple[Image, NDArray[np.int64], Array]:
+    """`count` crops of each kind, filmed in turns in eight scenes of their own: crops, kinds and distances.
+
+    Returns:
+        crops (n, 32, 32, 3), the number of each one's kind (n,), and its distance (n,) in metres. The last quarter is
+        of scenes that the others do not show.
+    """
+    numbers = np.arange(count * len(KINDS)) % len(KINDS)
+    found = [_film(size, part, seed, index) for index, part in enumerate(np.array_split(numbers, _SCENES))]
+    return np.concatenate([crops for crops, _ in found]), numbers, np.concatenate([away for _, away in found])
+
+
+def draw_sheet(crops: Image, kinds: NDArray[np.int64], distances: Array, columns: int = 12) -> Image:
+    """A contact sheet (h, w, 3): a row for each kind, its crops from near to far."""
+    rows = []
+    for kind in range(len(KINDS)):
+        own = np.flatnonzero(kinds == kind)
+        own = own[np.argsort(distances[own])][np.linspace(0, len(own) - 1, columns).astype(int)]
+        rows.append(np.concatenate([cv2.resize(crops[index], (96, 96)) for index in own], axis=1))
+    return np.concatenate(rows)
+
+
+def _film(size: tuple[int, int], kinds: NDArray[np.int64], seed: int, index: int) -> tuple[Image, Array]:
+    """Each agent is there for a time of its own, and is filmed then; the vehicle stands anywhere on its way."""
+    generator = make_generator("crops", seed, index)
+    category = CATEGORIES[index % len(CATEGORIES)]
+    base = generate_scene(category, 9000 + 10 * seed + index) if index % 2 else busy_junction(0, seed=seed + index)
+    ways = base.ego.interpolate(generator.integers(0, base.ego.timestamps_us[-1] * 3 // 4, len(kinds)))
+    groups, distances = [], generator.uniform(NEAR, FAR, len(kinds))
+    for slot, (kind, T_world_rig, away) in enumerate(zip(kinds.tolist(), ways, distances.tolist(), strict=True)):
+        groups.append(_place(KINDS[kind], slot, T_world_rig, away, generator))
+    scene = replace(base, agents=tuple(agent for group in groups for agent in group))
+    renderer = SceneRenderer(scene)
+    mounted = pav_rig().fitted(size[1], size[0])[FRONT_WIDE]
+    crops = []
+    for slot, (group, T_world_rig) in enumerate(zip(groups, ways, strict=True)):
+        T_world_camera = T_world_rig @ mounted.T_rig_camera
+        rgb = renderer.render(mounted.camera, T_world_camera, 2 * slot * _SLOT_US, T_world_rig).rgb
+        pixels, _ = mounted.camera.project(transform(invert(T_world_camera), _corners(group)))
+        crops.append(_crop(rgb, pixels))
+    return np.stack(crops), distances
+
+
+def _place(kind: str, slot: int, T_world_rig: Array, away: float, generator: np.random.Generator) -> list[Agent]:
+    bearing = generator.uniform(-0.45, 0.45)
+    x, y, _ = transform(T_world_rig, np.array([[2.0 + away * np.cos(bearing), away * np.sin(bearing), 0.0]]))[0]
+    forward = float(np.arctan2(T_world_rig[1, 0], T_world_rig[0, 0]))
+    directs = kind.startswith(("officer", "sign"))
+    # Who directs traffic faces those who are directed.
+    yaw = forward + np.pi + generator.uniform(-0.3, 0.3) if directs else generator.uniform(-np.pi, np.pi)
+    if not directs:
+        length, width, height = _BUS if kind == "bus" else SIZES[kind]
+        gap = 0.4 * length * (length > 3.0)
+        place = np.array([x + gap * np.cos(forward), y + gap * np.sin(forward), height / 2, yaw])
+        return [_there(f"{kind}_{slot}", kind, (length, width, height), place, slot)]
+    body = _there(f"person_{slot}", "person", SIZES["person"], np.array([x, y, SIZES["person"][2] / 2, yaw]), slot)
+    if kind.startswith("sign"):
+        side = yaw - np.pi / 2
+        place = np.array([x + 0.55 * np.cos(side), y + 0.55 * np.sin(side), 1.9, yaw])
+        return [body, _there(f"{kind}_{slot}", kind, _SIGN, place, slot)]
+    arms = []
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        # One arm hangs while the other waves to and fro before the body.
+        waves = kind == "officer_waves"
+        raised = not waves or side == "left"
+        angle = yaw + sign * np.pi / 2 - (generator.uniform(0.5, 1.3) if waves and raised else 0.0)
+        reach, height = (0.62, 1.38) if raised else (0.2, 0.9)
+        place = np.array([x + reach * np.cos(angle), y + reach * np.sin(angle), height, angle - np.pi / 2])
+        arms.append(_there(f"arm_{side}_{slot}", "arm", _ARM, place, slot))
+    return [body, *arms]
+
+
+def _there(name: str, label: str, size: tuple[float, float, float], pose: Array, slot: int) -> Agent:
+    start = 2 * slot * _SLOT_US
+    times = np.array([start, start + _SLOT_US], dtype=np.int64)
+    return Agent(name, label, *size, times, np.tile(pose, (2, 1)))
+
+
+def _corners(group: Sequence[Agent]) -> Array:
+    """Corners (n, 3) in the world of the boxes of some agents."""
+    signs = np.array([[a, b, c] for a in (-0.5, 0.5) for b in (-0.5, 0.5) for c in (-0.5, 0.5)])
+    found = []
+    for agent in group:
+        x, y, z, yaw = agent.poses[0]
+        local = signs * [agent.length, agent.width, agent.height]
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        turned = np.column_stack(
+            [cos * local[:, 0] - sin * local[:, 1], sin * local[:, 0] + cos * local[:, 1], local[:, 2]]
+        )
+        found.append(turned + np.array([x, y, z]))
+    return np.concatenate(found)
+
+
+def _crop(rgb: Image, pixels: Array) -> Image:
+    """The square around pixels (n, 2), a sixth larger than they need, brought to 32 x 32."""
+    low, high = pixels.min(axis=0), pixels.max(axis=0)
+    side = 1.17 * max(float((high - low).max()), 4.0)
+    left, top = (low + high) / 2 - side / 2
+    scale = side / CROP
+    places = np.arange(CROP, dtype=np.float32) * scale + 0.5 * scale - 0.5
+    columns, rows = np.meshgrid(left + places, top + places)
+    places = (columns.astype(np.float32), rows.astype(np.float32))
+    return np.asarray(cv2.remap(rgb, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)

@@ -1,0 +1,134 @@
+"""Drivers and simulators that are not ours: those of carla-driver-interface, and drivers that do what none should."""
+
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from olt_closed_loop.drivers import contract
+from olt_closed_loop.drivers.conversions import write_trajectory
+from olt_closed_loop.drivers.server import serving
+from olt_generator.poses import planar_pose
+
+ROOT = Path(__file__).resolve().parents[3]
+STEP_US = 100_000
+
+
+class SteadyDriver:
+    """Goes straight on at 8 m/s along the local frame's x, where the ego begins; what was told to it is kept."""
+
+    service = contract.EGODRIVER
+
+    def __init__(self, change=lambda driver, response: response, from_call=1, name="steady"):
+        self.change, self.from_call, self.name = change, from_call, name
+        self.sessions, self.closed, self.frames, self.poses, self.routes, self.calls = [], [], [], [], [], 0
+        self.states = []
+        self.released = threading.Event()
+
+    def get_version(self, request, context):
+        return contract.VersionId(version_id=self.name)
+
+    def start_session(self, request, context):
+        self.sessions.append(request)
+        self.calls = 0
+        return contract.SessionRequestStatus()
+
+    def close_session(self, request, context):
+        self.closed.append(request.session_uuid)
+        return contract.Empty()
+
+    def submit_image_observation(self, request, context):
+        self.frames.append(request.camera_image)
+        return contract.Empty()
+
+    def submit_egomotion_observation(self, request, context):
+        self.poses += list(request.trajectory.poses)
+        self.states += list(request.dynamic_states)
+        return contract.Empty()
+
+    def submit_route(self, request, context):
+        self.routes.append(request.route)
+        return contract.Empty()
+
+    def submit_recording_ground_truth(self, request, context):
+        return contract.Empty()
+
+    def drive(self, request, context):
+        self.calls += 1
+        now = self.poses[-1].pose
+        times = np.arange(0, 41) * STEP_US
+        yaw = 2.0 * np.arctan2(now.quat.z, now.quat.w)
+        away = 8.0 * times * 1e-6
+        poses = planar_pose(now.vec.x + np.cos(yaw) * away, now.vec.y + np.sin(yaw) * away, np.full(41, yaw))
+        response = contract.DriveResponse()
+        response.trajectory.CopyFrom(write_trajectory((request.time_now_us + times).tolist(), poses))
+        bad = self.calls >= self.from_call
+        return self.change(self, response) if bad else response
+
+
+def keep_poses(count):
+    def change(driver, response):
+        del response.trajectory.poses[count:]
+        return response
+
+    return change
+
+
+def shift_times(by_us):
+    def change(driver, response):
+        for pose in response.trajectory.poses:
+            pose.timestamp_us += by_us
+        return response
+
+    return change
+
+
+def put(value):
+    def change(driver, response):
+        response.trajectory.poses[3].pose.vec.x = value
+        return response
+
+    return change
+
+
+def reverse_times(driver, response):
+    poses = list(response.trajectory.poses)[::-1]
+    del response.trajectory.poses[:]
+    response.trajectory.poses.extend(poses)
+    return response
+
+
+def forget_rotation(driver, response):
+    response.trajectory.poses[2].pose.ClearField("quat")
+    return response
+
+
+def terminate(driver, response):
+    response.terminate_session = True
+    return response
+
+
+def hang(driver, response):
+    driver.released.wait(20.0)
+    return response
+
+
+def raise_error(driver, response):
+    raise RuntimeError("no engine")
+
+
+def be_slow(driver, response):
+    time.sleep(0.05)
+    return response
+
+
+@contextmanager
+def driver_at(driver):
+    """Serve a driver; gives the policy that reaches it without cameras."""
+    with serving(driver) as port:
+        try:
+            yield f"grpc://127.0.0.1:{port}?cameras=none"
+        finally:
+            driver.released.set()
