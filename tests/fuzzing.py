@@ -493,6 +493,7 @@ READERS = {
     "scene": _read_scene,
     "stage config": _function("olt_sft_recipes.training.stage_config:read_stage_config"),
     "store": _read_store,
+    "suite": _function("olt_closed_loop.suite.files:read_suite"),
     "fault: raise": lambda path: 1 / 0,
     "fault: raise if damaged": lambda path: None if path.read_text() == "one two" else 1 / 0,
     "fault: abort": lambda path: os.abort(),

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from olt_closed_loop.suite_commands import app as suite_app
 from olt_toolkit.commands.parallel_options import EngineOption, WorkersOption
 from olt_toolkit.runtime.workers import Engine
 
@@ -12,9 +13,11 @@ if TYPE_CHECKING:
     from olt_closed_loop.evaluation.comparison import Comparison
     from olt_closed_loop.evaluation.gate import GateResult
     from olt_closed_loop.evaluation.score_table import ScoreTable
+    from olt_closed_loop.evaluation.suite_table import SuiteTable
     from olt_closed_loop.scoring.collisions import Collision
     from olt_closed_loop.scoring.definitions import RolloutScore
     from olt_closed_loop.simulation.policy_hosts import PolicyLimits
+    from olt_closed_loop.suite.files import Suite
     from olt_generator.omissions import Omission
 
 INCIDENT_WORDS = {
@@ -51,6 +54,7 @@ LISTED = {
 """Columns of the list of rollouts."""
 
 app = typer.Typer(no_args_is_help=True, help="Drive policies through scenes and score them.")
+app.add_typer(suite_app, name="suite")
 
 
 # What the options take, as the modules named beside them have it; those are loaded only when a command runs.
@@ -74,6 +78,9 @@ def run(
         list[str] | None, typer.Argument(help="Scene files, recorded drives (file or folder), or CATEGORY:SEED.")
     ] = None,
     scene: Annotated[list[str] | None, typer.Option(help="The same as an argument.")] = None,
+    suite: Annotated[
+        str | None, typer.Option(help="Drive a suite instead of scenes: longtail, all, a category, or a YAML file.")
+    ] = None,
     rollouts: Annotated[int, typer.Option(help="Drives of each scene.")] = 2,
     seed: Annotated[int, typer.Option(help="Seed of the first drive; the next has the next number.")] = 0,
     duration: Annotated[float, typer.Option(help="Seconds of a drive, 1.7 s of warm-up included.")] = 20.0,
@@ -136,6 +143,7 @@ def run(
     from olt_closed_loop.evaluation.comparison import compare_scores
     from olt_closed_loop.evaluation.comparison_report import save_comparison
     from olt_closed_loop.evaluation.evaluation import count_left_out, count_vehicle_steps, find_scenes
+    from olt_closed_loop.evaluation.suite_table import save_suite_table, summarize_suite
     from olt_closed_loop.scenes.conditions import parse_conditions
     from olt_closed_loop.simulation.camera_faults import parse_camera_fault
     from olt_toolkit.rigs.rig import CAMERA_INDEX
@@ -155,9 +163,10 @@ def run(
         camera_faults=tuple(parse_camera_fault(text, list(CAMERA_INDEX)) for text in camera_fault or ()),
         limits=_limits(isolate, policy_timeout, policy_memory),
     )
-    sources = find_scenes([*(scenes or []), *(scene or [])])
+    driven_suite = _suite_of(suite, [*(scenes or []), *(scene or [])])
+    sources = find_scenes(driven_suite.sources if driven_suite else [*(scenes or []), *(scene or [])])
     if not sources:
-        raise typer.BadParameter("give a scene: a scene file, a recorded drive, or CATEGORY:SEED")
+        raise typer.BadParameter("give a scene: a scene file, a recorded drive, CATEGORY:SEED, or --suite")
     with make_progress() as progress:
         total = len(sources) * rollouts
         task = progress.add_task("closed loop", total=total)
@@ -189,7 +198,8 @@ def run(
                 beside=results,
             )
     scores = [score for _, score in results]
-    table = summarize_scores(scores)
+    by_suite = summarize_suite(driven_suite, scores) if driven_suite else None
+    table = by_suite.categories if by_suite else summarize_scores(scores)
     comparison = compare_scores(
         {policy: scores, **{name: [score for _, score in driven] for name, driven in beside.items()}}, policy
     )
@@ -197,6 +207,8 @@ def run(
     left_out, vehicle_steps = count_left_out(results), count_vehicle_steps(results)
     if out:
         save_comparison(out, comparison, warnings)
+        if by_suite:
+            save_suite_table(out / "suite.json", by_suite)
         if definition != "strict":
             save_alpasim_summary(out / "results-summary.json", scores)
     if as_json:
@@ -211,6 +223,7 @@ def run(
                 "conditions": settings.conditions.words,
                 "camera_faults": [fault.words for fault in settings.camera_faults],
                 "table": table.to_dict(),
+                "suite": by_suite.to_dict() if by_suite else None,
                 "scores": [score.to_dict() for score in scores],
                 "comparison": comparison.to_dict(),
                 "warnings": warnings,
@@ -220,6 +233,8 @@ def run(
         )
     else:
         _print_scores(f"{policy}, {traffic} traffic", table)
+        if by_suite:
+            _print_suite(by_suite)
         _print_comparison("All scenes, beside policies that know nothing" if beside else "All scenes", comparison)
         for line in warnings:
             print_line(f"WARNING: {line}")
@@ -551,6 +566,28 @@ def _print_scores(title: str, table: "ScoreTable") -> None:
     ]
     columns = ["category", "valid / rollouts", "AS", "95 %", "CR", "95 %", "solves failed / late"]
     print_table(f"{title}, definition {table.definition}", columns, rows)
+
+
+def _suite_of(suite: str | None, scenes: list[str]) -> "Suite | None":
+    """The suite to drive; None for scenes."""
+    from olt_closed_loop.suite.files import find_suite
+
+    if suite is not None and scenes:
+        raise typer.BadParameter("give either scenes or --suite; a suite's file may name further scenes")
+    return find_suite(suite) if suite is not None else None
+
+
+def _print_suite(table: "SuiteTable") -> None:
+    from olt_closed_loop.evaluation.score_table import ScoreTable
+    from olt_toolkit.runtime.console import print_line
+
+    if table.factors:
+        _print_scores(f"{table.suite} by factor", ScoreTable(table.categories.definition, table.factors))
+    score, rate = (
+        "not measured" if value is None else f"{value:.3f}"
+        for value in (table.weighted_score, table.weighted_collision_rate)
+    )
+    print_line(f"suite {table.suite}, by the weights of its scenes: AS {score}, CR {rate}")
 
 
 def _print_comparison(title: str, comparison: "Comparison") -> None:

@@ -42,6 +42,12 @@ components:
     samples_per_clip: 3
     caps: {turn: 4}
 """
+SUITE = """
+name: mine
+scenes:
+  - {scene: longtail/rider_crosses, weight: 2.5, category: cyclists, factors: [curved_road]}
+  - {scene: "nominal:3"}
+"""
 RIG = """
 name: mine
 assumed: [the lens has no distortion]
@@ -104,7 +110,7 @@ def whole_files(tmp_path_factory):
         store.prepare(clip)
     store.commit([clip.clip_id for clip in clips])
     shutil.copy(root / "store" / "clips.parquet", root / "clips.parquet")
-    for name, text in (("recipe.yaml", RECIPE), ("rig.yaml", RIG)):
+    for name, text in (("recipe.yaml", RECIPE), ("rig.yaml", RIG), ("suite.yaml", SUITE)):
         (root / name).write_text(text.lstrip())
     stage = files("olt_sft_recipes.training") / "stages" / "toy_stage1.yaml"
     (root / "stage.yaml").write_text(stage.read_text())
@@ -138,6 +144,7 @@ SINGLE = {
     "recipe": "recipe.yaml",
     "rig": "rig.yaml",
     "stage config": "stage.yaml",
+    "suite": "suite.yaml",
     "labels": "labels.csv",
 }
 CASES = list(SINGLE.items())

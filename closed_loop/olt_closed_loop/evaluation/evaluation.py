@@ -11,6 +11,7 @@ from uuid import uuid4
 
 from olt_closed_loop.evaluation.gate import GateResult, check_gate
 from olt_closed_loop.evaluation.run_folder import describe_run, open_run, save_part
+from olt_closed_loop.privileged.driver import ScenePolicy
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.definitions import (
@@ -21,18 +22,20 @@ from olt_closed_loop.scoring.definitions import (
     score_rollout,
 )
 from olt_closed_loop.simulation.answers import PolicyFault, word_error
-from olt_closed_loop.simulation.closed_loop import drive
+from olt_closed_loop.simulation.closed_loop import drive, simulate
+from olt_closed_loop.simulation.policies import make_policy
 from olt_closed_loop.simulation.policy_hosts import PolicyHost, PolicyLimits, PolicySource, is_of_package
 from olt_closed_loop.simulation.policy_process import PolicyNotStarted, host_policy
 from olt_closed_loop.simulation.running_rollout import RolloutRequest
 from olt_closed_loop.simulation.settings import SimulationSettings
+from olt_closed_loop.suite.scenes import PREFIX, scene_of
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
 from olt_generator.progress import Progress, silent
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
 SceneSource = str | Scene
-"""A scene, the path of a scene file or of a recorded drive, or CATEGORY:SEED of a procedural one."""
+"""A scene, the path of a scene file or of a recorded drive, CATEGORY:SEED of a procedural one, or longtail/NAME."""
 
 Result = tuple[Rollout, RolloutScore]
 
@@ -196,6 +199,10 @@ class _Job:
                 scene = scenes[run.index]
                 reason = f"the policy {host.what}{f': {host.detail}' if host.detail else ''}"
                 yield run, Rollout.not_driven(scene.name, scene.category, name, run.seed, host.kind, reason)
+        elif knows_scenes := _scene_policy(self.policy):
+            for run in runs:
+                scene = scenes[run.index]
+                yield run, simulate(scene, knows_scenes.for_scene(scene), self.settings, run.seed)
         elif host.traits.cameras:  # one after another, so that one scene's textures are held at a time
             from olt_closed_loop.sensors.ray_casting import rig_sensors
 
@@ -211,6 +218,13 @@ class _Job:
         if rollout.failure:
             return score_failed(rollout, self.definition)
         return score_rollout(load_scene(run.source), rollout, self.settings.skip, self.definition)
+
+
+def _scene_policy(policy: PolicySource) -> ScenePolicy | None:
+    """A policy of this package that must be told which scene it drives; None for all others."""
+    if isinstance(policy, str) and is_of_package(policy):
+        policy = make_policy(policy)
+    return policy if isinstance(policy, ScenePolicy) else None
 
 
 _open_host: tuple[str, PolicyHost | PolicyFault] | None = None
@@ -320,10 +334,13 @@ def _read_scene(source: str) -> Scene:
         from olt_closed_loop.scenes.sources import read_recording
 
         return read_recording(Path(source))
+    if source.startswith(PREFIX):
+        return scene_of(source)
     category, colon, number = source.rpartition(":")
     if not colon or not number.isdecimal():
         raise InputError(
-            f"scene {source!r}: give the path of a scene file or a recorded drive, or CATEGORY:SEED such as cyclists:0"
+            f"scene {source!r}: give the path of a scene file or a recorded drive, CATEGORY:SEED such as cyclists:0, "
+            f"or {PREFIX}NAME of the long-tail suite"
         )
     from olt_closed_loop.scenes.procedural import generate_scene
 

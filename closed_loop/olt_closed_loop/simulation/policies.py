@@ -181,6 +181,7 @@ BUILT_IN = {
     for name, module in {
         **dict.fromkeys(("constant_speed", "constant_velocity", "route", "standing"), __name__),
         "grpc": "olt_closed_loop.drivers.remote_driver",
+        "privileged": "olt_closed_loop.privileged.driver",
         "recorded": "olt_closed_loop.evaluation.recorded_policy",
     }.items()
 }
