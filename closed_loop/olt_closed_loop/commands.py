@@ -12,7 +12,7 @@ from olt_toolkit.runtime.workers import Engine
 if TYPE_CHECKING:
     from olt_closed_loop.evaluation.comparison import Comparison
     from olt_closed_loop.evaluation.gate import GateResult
-    from olt_closed_loop.evaluation.score_table import ScoreTable
+    from olt_closed_loop.evaluation.score_table import ScoreRow, ScoreTable
     from olt_closed_loop.evaluation.suite_table import SuiteTable
     from olt_closed_loop.scoring.collisions import Collision
     from olt_closed_loop.scoring.definitions import RolloutScore
@@ -238,7 +238,7 @@ def run(
         _print_comparison("All scenes, beside policies that know nothing" if beside else "All scenes", comparison)
         for line in warnings:
             print_line(f"WARNING: {line}")
-        _print_notes(scores, table.overall.rollout_incidents, vehicle_steps, left_out)
+        _print_notes(scores, table.overall, vehicle_steps, left_out)
     if table.overall.valid < table.overall.rollouts:
         raise typer.Exit(1)
 
@@ -602,7 +602,7 @@ def _print_comparison(title: str, comparison: "Comparison") -> None:
 
 def _print_notes(
     scores: "list[RolloutScore]",
-    incidents: dict[str, int],
+    overall: "ScoreRow",
     vehicle_steps: dict[str, int],
     left_out: "dict[Omission, int]",
 ) -> None:
@@ -612,12 +612,11 @@ def _print_notes(
 
     for line in sorted({f"{score.scene}: not valid: {score.reason}" for score in scores if not score.valid}):
         print_line(line)
-    for name, count in incidents.items():
+    for name, count in overall.rollout_incidents.items():
         if count and name in INCIDENT_WORDS:
             print_line(f"{INCIDENT_WORDS[name]}: {count} times")
-    deviations = [score.plan_deviation_max for score in scores if score.plan_deviation_max is not None]
-    if deviations:
-        print_line(f"the vehicle was at most {max(deviations):.2f} m from the plan within the second ahead")
+    if overall.plan_deviation_max is not None:
+        print_line(f"the vehicle was at most {overall.plan_deviation_max:.2f} m from the plan within the second ahead")
     for way, count in vehicle_steps.items():
         print_line(f"vehicle moved by {way} in {count} steps")
     for omission, count in left_out.items():

@@ -40,6 +40,8 @@ from olt_toolkit.rigs.rig import (
     REAR_TELE,
 )
 
+from ..toolkit.clips.verification.blob_world import failed, look
+
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 KITTI_RAW = "kitti_raw_2011_09_26_drive_0013"
 DRIVES = (KITTI_RAW, "kitti_odometry_06_first51_gray", "kitti_slow_traffic_lidar_poses")
@@ -77,19 +79,6 @@ def make_real_clip(name, streams, motion):
         vehicle=DEFAULT_VEHICLE,
         provenance={camera: ViewProvenance("observed", "test", "1", None, 1.0, 0.0) for camera in streams},
     )
-
-
-def look(folder, *clips):
-    """What is said of the first of them, in a store of them all."""
-    store = ClipStore(folder / "store")
-    for clip in clips:
-        store.prepare(clip)
-    store.commit([clip.clip_id for clip in clips])
-    return list(check_images(store, clips[0].clip_id, ClipVideos(store, clips[0].clip_id)))
-
-
-def failed(findings):
-    return {each.check for each in findings if each.verdict is Verdict.FAILED}
 
 
 def verdict_of(findings, check, where=""):

@@ -7,19 +7,17 @@ section 4.4.1) and height.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord
+from olt_closed_loop.scenes.presence import jumps, stretches_between
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.poses import Array
 
 SHORTEST_GAP_US = 500_000
 USUAL_STEPS = 3
-FASTEST = 100.0
-"""m/s."""
 
 
 @dataclass(frozen=True)
@@ -76,14 +74,13 @@ def stretches(agents: Sequence[Agent]) -> Iterator[Agent]:
         if len(steps) == 0:
             yield agent
             continue
-        ways = np.hypot(*np.diff(agent.poses[:, :2], axis=0).T)
-        away = (steps > max(SHORTEST_GAP_US, USUAL_STEPS * float(np.median(steps)))) | (ways > FASTEST * 1e-6 * steps)
+        longest = max(SHORTEST_GAP_US, USUAL_STEPS * float(np.median(steps)))
+        away = (steps > longest) | jumps(agent.timestamps_us, agent.poses[:, :2])
         if not away.any():
             yield agent
             continue
-        ends = [0, *(np.flatnonzero(away) + 1).tolist(), len(agent.timestamps_us)]
-        for first, last in pairwise(ends):
-            yield replace(agent, timestamps_us=agent.timestamps_us[first:last], poses=agent.poses[first:last])
+        for part in stretches_between(away):
+            yield replace(agent, timestamps_us=agent.timestamps_us[part], poses=agent.poses[part])
 
 
 def separations(ego: Array, ego_half: Array, other: Array, other_half: Array) -> tuple[Array, Array]:

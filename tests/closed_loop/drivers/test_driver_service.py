@@ -18,6 +18,8 @@ from olt_generator.poses import planar_pose, transform
 from olt_toolkit.policy.contract import PlannedTrajectory
 from olt_toolkit.rigs.rig import CROSS_LEFT, FRONT_WIDE
 
+from .peers import call_with_bytes
+
 STEP_US = 100_000
 NAN = float("nan")
 
@@ -413,15 +415,7 @@ def looking_client():
 
 def is_answered(client, method, request):
     """Whatever bytes come, the call is answered by a status that is none of a crash, and the next one by its answer."""
-    call = client.channel.unary_unary(f"/egodriver.EgodriverService/{method}")
-    try:
-        call(request, timeout=20.0)
-    except grpc.RpcError as error:
-        assert error.code() not in (
-            grpc.StatusCode.UNKNOWN,
-            grpc.StatusCode.UNAVAILABLE,
-            grpc.StatusCode.DEADLINE_EXCEEDED,
-        ), error.details()
+    call_with_bytes(client.channel, f"/egodriver.EgodriverService/{method}", request)
     assert client.stub.get_version(contract.Empty()).version_id.startswith("looking")
 
 

@@ -18,6 +18,8 @@ from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_t
 from olt_generator.poses import invert, make_pose, planar_pose, yaw_of
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
+from .peers import call_with_bytes
+
 STEP_US = 100_000
 KINDS = {
     "kinematic": VehicleParameters.from_dimensions(DEFAULT_VEHICLE),
@@ -223,13 +225,5 @@ def test_any_bytes_are_answered(vehicle_channel, method, flips, cut, noise):
     content = bytes(whole[: int(cut * len(whole))]) + noise
     if method == "close_session":
         content = noise
-    call = vehicle_channel.channel.unary_unary(f"/controller.VDCService/{method}")
-    try:
-        call(content, timeout=20.0)
-    except grpc.RpcError as error:
-        assert error.code() not in (
-            grpc.StatusCode.UNKNOWN,
-            grpc.StatusCode.UNAVAILABLE,
-            grpc.StatusCode.DEADLINE_EXCEEDED,
-        ), error.details()
+    call_with_bytes(vehicle_channel.channel, f"/controller.VDCService/{method}", content)
     assert vehicle_channel.stub.get_version(contract.Empty()).version_id.startswith("tyres")

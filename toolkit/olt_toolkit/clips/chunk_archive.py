@@ -17,6 +17,8 @@ from olt_generator.errors import InputError
 
 LARGEST_MEMBER = 1 << 30
 """Bytes. A member of a real clip has a few tens of MB; a larger one is damage or a decompression bomb."""
+UNREADABLE = (zipfile.BadZipFile, NotImplementedError, OSError, ValueError)
+"""What `zipfile` raises on archives that it cannot list; the last of names that are no text."""
 
 # Fixed part of a member's own header: its signature and, at the end, the lengths of name and extra field.
 _HEADER = struct.Struct("<4s22xHH")
@@ -106,5 +108,5 @@ def _readable(path: Path) -> Iterator[None]:
         yield
     except FileNotFoundError as error:
         raise InputError(f"{path}: no such file; the clip store is incomplete") from error
-    except (zipfile.BadZipFile, NotImplementedError, OSError, ValueError) as error:  # names that are no text, too
+    except UNREADABLE as error:
         raise InputError(f"{path}: damaged zip file ({error}); build its clips again") from error

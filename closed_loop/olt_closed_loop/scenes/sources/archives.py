@@ -8,7 +8,7 @@ import zipfile
 from pathlib import Path
 
 from olt_generator.errors import InputError
-from olt_toolkit.clips.chunk_archive import ChunkArchive
+from olt_toolkit.clips.chunk_archive import UNREADABLE, ChunkArchive
 from olt_toolkit.clips.verification.archive_checks import LARGEST_RATIO, is_safe_name
 
 MOST_MEMBERS = 100_000
@@ -31,7 +31,7 @@ class Archive:
             with zipfile.ZipFile(path) as archive:
                 self._members = {member.filename: member for member in archive.infolist()}
                 names = archive.namelist()
-        except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        except UNREADABLE as error:
             raise InputError(f"{path}: not readable as a zip archive ({error}); copy it again") from error
         if len(names) > MOST_MEMBERS:
             raise InputError(f"{path}: {len(names)} members; a scene has up to {MOST_MEMBERS}")

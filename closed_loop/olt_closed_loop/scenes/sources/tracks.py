@@ -7,11 +7,11 @@ ghost is driven around, filmed or hit. The ego has one drive: of one with such a
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_closed_loop.scenes.presence import FASTEST, jumps, stretches_between
 from olt_closed_loop.scenes.scene import Agent
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
@@ -20,8 +20,6 @@ from olt_generator.trajectory import Trajectory
 MOST_GAP_US = 500_000
 """Time between annotations by hand at 2 Hz (nuScenes): no recording is known better. Half a second of a 3 m/s^2 bend is
 0.09 m off its chord."""
-FASTEST = 100.0
-"""m/s; nothing on a road is faster, so samples farther apart are not of one motion."""
 FARTHEST_FROM_EGO = 20_000.0
 """Metres from the start of the drive: what is farther away is in another frame or unit."""
 LARGEST_BOX = 100.0
@@ -71,8 +69,7 @@ def check_motion(ego: Trajectory, where: str) -> None:
 
 def longest_stretch(times_us: Times) -> slice:
     """The samples of the longest stretch without a gap of more than MOST_GAP_US; the first of several."""
-    ends = [0, *(np.flatnonzero(np.diff(times_us) > MOST_GAP_US) + 1).tolist(), len(times_us)]
-    stretches = [slice(first, last) for first, last in pairwise(ends)]
+    stretches = stretches_between(np.diff(times_us) > MOST_GAP_US)
     return max(stretches, key=lambda part: int(times_us[part][-1] - times_us[part][0]))
 
 
@@ -90,13 +87,10 @@ def agents_of(agent: Agent, end_us: int, where: str) -> Iterator[Agent]:
     agent = replace(agent, timestamps_us=agent.timestamps_us[once], poses=agent.poses[once])
     _check_agent(agent, where)
     times_us, poses = agent.timestamps_us, agent.poses
-    ways = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
-    steps = np.diff(times_us)
-    cuts = np.flatnonzero((steps > MOST_GAP_US) | (ways > FASTEST * steps * 1e-6)) + 1
-    ends = [0, *cuts.tolist(), len(times_us)]
+    away = (np.diff(times_us) > MOST_GAP_US) | jumps(times_us, poses[:, :2])
     number = 0
-    for first, last in pairwise(ends):
-        inside = np.flatnonzero((times_us[first:last] >= 0) & (times_us[first:last] <= end_us)) + first
+    for part in stretches_between(away):
+        inside = np.flatnonzero((times_us[part] >= 0) & (times_us[part] <= end_us)) + part.start
         if len(inside):
             number += 1
             name = agent.id if number == 1 else f"{agent.id}#{number}"

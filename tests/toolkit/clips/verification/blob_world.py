@@ -6,6 +6,10 @@ import numpy as np
 from olt_generator.poses import invert, planar_pose, transform
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
+from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.verification.decoded_videos import ClipVideos
+from olt_toolkit.clips.verification.findings import Verdict
+from olt_toolkit.clips.verification.image_checks import check_images
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS
 from olt_toolkit.rigs.rig_files import pav_rig
 
@@ -47,6 +51,19 @@ def blob_clip(name="blobs", seed=0, frames=45, motion=bend_motion):
         vehicle=DEFAULT_VEHICLE,
         provenance={camera: ViewProvenance("rendered", "test", "1", None, 1.0, 0.0) for camera in streams},
     )
+
+
+def look(folder, *clips):
+    """What images say of the first of some clips, in a store of them all."""
+    store = ClipStore(folder / "store")
+    for clip in clips:
+        store.prepare(clip)
+    store.commit([clip.clip_id for clip in clips])
+    return list(check_images(store, clips[0].clip_id, ClipVideos(store, clips[0].clip_id)))
+
+
+def failed(findings):
+    return {each.check for each in findings if each.verdict is Verdict.FAILED}
 
 
 def _spots(seed):

@@ -7,11 +7,8 @@ import pytest
 
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import EgoMotion
-from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.verification.camera_checks import CAMERA_NAME, OWN_VIDEO, TELE_INSIDE, TELE_TIMES
-from olt_toolkit.clips.verification.decoded_videos import ClipVideos
 from olt_toolkit.clips.verification.findings import Verdict
-from olt_toolkit.clips.verification.image_checks import check_images
 from olt_toolkit.clips.verification.motion_checks import (
     FRAME_ORDER,
     FRAME_TIMES,
@@ -26,7 +23,7 @@ from olt_toolkit.clips.verification.motion_checks import (
 from olt_toolkit.clips.verification.neighbour_checks import NEIGHBOURS
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, FRONT_TELE, FRONT_WIDE
 
-from .blob_world import bend_motion, blob_clip
+from .blob_world import bend_motion, blob_clip, failed, look
 
 ALL_CHECKS = {CAMERA_NAME, OWN_VIDEO, TELE_INSIDE, TELE_TIMES, NEIGHBOURS}
 ALL_CHECKS |= {
@@ -64,18 +61,6 @@ def with_frames(clip, **frames):
 def with_poses(clip, poses):
     times_us = clip.ego_motion.trajectory.timestamps_us
     return replace(clip, ego_motion=EgoMotion.from_trajectory(Trajectory(times_us, poses)))
-
-
-def look(tmp_path, *clips):
-    store = ClipStore(tmp_path / "store")
-    for clip in clips:
-        store.prepare(clip)
-    store.commit([clip.clip_id for clip in clips])
-    return list(check_images(store, clips[0].clip_id, ClipVideos(store, clips[0].clip_id)))
-
-
-def failed(findings):
-    return {each.check for each in findings if each.verdict is Verdict.FAILED}
 
 
 def passed(findings):

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
-from olt_toolkit.clips.chunk_archive import LARGEST_MEMBER
+from olt_toolkit.clips.chunk_archive import LARGEST_MEMBER, UNREADABLE
 from olt_toolkit.clips.verification.findings import Finding, judge, state
 
 LARGEST_RATIO = 200.0
@@ -23,7 +23,7 @@ def check_archive(path: Path) -> Iterator[Finding]:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+    except UNREADABLE as error:
         yield state("readable archive", where, False, f"damaged zip file ({error}); build its clips again")
         return
     yield state("readable archive", where, True, f"{len(members)} members")

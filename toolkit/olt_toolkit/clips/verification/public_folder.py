@@ -12,6 +12,7 @@ from pathlib import Path
 
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
+from olt_toolkit.clips.chunk_archive import UNREADABLE
 from olt_toolkit.clips.clip import ClipInfo, ClipOrigin, ViewProvenance
 from olt_toolkit.clips.pai_layout import CALIBRATIONS, CLIP_INDEX, EGOMOTION, FEATURE_TABLE, FEATURES, STORED
 from olt_toolkit.clips.store import ClipStore
@@ -66,7 +67,7 @@ class PublicFolder(ClipStore):
             try:
                 with zipfile.ZipFile(path) as archive:
                     self._names[path] = frozenset(archive.namelist())
-            except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+            except UNREADABLE:
                 self._names[path] = None
         return self._names[path]
 
