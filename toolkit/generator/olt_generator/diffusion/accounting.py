@@ -1,0 +1,267 @@
+"""What an engine costs without building it: parameters, operations and memory, counted on tensors without content.
+
+Operations and memory are those of the code itself, run with torch's fake tensors of the size asked for.
+"""
+
+import weakref
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch._subclasses.fake_tensor import FakeTensorMode
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
+from torch.utils.flop_counter import FlopCounterMode
+
+from olt_generator.diffusion.backbone import build_autoencoder
+from olt_generator.diffusion.conditioned_model import ConditionedModel, Conditions, build_model, cast
+from olt_generator.diffusion.config import CONTROL_CHANNELS, LATENT_CHANNELS, PATCH, EngineConfig
+from olt_generator.diffusion.latents import CELL_PIXELS, latent_frames
+from olt_generator.diffusion.memory_bank import ConditionViews
+from olt_generator.diffusion.view_graph import CONDITIONS
+from olt_generator.errors import InputError
+
+
+@dataclass(frozen=True)
+class PartSize:
+    """Parameters of one part of an engine, and whether they are trained."""
+
+    name: str
+    parameters: int
+    trainable: bool
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one call costs.
+
+    Attributes:
+        flops: floating point operations of matrix products, convolutions and attention; a multiplication and an
+            addition are two.
+        peak_bytes: most bytes that tensors made in the call hold at once, beside weights and inputs.
+    """
+
+    flops: int
+    peak_bytes: int
+
+
+@dataclass(frozen=True)
+class ViewCost:
+    """What the steps of sampling one view cost.
+
+    Attributes:
+        conditions: views that it is conditioned on.
+        step: one pass of the network.
+        remember: making the memory, once a view.
+        flops: of all passes, the memory, and the autoencoder's work on warp and result.
+    """
+
+    conditions: int
+    step: Cost
+    remember: Cost
+    flops: int
+
+
+def describe_parts(config: EngineConfig) -> tuple[PartSize, ...]:
+    """Parameters of all parts, frozen ones first."""
+    with torch.device("meta"):
+        model, autoencoder = build_model(config), build_autoencoder(config.autoencoder)
+    frozen = {
+        "video autoencoder": autoencoder.parameters(),
+        "DiT": _named(model, lambda name: not name.startswith("vace") and "lora" not in name),
+        "VACE branch": _named(model, lambda name: name.startswith("vace") and "lora" not in name),
+    }
+    geometry, attention = model.geometry, model.memory_attention.values()
+    trained = {
+        "LoRA, self-attention of DiT": _named(model, lambda name: name.startswith("blocks") and "lora" in name),
+        "LoRA, self-attention of VACE": _named(model, lambda name: name.startswith("vace") and "lora" in name),
+        "geometry encoder, rays": _of(geometry.rays),
+        "geometry encoder, camera and role": [*_of(geometry.camera), *_of(geometry.role)],
+        "geometry encoder, ego motion": _of(geometry.motion),
+        "memory bank, adapter blocks": _of(model.memory_bank and model.memory_bank.adapters)
+        + _of(model.memory_bank and model.memory_bank.norm),
+        "memory bank, resampler": _of(model.memory_bank and model.memory_bank.resampler),
+        "memory, dense attention": [p for layer in attention for p in [*_of(layer.dense), *_of(layer.norm)]],
+        "memory, semantic attention": [p for layer in attention for p in _of(layer.semantic)],
+        "memory, gates": [p for layer in attention for p in _of(layer.gates)],
+    }
+    return tuple(
+        PartSize(name, sum(parameter.numel() for parameter in parameters), trainable)
+        for group, trainable in ((frozen, False), (trained, True))
+        for name, parameters in group.items()
+    )
+
+
+def cost_of_view(
+    config: EngineConfig,
+    size: tuple[int, int, int],
+    conditions: int,
+    passes: int,
+    dtype: torch.dtype = torch.bfloat16,
+    text_tokens: int = 256,
+) -> ViewCost:
+    """What it costs to sample a view.
+
+    Args:
+        size: frames, rows and columns of the video in pixels.
+        conditions: views that it is conditioned on.
+        passes: of the network; steps, times two where there is guidance.
+        dtype: precision of weights and activations.
+        text_tokens: length of the prompt.
+
+    Raises:
+        InputError: frames that are not 4 k + 1, or an image that does not fill tokens.
+    """
+    with torch.device("meta"):
+        model = build_model(config)
+    cast(model, dtype, trainable=True)
+    with FakeTensorMode() as fake:
+        weights = _empty_weights(model, fake)
+        latents, conditioned = make_inputs(config, size, conditions, text_tokens)
+        sigma = torch.zeros(1)
+        views = conditioned.views
+        memory: list[Any] = [None]
+
+        def remember() -> None:
+            memory[0] = _call(model, weights, "remember", views, conditioned.motion)
+
+        remembering = Cost(0, 0) if views is None else cost_of(remember)
+        step = cost_of(lambda: _call(model, weights, "forward", latents, sigma, conditioned, memory[0]))
+    coding = sum(cost.flops for cost in cost_of_autoencoder(config, size))
+    return ViewCost(conditions, step, remembering, passes * step.flops + remembering.flops + coding)
+
+
+def cost_of_autoencoder(config: EngineConfig, size: tuple[int, int, int]) -> tuple[Cost, Cost]:
+    """What it costs to encode a video of so many frames, rows and columns, and to decode its latents."""
+    frames, height, width = size
+    with torch.device("meta"):
+        autoencoder: Any = build_autoencoder(config.autoencoder)
+    with FakeTensorMode() as fake:
+        weights = _empty_weights(autoencoder, fake)
+        video = torch.zeros(1, 3, frames, height, width)
+        latents = torch.zeros(1, LATENT_CHANNELS, *_latent_size(size))
+        return (
+            cost_of(lambda: _call(autoencoder, weights, "_encode", video)),
+            cost_of(lambda: _call(autoencoder, weights, "_decode", latents)),
+        )
+
+
+def cost_of(call: Callable[[], Any]) -> Cost:
+    """What a call costs, whether its tensors have content or not; gradients are not computed."""
+    peak = _PeakMemory()
+    with torch.no_grad(), FlopCounterMode(display=False) as counter, peak:
+        call()
+    return Cost(counter.get_total_flops(), peak.most)
+
+
+def make_inputs(
+    config: EngineConfig, size: tuple[int, int, int], conditions: int, text_tokens: int = 256
+) -> tuple[Tensor, Conditions]:
+    """Latents and conditions of one view of zeros, to measure with.
+
+    Raises:
+        InputError: frames that are not 4 k + 1, or an image that does not fill tokens.
+    """
+    frames, rows, columns = _latent_size(size)
+    tokens = (frames, rows // PATCH, columns // PATCH)
+    views = None
+    if conditions and config.conditioning.memory:
+        views = ConditionViews(
+            torch.zeros(1, conditions, LATENT_CHANNELS, frames, rows, columns),
+            torch.zeros(1, conditions, dtype=torch.long),
+            torch.zeros(1, conditions, 6, *tokens),
+        )
+    given = Conditions(
+        text=torch.zeros(1, text_tokens, config.backbone.text_dim),
+        camera=torch.zeros(1, dtype=torch.long),
+        rays=torch.zeros(1, 6, *tokens),
+        motion=torch.zeros(1, frames, 6),
+        control=torch.zeros(1, CONTROL_CHANNELS, frames, rows, columns),
+        views=views,
+    )
+    return torch.zeros(1, LATENT_CHANNELS, frames, rows, columns), given
+
+
+def weight_bytes(model: nn.Module) -> int:
+    """Bytes of all parameters."""
+    return sum(parameter.numel() * parameter.element_size() for parameter in model.parameters())
+
+
+def cost_of_clip(costs: dict[int, ViewCost], views: Sequence[int]) -> int:
+    """Operations of the views of a clip, by the costs of each number of conditions."""
+    return sum(costs[len(CONDITIONS[view])].flops for view in views)
+
+
+def _latent_size(size: tuple[int, int, int]) -> tuple[int, int, int]:
+    frames, height, width = size
+    token = PATCH * CELL_PIXELS
+    if height % token or width % token:
+        raise InputError(f"{width} x {height} pixels do not fill tokens of {token} x {token}; give 832 x 480 or so")
+    return latent_frames(frames), height // CELL_PIXELS, width // CELL_PIXELS
+
+
+def _empty_weights(model: nn.Module, fake: FakeTensorMode) -> dict[str, Tensor]:
+    """Parameters and buffers on the processor, without content."""
+    with fake:
+        return {
+            name: torch.empty(tensor.shape, dtype=tensor.dtype)
+            for name, tensor in (*model.named_parameters(), *model.named_buffers())
+        }
+
+
+class _Method(nn.Module):
+    """A method of a module as a module of its own, because only those can be called with other weights."""
+
+    def __init__(self, module: nn.Module, method: str) -> None:
+        super().__init__()
+        self.module, self._method = module, method
+
+    def forward(self, *arguments: Any) -> Any:
+        return getattr(self.module, self._method)(*arguments)
+
+
+def _call(module: nn.Module, weights: dict[str, Tensor], method: str, *arguments: Any) -> Any:
+    prefixed = {f"module.{name}": tensor for name, tensor in weights.items()}
+    return torch.func.functional_call(_Method(module, method), prefixed, arguments)
+
+
+def _named(model: ConditionedModel, chosen: Callable[[str], bool]) -> Iterator[Tensor]:
+    return (parameter for name, parameter in model.backbone.named_parameters() if chosen(name))
+
+
+def _of(module: nn.Module | None) -> list[Tensor]:
+    return [] if module is None else list(module.parameters())
+
+
+class _PeakMemory(TorchDispatchMode):
+    """Follows the bytes of the storages that operations make, until nothing refers to them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.most = 0
+        self._now = 0
+        self._known: weakref.WeakSet[Any] = weakref.WeakSet()
+
+    def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        for tensor in _tensors(args):
+            self._known.add(tensor.untyped_storage())
+        result = func(*args, **(kwargs or {}))
+        for tensor in _tensors(result):
+            self._add(tensor.untyped_storage())
+        return result
+
+    def _add(self, storage: torch.UntypedStorage) -> None:
+        if storage not in self._known:
+            self._known.add(storage)
+            self._now += storage.nbytes()
+            self.most = max(self.most, self._now)
+            weakref.finalize(storage, self._forget, storage.nbytes())
+
+    def _forget(self, count: int) -> None:
+        self._now -= count
+
+
+def _tensors(tree: Any) -> list[Tensor]:
+    return [leaf for leaf in tree_leaves(tree) if isinstance(leaf, Tensor)]
