@@ -7,8 +7,10 @@ import torch
 from torch.profiler import ProfilerActivity, profile
 
 from olt_generator.diffusion.accounting import (
+    compare_with_paper,
     cost_of,
     cost_of_autoencoder,
+    cost_of_clip,
     cost_of_view,
     describe_parts,
     make_inputs,
@@ -52,7 +54,7 @@ def formula(tokens, conditions, frames):
     d, rank, text = b.dim, TINY.lora.rank, 256
     block = 2 * tokens * (6 * d * d + 2 * d * b.ffn_dim + 8 * d * rank) + 2 * 2 * text * d * d
     block += 4 * d * (tokens * tokens + tokens * text)
-    per_batch = 2 * (b.frequency_dim * d + d * d + 6 * d * d + 6 * d * b.layers * 0)
+    per_batch = 2 * (b.frequency_dim * d + 7 * d * d)
     per_text = 2 * text * (b.text_dim * d + d * d)
     patches = 2 * tokens * d * 4 * (16 + 96 + 16)
     vace = len(b.vace_layers) * (block + 2 * tokens * d * d) + 2 * tokens * d * d
@@ -77,8 +79,7 @@ def test_operations_are_those_of_the_formula_and_of_a_pass_with_content(conditio
     memory = model.remember(given.views, given.motion)
     measured = cost_of(lambda: model(latents, torch.zeros(1), given, memory))
     assert measured.flops == cost.step.flops
-    coding = cost_of_autoencoder(TINY, SIZE)
-    assert cost.flops == 2 * cost.step.flops + cost.remember.flops + sum(part.flops for part in coding)
+    assert cost.flops == 2 * cost.step.flops + cost.remember.flops
 
 
 def test_peak_memory_is_that_of_a_pass_with_content():
@@ -106,6 +107,20 @@ def test_the_autoencoder_costs_what_it_costs_with_content():
     assert cost_of(lambda: codec.encode(video)).flops == encode.flops
     latents = codec.encode(video)
     assert cost_of(lambda: codec.decode(latents)).flops == decode.flops
+
+
+def test_a_clip_costs_its_views_and_their_coding():
+    clip = cost_of_clip(TINY, SIZE, (1, 3), 10, torch.float32)
+    assert [cost.conditions for cost in clip.views.values()] == [1, 2]
+    coding = 3 * clip.encode.flops + 2 * clip.decode.flops
+    assert clip.flops == coding + clip.views[1].flops + clip.views[3].flops
+    assert clip.views[3].step.flops > clip.views[1].step.flops
+
+
+def test_the_paper_s_size_is_the_paper_s():
+    for item, paper, here in compare_with_paper(CONFIGS["1.3B"]):
+        assert paper in (here, "not stated"), item
+    assert compare_with_paper(TINY)[2][2] == "4 / 2"
 
 
 def test_sizes_that_do_not_fit_are_refused():

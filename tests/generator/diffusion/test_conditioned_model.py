@@ -134,7 +134,7 @@ def test_every_condition_reaches_the_output(trained, changed):
 @torch.no_grad()
 def test_a_frame_sees_the_memory_of_its_neighbours_alone(trained):
     """The window is one frame: what is remembered of the last frame does not reach the block's first."""
-    latents, sigma, conditions = draw_inputs(frames=4)
+    _, sigma, conditions = draw_inputs(frames=4)
     memory = trained.remember(conditions.views, conditions.motion)
     attention = trained.memory_attention["1"]
     hidden = torch.randn(2, 4 * 6, TINY.backbone.dim, generator=torch.Generator().manual_seed(5))

@@ -49,19 +49,43 @@ class Cost:
 
 @dataclass(frozen=True)
 class ViewCost:
-    """What the steps of sampling one view cost.
+    """What sampling one view costs, beside the autoencoder's work.
 
     Attributes:
         conditions: views that it is conditioned on.
         step: one pass of the network.
         remember: making the memory, once a view.
-        flops: of all passes, the memory, and the autoencoder's work on warp and result.
+        flops: of all passes and of the memory.
     """
 
     conditions: int
     step: Cost
     remember: Cost
     flops: int
+
+
+@dataclass(frozen=True)
+class ClipCost:
+    """What the views of a clip cost.
+
+    Attributes:
+        views: by id.
+        encode, decode: one video through the autoencoder, in single precision.
+        flops: of all views, of the front video and each warp encoded, and of each view decoded.
+    """
+
+    views: dict[int, ViewCost]
+    encode: Cost
+    decode: Cost
+    flops: int
+
+
+def weight_bytes(config: EngineConfig, dtype: torch.dtype) -> int:
+    """Bytes of transformer and conditioning modules, brought to a precision as by `cast` for inference."""
+    with torch.device("meta"):
+        model = build_model(config)
+    cast(model, dtype, trainable=True)
+    return sum(parameter.numel() * parameter.element_size() for parameter in model.parameters())
 
 
 def describe_parts(config: EngineConfig) -> tuple[PartSize, ...]:
@@ -107,7 +131,7 @@ def cost_of_view(
     Args:
         size: frames, rows and columns of the video in pixels.
         conditions: views that it is conditioned on.
-        passes: of the network; steps, times two where there is guidance.
+        passes: of the network: steps, times two where there is guidance.
         dtype: precision of weights and activations.
         text_tokens: length of the prompt.
 
@@ -122,15 +146,25 @@ def cost_of_view(
         latents, conditioned = make_inputs(config, size, conditions, text_tokens)
         sigma = torch.zeros(1)
         views = conditioned.views
-        memory: list[Any] = [None]
+        memory, remembering = None, Cost(0, 0)
+        if views is not None:
+            remembering = cost_of(lambda: _call(model, weights, "remember", views, conditioned.motion))
+            with torch.no_grad():
+                memory = _call(model, weights, "remember", views, conditioned.motion)
+        step = cost_of(lambda: _call(model, weights, "forward", latents, sigma, conditioned, memory))
+    return ViewCost(conditions, step, remembering, passes * step.flops + remembering.flops)
 
-        def remember() -> None:
-            memory[0] = _call(model, weights, "remember", views, conditioned.motion)
 
-        remembering = Cost(0, 0) if views is None else cost_of(remember)
-        step = cost_of(lambda: _call(model, weights, "forward", latents, sigma, conditioned, memory[0]))
-    coding = sum(cost.flops for cost in cost_of_autoencoder(config, size))
-    return ViewCost(conditions, step, remembering, passes * step.flops + remembering.flops + coding)
+def cost_of_clip(
+    config: EngineConfig, size: tuple[int, int, int], views: Sequence[int], passes: int, dtype: torch.dtype
+) -> ClipCost:
+    """What it costs to generate the views of a clip by their ids; arguments and errors are those of `cost_of_view`."""
+    counts = {len(CONDITIONS[view]) for view in views}
+    by_count = {count: cost_of_view(config, size, count, passes, dtype) for count in sorted(counts)}
+    costs = {view: by_count[len(CONDITIONS[view])] for view in views}
+    encode, decode = cost_of_autoencoder(config, size)
+    coding = encode.flops + len(views) * (encode.flops + decode.flops)
+    return ClipCost(costs, encode, decode, coding + sum(cost.flops for cost in costs.values()))
 
 
 def cost_of_autoencoder(config: EngineConfig, size: tuple[int, int, int]) -> tuple[Cost, Cost]:
@@ -184,14 +218,23 @@ def make_inputs(
     return torch.zeros(1, LATENT_CHANNELS, frames, rows, columns), given
 
 
-def weight_bytes(model: nn.Module) -> int:
-    """Bytes of all parameters."""
-    return sum(parameter.numel() * parameter.element_size() for parameter in model.parameters())
+def compare_with_paper(config: EngineConfig) -> tuple[tuple[str, str, str], ...]:
+    """Rows (item, paper, here) of the paper's table of fine-tuning that sizes can be held against.
 
-
-def cost_of_clip(costs: dict[int, ViewCost], views: Sequence[int]) -> int:
-    """Operations of the views of a clip, by the costs of each number of conditions."""
-    return sum(costs[len(CONDITIONS[view])].flops for view in views)
+    The paper counts no parameters.
+    """
+    backbone, conditioning, lora = config.backbone, config.conditioning, config.lora
+    frames, rows, columns = _latent_size((41, 480, 832))
+    return (
+        ("latents of 41 frames of 480 x 832", "11 x 60 x 104", f"{frames} x {rows} x {columns}"),
+        ("target views", "5", str(len(CONDITIONS) - 1)),
+        ("LoRA rank / alpha", "32 / 16", f"{lora.rank} / {lora.alpha:g}"),
+        ("DiT layers", "30", str(backbone.layers)),
+        ("memory layers", "4, 9, 14, 19, 24, 29", ", ".join(map(str, conditioning.memory_layers))),
+        ("semantic queries", "64", str(conditioning.queries)),
+        ("gate bias", "-1.4", f"{conditioning.gate_bias:g}"),
+        ("trained parameters", "not stated", f"{sum(p.parameters for p in describe_parts(config) if p.trainable):,}"),
+    )
 
 
 def _latent_size(size: tuple[int, int, int]) -> tuple[int, int, int]:
