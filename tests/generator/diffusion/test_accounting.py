@@ -97,7 +97,7 @@ def test_peak_memory_is_that_of_a_pass_with_content():
     for event in sorted(events, key=lambda event: event.start_ns()):
         now += event.nbytes()
         most = max(most, now)
-    assert counted == pytest.approx(most, rel=0.25)
+    assert counted == pytest.approx(most, rel=0.05)
 
 
 def test_the_autoencoder_costs_what_it_costs_with_content():

@@ -17,33 +17,39 @@ def run(*arguments):
     return result.stdout
 
 
-SMALL = ("--config", "tiny", "--frames", 9, "--width", 64, "--height", 32)
+SMALL = ("--config", "tiny", "--frames", 5, "--width", 32, "--height", 16)
 
 
-def test_tables_tell_parameters_and_costs():
-    shown = run(*SMALL)
-    for said in ("LoRA, self-attention of VACE", "camera_rear_tele_30fov", "32 / 16", "not stated", "not measured"):
+@pytest.fixture(scope="module")
+def every():
+    return json.loads(run(*SMALL, "--json"))
+
+
+def test_all_views_are_counted(every):
+    assert [row["conditions"] for row in every["views"]] == [1, 1, 2, 2, 3]
+    assert all(row["wanted"] for row in every["views"])
+    assert not every["left_out"]
+    assert every["seconds"] is None
+    coding = 6 * every["encode_flops"] + 5 * every["decode_flops"]
+    assert every["clip_flops"] == coding + sum(row["flops"] for row in every["views"])
+
+
+def test_tables_tell_what_is_wanted_and_what_is_left_out():
+    shown = run(*SMALL, "--view", "camera_cross_left_120fov")
+    for said in ("LoRA, self-attention of VACE", "32 / 16", "not stated", "not measured"):
         assert said in shown
+    assert "left out: camera_rear_tele_30fov: no wanted view depends on it" in shown
 
 
-def test_only_what_is_wanted_is_counted():
-    every = json.loads(run(*SMALL, "--json"))
-    cross = json.loads(
-        run(*SMALL, "--json", "--view", "camera_cross_left_120fov", "--view", "camera_cross_right_120fov")
+def test_without_guidance_in_single_precision(every):
+    """Half the passes, twice the weights; and a rear view alone brings the cross view that it depends on."""
+    one = json.loads(
+        run(*SMALL, "--json", "--no-guidance", "--precision", "float32", "--view", "camera_rear_left_70fov")
     )
-    assert len(every["views"]) == 5 and len(cross["views"]) == 2
-    assert cross["views"] == every["views"][:2]
-    assert len(cross["left_out"]) == 3
-    assert cross["clip_flops"] < 0.5 * every["clip_flops"]
-    rear = json.loads(run(*SMALL, "--json", "--view", "camera_rear_left_70fov"))
-    assert [row["wanted"] for row in rear["views"]] == [False, True]
-
-
-def test_guidance_doubles_the_passes_and_precision_halves_the_weights():
-    two, one = (json.loads(run(*SMALL, "--json", *more)) for more in ((), ("--no-guidance", "--precision", "float32")))
-    assert two["settings"]["passes"] == 100 and one["settings"]["passes"] == 50
-    assert 1.8 < one["weights_bytes"] / two["weights_bytes"] < 2.0
-    assert two["views"][0]["flops"] == pytest.approx(2 * one["views"][0]["flops"], rel=0.02)
+    assert [row["wanted"] for row in one["views"]] == [False, True]
+    assert one["settings"]["passes"] == 50 and every["settings"]["passes"] == 100
+    assert 1.8 < one["weights_bytes"] / every["weights_bytes"] < 2.0
+    assert every["views"][0]["flops"] == pytest.approx(2 * one["views"][0]["flops"], rel=0.02)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ Operations and memory are those of the code itself, run with torch's fake tensor
 import weakref
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import torch
@@ -82,22 +83,21 @@ class ClipCost:
 
 def weight_bytes(config: EngineConfig, dtype: torch.dtype) -> int:
     """Bytes of transformer and conditioning modules, brought to a precision as by `cast` for inference."""
-    with torch.device("meta"):
-        model = build_model(config)
-    cast(model, dtype, trainable=True)
-    return sum(parameter.numel() * parameter.element_size() for parameter in model.parameters())
+    return sum(parameter.numel() * parameter.element_size() for parameter in _outline(config, dtype).parameters())
 
 
 def describe_parts(config: EngineConfig) -> tuple[PartSize, ...]:
     """Parameters of all parts, frozen ones first."""
+    model = _outline(config, torch.float32)
     with torch.device("meta"):
-        model, autoencoder = build_model(config), build_autoencoder(config.autoencoder)
+        autoencoder = build_autoencoder(config.autoencoder)
     frozen = {
         "video autoencoder": autoencoder.parameters(),
         "DiT": _named(model, lambda name: not name.startswith("vace") and "lora" not in name),
         "VACE branch": _named(model, lambda name: name.startswith("vace") and "lora" not in name),
     }
-    geometry, attention = model.geometry, model.memory_attention.values()
+    geometry = model.geometry
+    attention: list[Any] = list(model.memory_attention.values())
     trained = {
         "LoRA, self-attention of DiT": _named(model, lambda name: name.startswith("blocks") and "lora" in name),
         "LoRA, self-attention of VACE": _named(model, lambda name: name.startswith("vace") and "lora" in name),
@@ -138,9 +138,7 @@ def cost_of_view(
     Raises:
         InputError: frames that are not 4 k + 1, or an image that does not fill tokens.
     """
-    with torch.device("meta"):
-        model = build_model(config)
-    cast(model, dtype, trainable=True)
+    model = _outline(config, dtype)
     with FakeTensorMode() as fake:
         weights = _empty_weights(model, fake)
         latents, conditioned = make_inputs(config, size, conditions, text_tokens)
@@ -243,6 +241,15 @@ def _latent_size(size: tuple[int, int, int]) -> tuple[int, int, int]:
     if height % token or width % token:
         raise InputError(f"{width} x {height} pixels do not fill tokens of {token} x {token}; give 832 x 480 or so")
     return latent_frames(frames), height // CELL_PIXELS, width // CELL_PIXELS
+
+
+@lru_cache(maxsize=2)
+def _outline(config: EngineConfig, dtype: torch.dtype) -> ConditionedModel:
+    """The model without weights, in a precision."""
+    with torch.device("meta"):
+        model = build_model(config)
+    cast(model, dtype, trainable=True)
+    return model
 
 
 def _empty_weights(model: nn.Module, fake: FakeTensorMode) -> dict[str, Tensor]:

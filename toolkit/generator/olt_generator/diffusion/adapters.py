@@ -52,7 +52,7 @@ def add_adapter(
     backbone.add_adapter(peft.LoraConfig(r=config.rank, lora_alpha=config.alpha, target_modules=targets))
 
 
-def load_adapter(backbone: "WanVACETransformer3DModel", path: Path, alpha: float = LoraConfig.alpha) -> LoraConfig:
+def load_adapter(backbone: "WanVACETransformer3DModel", path: Path, alpha: int = LoraConfig.alpha) -> LoraConfig:
     """Put the adapter of a file on the backbone, in place of any that it has.
 
     Names are Wan's own (`blocks.0.self_attn.q.lora_a.weight`, as released) or those of diffusers, with lora_A and
@@ -80,7 +80,7 @@ def load_adapter(backbone: "WanVACETransformer3DModel", path: Path, alpha: float
         backbone.delete_adapters(list(backbone.peft_config))
     add_adapter(backbone, config, pairs)
     for layer, pair in pairs.items():
-        module = backbone.get_submodule(layer)
+        module: Any = backbone.get_submodule(layer)
         # Scales that the file tells go into one of the factors.
         scale = float(pair["alpha"]) / alpha if "alpha" in pair else 1.0
         _copy(module.lora_A["default"].weight, pair["down"])

@@ -57,7 +57,7 @@ def load_backbone(folder: Path, device: str = "cpu", dtype: torch.dtype = torch.
 
 def read_config(backbone: "WanVACETransformer3DModel") -> BackboneConfig:
     """The sizes of a loaded transformer."""
-    config = backbone.config
+    config: Any = backbone.config
     return BackboneConfig(
         heads=config.num_attention_heads,
         head_dim=config.attention_head_dim,

@@ -123,7 +123,7 @@ class LoraConfig:
     """Rank and alpha of the adapters on the self-attention of DiT and VACE blocks (paper, table of fine-tuning)."""
 
     rank: int = 32
-    alpha: float = 16.0
+    alpha: int = 16
 
 
 @dataclass(frozen=True)
@@ -158,7 +158,7 @@ CONFIGS: dict[str, EngineConfig] = {
             base_dim=8, dim_multiples=(1, 2, 4, 4), residual_blocks=1, latents_mean=(0.0,) * 16, latents_std=(1.0,) * 16
         ),
         ConditioningConfig(hidden=64, memory_layers=(1, 3, 5), queries=16, window=1),
-        LoraConfig(rank=4, alpha=2.0),
+        LoraConfig(rank=4, alpha=2),
     ),
 }
 

@@ -1,6 +1,6 @@
 """Videos to the latents of the frozen autoencoder and back."""
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
@@ -38,12 +38,10 @@ class LatentCodec:
     """
 
     def __init__(self, autoencoder: "AutoencoderKLWan") -> None:
-        self.autoencoder = autoencoder.eval().requires_grad_(False)
-        mean, spread = (
-            torch.tensor(values)[:, None, None, None]
-            for values in (autoencoder.config.latents_mean, autoencoder.config.latents_std)
+        self.autoencoder: Any = autoencoder.eval().requires_grad_(False)
+        self._mean, self._spread = (
+            torch.tensor(self.autoencoder.config[name])[:, None, None, None] for name in ("latents_mean", "latents_std")
         )
-        self._mean, self._spread = mean, spread
 
     @torch.no_grad()
     def encode(self, video: Tensor) -> Tensor:

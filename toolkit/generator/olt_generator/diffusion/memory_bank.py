@@ -138,13 +138,15 @@ class SigmaGates(nn.Module):
 
     def __init__(self, hidden: int, bias: float) -> None:
         super().__init__()
-        self.mlp = nn.Sequential(nn.Linear(1, hidden), nn.SiLU(), zero_linear(hidden, 2))
-        nn.init.constant_(self.mlp[-1].bias, bias)
+        last = zero_linear(hidden, 2)
+        nn.init.constant_(last.bias, bias)
+        self.mlp = nn.Sequential(nn.Linear(1, hidden), nn.SiLU(), last)
 
     def forward(self, sigma: Tensor) -> tuple[Tensor, Tensor]:
         """Gates (b,) float32 of dense and semantic memory at noise levels (b,) from 0 to 1."""
         with torch.autocast(sigma.device.type, enabled=False):
-            return torch.sigmoid(self.mlp(sigma.float()[:, None])).unbind(1)
+            dense, semantic = torch.sigmoid(self.mlp(sigma.float()[:, None])).unbind(1)
+        return dense, semantic
 
 
 class MemoryAttention(nn.Module):
