@@ -25,6 +25,7 @@ TINY = CONFIGS["tiny"]
 SIZE = (9, 32, 48)
 
 
+@pytest.mark.slow
 def test_the_parameters_of_the_paper_s_size():
     parts = {part.name: part for part in describe_parts(CONFIGS["1.3B"])}
     # Wan 2.1 with 1.3 billion parameters; rank 32 on four square matrices of each block.
@@ -117,6 +118,7 @@ def test_a_clip_costs_its_views_and_their_coding():
     assert clip.views[3].step.flops > clip.views[1].step.flops
 
 
+@pytest.mark.slow
 def test_the_paper_s_size_is_the_paper_s():
     for item, paper, here in compare_with_paper(CONFIGS["1.3B"]):
         assert paper in (here, "not stated"), item

@@ -3,8 +3,9 @@
 Operations and memory are those of the code itself, run with torch's fake tensors of the size asked for.
 """
 
+import re
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -23,6 +24,22 @@ from olt_generator.diffusion.latents import CELL_PIXELS, latent_frames
 from olt_generator.diffusion.memory_bank import ConditionViews
 from olt_generator.diffusion.view_graph import CONDITIONS
 from olt_generator.errors import InputError
+
+# Parts of the conditioned model, and what the names of their parameters begin with.
+_PARTS = {
+    "DiT": r"backbone\.(?!vace)(?!.*lora_)",
+    "VACE branch": r"backbone\.vace(?!.*lora_)",
+    "LoRA, self-attention of DiT": r"backbone\.blocks.*lora_",
+    "LoRA, self-attention of VACE": r"backbone\.vace_blocks.*lora_",
+    "geometry encoder, rays": r"geometry\.rays",
+    "geometry encoder, camera and role": r"geometry\.(camera|role)",
+    "geometry encoder, ego motion": r"geometry\.motion",
+    "memory bank, adapter blocks": r"memory_bank\.(adapters|norm)",
+    "memory bank, resampler": r"memory_bank\.resampler",
+    "memory, dense attention": r"memory_attention\.\d+\.(dense|norm)",
+    "memory, semantic attention": r"memory_attention\.\d+\.semantic",
+    "memory, gates": r"memory_attention\.\d+\.gates",
+}
 
 
 @dataclass(frozen=True)
@@ -88,34 +105,15 @@ def weight_bytes(config: EngineConfig, dtype: torch.dtype) -> int:
 
 def describe_parts(config: EngineConfig) -> tuple[PartSize, ...]:
     """Parameters of all parts, frozen ones first."""
-    model = _outline(config, torch.float32)
     with torch.device("meta"):
         autoencoder = build_autoencoder(config.autoencoder)
-    frozen = {
-        "video autoencoder": autoencoder.parameters(),
-        "DiT": _named(model, lambda name: not name.startswith("vace") and "lora" not in name),
-        "VACE branch": _named(model, lambda name: name.startswith("vace") and "lora" not in name),
-    }
-    geometry = model.geometry
-    attention: list[Any] = list(model.memory_attention.values())
-    trained = {
-        "LoRA, self-attention of DiT": _named(model, lambda name: name.startswith("blocks") and "lora" in name),
-        "LoRA, self-attention of VACE": _named(model, lambda name: name.startswith("vace") and "lora" in name),
-        "geometry encoder, rays": _of(geometry.rays),
-        "geometry encoder, camera and role": [*_of(geometry.camera), *_of(geometry.role)],
-        "geometry encoder, ego motion": _of(geometry.motion),
-        "memory bank, adapter blocks": _of(model.memory_bank and model.memory_bank.adapters)
-        + _of(model.memory_bank and model.memory_bank.norm),
-        "memory bank, resampler": _of(model.memory_bank and model.memory_bank.resampler),
-        "memory, dense attention": [p for layer in attention for p in [*_of(layer.dense), *_of(layer.norm)]],
-        "memory, semantic attention": [p for layer in attention for p in _of(layer.semantic)],
-        "memory, gates": [p for layer in attention for p in _of(layer.gates)],
-    }
-    return tuple(
-        PartSize(name, sum(parameter.numel() for parameter in parameters), trainable)
-        for group, trainable in ((frozen, False), (trained, True))
-        for name, parameters in group.items()
-    )
+    parts = [PartSize("video autoencoder", sum(parameter.numel() for parameter in autoencoder.parameters()), False)]
+    named = dict(_outline(config, torch.float32).named_parameters())
+    for part, pattern in _PARTS.items():
+        of_part = [parameter for name, parameter in named.items() if re.match(pattern, name)]
+        trainable = all(parameter.requires_grad for parameter in of_part)
+        parts.append(PartSize(part, sum(parameter.numel() for parameter in of_part), trainable))
+    return tuple(parts)
 
 
 def cost_of_view(
@@ -275,14 +273,6 @@ class _Method(nn.Module):
 def _call(module: nn.Module, weights: dict[str, Tensor], method: str, *arguments: Any) -> Any:
     prefixed = {f"module.{name}": tensor for name, tensor in weights.items()}
     return torch.func.functional_call(_Method(module, method), prefixed, arguments)
-
-
-def _named(model: ConditionedModel, chosen: Callable[[str], bool]) -> Iterator[Tensor]:
-    return (parameter for name, parameter in model.backbone.named_parameters() if chosen(name))
-
-
-def _of(module: nn.Module | None) -> list[Tensor]:
-    return [] if module is None else list(module.parameters())
 
 
 class _PeakMemory(TorchDispatchMode):
