@@ -217,6 +217,7 @@ class Synthetic:
             *size,
             self._asked.frame_rate,
             cameras=options.views,
+            with_distance=options.true_distance,
             window_us=window_us,
             conditions=self._asked.conditions.build(),
             effects=self._asked.camera.build(options.views),

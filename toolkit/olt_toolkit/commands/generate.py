@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from olt_toolkit.commands.clip_options import JsonOption
+from olt_toolkit.commands.generate_train import train
 
 if TYPE_CHECKING:
     from olt_generator.diffusion.accounting import ClipCost, PartSize
@@ -86,6 +87,9 @@ def describe(
         print_json(result)
     else:
         _print_tables(result, parts, cost)
+
+
+app.command(help="Train an engine on drives, its own synthetic ones by default; goes on where it stopped.")(train)
 
 
 def _print_tables(result: dict[str, Any], parts: "tuple[PartSize, ...]", cost: "ClipCost") -> None:

@@ -88,6 +88,7 @@ class OpenOptions:
             itself says.
         mirror: whether they are then mirrored left to right.
         views: cameras whose true images are wanted beside the front ones, where the recording has them.
+        true_distance: whether the true distance of front pixels is wanted, where the recording has it.
     """
 
     width: int = 832
@@ -97,6 +98,7 @@ class OpenOptions:
     rotate: int = 0
     mirror: bool = False
     views: tuple[str, ...] = DEFAULT_CONTRACT.cameras
+    true_distance: bool = False
 
     def refuse_camera(self, where: str) -> None:
         """Refuse (`InputError`) what is said of the camera, where a calibration says it better."""

@@ -1,0 +1,225 @@
+"""One training run of the learned engine: drives to clips, clips to latents, latents to an engine.
+
+Every stage is kept in the run's folder, and a run that was killed goes on where it was. Of many processes the first
+makes clips and latents, and the others read them.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from olt_generator.diffusion.autoencoder_training import train_autoencoder
+from olt_generator.diffusion.backbone import load_autoencoder, load_backbone, read_config
+from olt_generator.diffusion.conditioned_model import ConditionedModel, build_model, cast
+from olt_generator.diffusion.config import EngineConfig
+from olt_generator.diffusion.engine_folder import EngineFacts, save_engine
+from olt_generator.diffusion.flow_training import FlowTraining
+from olt_generator.diffusion.latents import LatentCodec
+from olt_generator.diffusion.training_cache import CacheFacts, TrainingCache, write_cache
+from olt_generator.diffusion.training_clips import ClipVideos, encode_clip
+from olt_generator.diffusion.training_loop import train
+from olt_generator.diffusion.training_settings import TrainingSettings
+from olt_generator.diffusion.warp_control import warp_prior
+from olt_generator.errors import InputError
+from olt_generator.files import write_whole
+from olt_generator.progress import Progress, silent
+from olt_generator.seeds import derive_seed
+from olt_toolkit.clips.training_data import TrainingWindow, frame_time, make_window_videos, plan_windows
+from olt_toolkit.recordings.drives import Dataset
+
+VIDEOS, AUTOENCODER, CACHE, ENGINE = "videos", "autoencoder", "cache", "engine"
+_TEXT_TOKENS = 4
+
+# Yields what to tell the share that is done of a stage, by its name.
+Stages = Callable[[str], AbstractContextManager[Progress]]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What an engine that owns no backbone is trained on: the folder of Wan2.1-VACE, and embeddings of texts."""
+
+    backbone: Path
+    text: Path
+
+
+def train_engine(
+    dataset: Dataset,
+    config: EngineConfig,
+    settings: TrainingSettings,
+    run: Path,
+    seed: int,
+    stages: Stages,
+    weights: Weights | None = None,
+) -> Path:
+    """Train an engine on all drives of a data set, or go on; returns its folder.
+
+    Raises:
+        InputError: weights are missing or needless, drives cannot be trained on, or see `training_loop.train`.
+    """
+    if settings.whole_backbone != (weights is None):
+        raise InputError(
+            "this configuration trains its own backbone; leave the weights out"
+            if weights
+            else "this configuration needs the folder of Wan2.1-VACE and the embeddings of prompt and no prompt"
+        )
+    windows = plan_windows(dataset, settings, seed)
+    facts = EngineFacts(config, settings.width, settings.height, frame_time(dataset, windows))
+    if weights is None:
+        facts, autoencoder = _train_autoencoder(dataset, windows, facts, settings, run, seed, stages)
+        with torch.random.fork_rng():
+            model = build_model(facts.config, derive_seed("model", seed) % 2**63)
+        model.backbone.requires_grad_(True)
+        prompt, empty = tiny_texts(config.backbone.text_dim)
+    else:
+        half = torch.bfloat16 if settings.precision == "bfloat16" else torch.float32
+        backbone, autoencoder = load_backbone(weights.backbone, dtype=half), load_autoencoder(weights.backbone)
+        config = replace(config, backbone=read_config(backbone))
+        facts, model = replace(facts, config=config), ConditionedModel(backbone, config)
+        cast(model, half)
+        model.gradient_checkpointing = True
+        prompt, empty = _read_texts(weights.text, config.backbone.text_dim)
+    made_by = _digest(autoencoder)
+    with _first_process(), stages("latents") as on_progress:
+        cache = _make_cache(dataset, windows, facts, settings, run, LatentCodec(autoencoder), made_by, on_progress)
+    flow = FlowTraining(cache, settings.flow, seed, prompt, empty)
+    with stages("model") as on_progress:
+        told = {"engine": asdict(facts.config), "flow": asdict(settings.flow), "seed": seed, "cache": made_by}
+        train(model, flow.losses, settings.optimizer, run, settings.precision, told, on_progress)
+    with _first_process() as is_first:
+        if is_first:
+            save_engine(run / ENGINE, facts, model, autoencoder, prompt, empty)
+    return run / ENGINE
+
+
+def tiny_texts(width: int) -> tuple[Tensor, Tensor]:
+    """Embeddings (l, width) that stand for the prompt and for none, where no text encoder is there."""
+    generator = torch.Generator().manual_seed(derive_seed("prompt"))
+    return torch.randn(_TEXT_TOKENS, width, generator=generator), torch.zeros(_TEXT_TOKENS, width)
+
+
+def _train_autoencoder(
+    dataset: Dataset,
+    windows: Sequence[TrainingWindow],
+    facts: EngineFacts,
+    settings: TrainingSettings,
+    run: Path,
+    seed: int,
+    stages: Stages,
+) -> tuple[EngineFacts, Any]:
+    with _first_process(), stages("drives") as on_progress:
+        _keep_videos(dataset, windows, settings, run / VIDEOS, on_progress)
+    kept = [_read_videos(run / VIDEOS, number) for number, each in enumerate(windows) if each.split == "train"]
+    with stages("autoencoder") as on_progress:
+        autoencoder, measured = train_autoencoder(
+            _to_encode(kept), facts.config.autoencoder, settings.autoencoder, run / AUTOENCODER, seed, on_progress
+        )
+    return replace(facts, config=replace(facts.config, autoencoder=measured), owns_backbone=True), autoencoder
+
+
+def _to_encode(clips: Sequence[ClipVideos]) -> NDArray[np.uint8]:
+    """Videos (n, f, h, w, 3) of all that is encoded: true views, and warped ones."""
+    warps = [
+        warp_prior(image, origin)[0]
+        for clip in clips
+        for image, origin in zip(clip.filled[1:], clip.origin[1:], strict=True)
+    ]
+    return np.concatenate([*(clip.truth for clip in clips), np.stack(warps)])
+
+
+def _make_cache(
+    dataset: Dataset,
+    windows: Sequence[TrainingWindow],
+    facts: EngineFacts,
+    settings: TrainingSettings,
+    run: Path,
+    codec: LatentCodec,
+    made_by: str,
+    on_progress: Progress,
+) -> TrainingCache:
+    assert facts.frame_us is not None
+    wanted = CacheFacts(settings.width, settings.height, settings.frames, facts.frame_us, made_by)
+    if (run / CACHE).is_dir():
+        cache = TrainingCache(run / CACHE)
+        if cache.facts != wanted or cache.windows != [each.window for each in windows]:
+            raise InputError(f"{run / CACHE}: was made of other drives or by another autoencoder; give another folder")
+        return cache
+    if (run / VIDEOS).is_dir():
+        videos: Iterator[ClipVideos] = (_read_videos(run / VIDEOS, number) for number in range(len(windows)))
+    else:
+        videos = make_window_videos(dataset, windows, settings)
+
+    def encoded() -> Iterator[Any]:
+        for done, clip in enumerate(videos):
+            yield encode_clip(clip, codec), clip
+            on_progress((done + 1) / len(windows))
+
+    own, splits = [each.window for each in windows], [each.split for each in windows]
+    return write_cache(run / CACHE, wanted, own, splits, encoded())
+
+
+def _keep_videos(
+    dataset: Dataset,
+    windows: Sequence[TrainingWindow],
+    settings: TrainingSettings,
+    folder: Path,
+    on_progress: Progress = silent,
+) -> None:
+    missing = [number for number in range(len(windows)) if not _video_file(folder, number).exists()]
+    made = make_window_videos(dataset, [windows[number] for number in missing], settings)
+    for number, clip in zip(missing, made, strict=True):
+        tensors = {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in vars(clip).items()}
+        with write_whole(_video_file(folder, number)) as temporary:
+            save_file(tensors, temporary)
+        on_progress((number + 1) / len(windows))
+
+
+def _read_videos(folder: Path, number: int) -> ClipVideos:
+    return ClipVideos(**{name: value.numpy() for name, value in load_file(_video_file(folder, number)).items()})
+
+
+def _video_file(folder: Path, number: int) -> Path:
+    return folder / f"clip_{number:06d}.safetensors"
+
+
+def _read_texts(path: Path, width: int) -> tuple[Tensor, Tensor]:
+    from olt_generator.metrics.weight_files import read_weights
+
+    texts = read_weights(path)
+    for name in ("prompt", "empty"):
+        if texts[name].ndim != 2 or texts[name].shape[1] != width:
+            raise InputError(f"{path}: {name} is {tuple(texts[name].shape)}; give (tokens, {width})")
+    return texts["prompt"], texts["empty"]
+
+
+def _digest(autoencoder: Any) -> str:
+    """A digest of the weights of an autoencoder."""
+    import hashlib
+
+    digest = hashlib.blake2b(digest_size=8)
+    for name, parameter in sorted(autoencoder.named_parameters()):
+        digest.update(name.encode() + parameter.detach().float().cpu().numpy().tobytes())
+    return digest.hexdigest()
+
+
+class _first_process:
+    """Lets the first process go ahead and the others wait for it; tells whether this is the first."""
+
+    def __enter__(self) -> bool:
+        from accelerate import PartialState
+
+        self._state = PartialState(cpu=not torch.cuda.is_available())
+        if not self._state.is_main_process:
+            self._state.wait_for_everyone()
+        return self._state.is_main_process
+
+    def __exit__(self, *error: object) -> None:
+        if self._state.is_main_process:
+            self._state.wait_for_everyone()
