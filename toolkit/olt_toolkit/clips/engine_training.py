@@ -5,7 +5,7 @@ makes clips and latents, and the others read them.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -209,17 +209,11 @@ def _digest(autoencoder: Any) -> str:
     return digest.hexdigest()
 
 
-class _first_process:
+@contextmanager
+def _first_process() -> Iterator[bool]:
     """Lets the first process go ahead and the others wait for it; tells whether this is the first."""
+    from accelerate import PartialState
 
-    def __enter__(self) -> bool:
-        from accelerate import PartialState
-
-        self._state = PartialState(cpu=not torch.cuda.is_available())
-        if not self._state.is_main_process:
-            self._state.wait_for_everyone()
-        return self._state.is_main_process
-
-    def __exit__(self, *error: object) -> None:
-        if self._state.is_main_process:
-            self._state.wait_for_everyone()
+    state = PartialState(cpu=not torch.cuda.is_available())
+    with state.main_process_first():
+        yield state.is_main_process

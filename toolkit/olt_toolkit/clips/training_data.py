@@ -39,7 +39,8 @@ def plan_windows(dataset: Dataset, settings: TrainingSettings, seed: int) -> lis
         InputError: a drive has not all views or no measured motion, all are too short, or see `assign_splits`.
     """
     found: list[tuple[str, Window, tuple[int, ...]]] = []
-    for key in dataset.keys():
+    keys = dataset.keys()
+    for key in keys:
         drive = dataset.drive(key)
         missing = [name for name in VIEWS if name not in drive.true_views]
         if missing or drive.ego_span_us is None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from olt_toolkit.commands.clip_options import JsonOption
+from olt_toolkit.commands.generate_evaluate import evaluate
 from olt_toolkit.commands.generate_train import train
 
 if TYPE_CHECKING:
@@ -90,6 +91,7 @@ def describe(
 
 
 app.command(help="Train an engine on drives, its own synthetic ones by default; goes on where it stopped.")(train)
+app.command(help="Score an engine on clips kept from its training: the tables of the paper.")(evaluate)
 
 
 def _print_tables(result: dict[str, Any], parts: "tuple[PartSize, ...]", cost: "ClipCost") -> None:

@@ -46,6 +46,8 @@ class ClipVideos:
             black in view 0.
         rays: (6, 6, t, h / 16, w / 16) float32 of `plucker_rays`.
         motion: (t, 6) float32 of `ego_motion_features`.
+        lenses: (6, 4) float64, fx, fy, cx, cy of the pinholes in pixels.
+        poses: (6, f, 4, 4) float64, T_anchor_camera of every frame; the anchor is the front camera at the first.
     """
 
     truth: Video
@@ -54,6 +56,8 @@ class ClipVideos:
     known: NDArray[np.bool_]
     rays: NDArray[np.float32]
     motion: NDArray[np.float32]
+    lenses: Array
+    poses: Array
 
 
 @dataclass(frozen=True)
@@ -91,16 +95,18 @@ def make_videos(
         raise InputError(f"true views: {', '.join(missing)} missing; training takes drives with all six views")
     frames, steps = list(indices), latent_steps(len(indices))
     given = TrueView(front.frames, front.camera, front.T_rig_camera)
-    truth, filled, origin, known, rays = [], [], [], [], []
-    T_world_rig = front.trajectory.T_world_rig[np.asarray(frames)[steps]]
+    truth, filled, origin, known, rays, lenses, all_poses = [], [], [], [], [], [], []
+    T_world_front = front.camera_poses[frames]
     for view, name in enumerate(VIEWS):
         true = given if view == 0 else views[name]
         camera = rectified_camera(true.camera, width, height)
         remapper = Remapper(true.camera, camera, np.eye(3))
         truth.append(remapper.remap(true.images[frames]))
         known.append(remapper.seen)
-        poses = anchor_poses(T_world_rig @ front.T_rig_camera, front.T_rig_camera, true.T_rig_camera)
-        rays.append(plucker_rays(camera, poses))
+        poses = anchor_poses(T_world_front, front.T_rig_camera, true.T_rig_camera)
+        rays.append(plucker_rays(camera, poses[steps]))
+        lenses.append([camera.fx, camera.fy, camera.cx, camera.cy])
+        all_poses.append(poses)
         if view == 0:
             filled.append(truth[0])
             origin.append(np.ones(truth[0].shape[:3], np.uint8))
@@ -111,9 +117,8 @@ def make_videos(
         truth[view] = np.where(remapper.seen[..., None], truth[view], made.images)
         filled.append(made.images)
         origin.append(made.origin)
-    poses = anchor_poses(T_world_rig @ front.T_rig_camera, front.T_rig_camera, front.T_rig_camera)
     stacked = (np.stack(parts) for parts in (truth, filled, origin, known, rays))
-    return ClipVideos(*stacked, ego_motion_features(poses))
+    return ClipVideos(*stacked, ego_motion_features(all_poses[0][steps]), np.array(lenses), np.stack(all_poses))
 
 
 def encode_clip(videos: ClipVideos, codec: LatentCodec) -> TrainingClip:

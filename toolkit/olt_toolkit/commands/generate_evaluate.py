@@ -1,0 +1,95 @@
+"""`olt generate evaluate`: the paper's tables of an engine on clips that it was not trained on."""
+
+from dataclasses import asdict
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from olt_toolkit.commands.clip_options import DeviceOption, JsonOption
+
+
+class EvaluationSplit(StrEnum):
+    """Scenes never seen, or other moments of scenes that were."""
+
+    UNSEEN = "unseen"
+    SEEN = "seen"
+
+
+# Columns of the paper's tables; FID and FVD are not measured.
+COLUMNS = {
+    EvaluationSplit.UNSEEN: ("psnr", "lpips", "geokpm"),
+    EvaluationSplit.SEEN: ("psnr", "ssim", "lpips", "fid", "fvd"),
+}
+BESIDE = ("invented", "invented_psnr", "geometric_invented_psnr", "geometric_psnr")
+
+
+def evaluate(
+    run: Annotated[Path, typer.Argument(help="Folder of a training run: its cache and its engine are used.")],
+    split: Annotated[EvaluationSplit, typer.Option(help="Which clips.")] = EvaluationSplit.UNSEEN,
+    steps: Annotated[int, typer.Option(min=1, help="Euler steps of a view.")] = 50,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the noise.")] = 0,
+    keep_observed: Annotated[bool, typer.Option(help="Keep what a warp saw, and generate the rest alone.")] = True,
+    backbone: Annotated[Path | None, typer.Option(help="Folder of Wan2.1-VACE, for an engine without its own.")] = None,
+    lpips_weights: Annotated[Path | None, typer.Option(help="Folder of LPIPS's weights.")] = None,
+    loftr_weights: Annotated[Path | None, typer.Option(help="LoFTR's weights; SIFT without them.")] = None,
+    device: DeviceOption = "cpu",
+    as_json: JsonOption = False,
+) -> None:
+    """Generate all views of the clips, and score them and the geometric engine's against the truth."""
+    from olt_generator.diffusion.engine_folder import load_engine
+    from olt_generator.diffusion.evaluation import keep_observed as keep
+    from olt_generator.diffusion.evaluation import sample_views, score_views
+    from olt_generator.diffusion.training_cache import TrainingCache
+    from olt_generator.errors import InputError
+    from olt_toolkit.clips.score import open_lpips, open_matcher
+    from olt_toolkit.runtime.console import print_json, show_progress
+
+    engine, cache = load_engine(run / "engine", backbone, device), TrainingCache(run / "cache")
+    numbers = cache.numbers(split.value)
+    if not numbers:
+        raise InputError(f"{run}: its cache holds no clip of the split {split.value}; train with a share of it")
+    lpips, matcher = open_lpips(lpips_weights, device), open_matcher(loftr_weights, device)
+    rows = []
+    with show_progress("clips", len(numbers)) as (on_progress, _):
+        for done, number in enumerate(numbers):
+            videos = cache.videos(number)
+            made = sample_views(engine, cache.clip(number), (1, 2, 3, 4, 5), steps, seed + done)
+            if keep_observed:
+                made = {view: keep(video, videos.filled[view], videos.origin[view]) for view, video in made.items()}
+            rows += [
+                {"scene": cache.windows[number].scene, **asdict(score)}
+                for score in score_views(videos, made, lpips, matcher)
+            ]
+            on_progress((done + 1) / len(numbers))
+    result = summarise(rows, split, len(numbers))
+    result |= {"steps": steps, "seed": seed, "keep_observed": keep_observed, "matcher": matcher.name, "clips": rows}
+    result |= {"engine": engine.digest, "lpips": lpips.name if lpips else None}
+    if as_json:
+        print_json(result)
+    else:
+        _print(result, split)
+
+
+def summarise(rows: list[dict[str, Any]], split: EvaluationSplit, clips: int) -> dict[str, Any]:
+    """The mean of each score of each view over the clips, None where none was measured, and how many scenes count."""
+    import numpy as np
+
+    names, table = (*COLUMNS[split], *BESIDE), []
+    for view in dict.fromkeys(row["view"] for row in rows):
+        own = [row for row in rows if row["view"] == view]
+        means: dict[str, Any] = {"view": view}
+        for name in names:
+            values = [row[name] for row in own if row.get(name) is not None]
+            means[name] = float(np.mean(values)) if values else None
+        table.append(means)
+    return {"split": split.value, "n": clips, "scenes": len({row["scene"] for row in rows}), "views": table}
+
+
+def _print(result: dict[str, Any], split: EvaluationSplit) -> None:
+    from olt_toolkit.runtime.console import print_table
+
+    names = ("view", *COLUMNS[split], *BESIDE)
+    title = f"{split.value}: {result['n']} clips of {result['scenes']} scenes, {result['steps']} steps"
+    print_table(title, names, [[row[name] for name in names] for row in result["views"]])
