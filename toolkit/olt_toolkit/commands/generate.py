@@ -1,10 +1,10 @@
 """`olt generate`: the learned engine, which generates the views of a clip."""
 
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from olt_toolkit.clips.backends import Precision
 from olt_toolkit.commands.clip_options import JsonOption
 
 if TYPE_CHECKING:
@@ -16,13 +16,6 @@ app = typer.Typer(add_completion=False, no_args_is_help=True)
 @app.callback()
 def generate() -> None:
     """Generate views with the learned engine, and tell what it takes."""
-
-
-class Precision(StrEnum):
-    """Precision of weights and activations."""
-
-    BFLOAT16 = "bfloat16"
-    FLOAT32 = "float32"
 
 
 @app.command(help="Tell the parameters, operations and memory of an engine without building it.")

@@ -161,7 +161,7 @@ def load_engine(
     if backbone is None:
         model, autoencoder = build_model(facts.config), build_autoencoder(facts.config.autoencoder)
         _fill(autoencoder, _load(folder / AUTOENCODER), dict(autoencoder.named_parameters()), folder / AUTOENCODER)
-        autoencoder = autoencoder.to(torch.device(device))
+        nn.Module.to(autoencoder, device)
     else:
         loaded = load_backbone(backbone, device, dtype)
         config = EngineConfig(
@@ -186,8 +186,8 @@ def digest_engine(folder: Path, backbone: Path | None = None) -> str:
         if (folder / name).is_file():
             with (folder / name).open("rb") as file:
                 digest.update(hashlib.file_digest(file, "blake2b").digest())
-    for path in sorted(backbone.rglob("*")) if backbone else ():
-        if path.is_file():
+    if backbone is not None:
+        for path in sorted(path for path in backbone.rglob("*") if path.is_file()):
             digest.update(f"{path.relative_to(backbone).as_posix()}:{path.stat().st_size}".encode())
     return digest.hexdigest()
 
