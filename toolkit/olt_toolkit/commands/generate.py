@@ -6,6 +6,7 @@ import typer
 
 from olt_toolkit.clips.backends import Precision
 from olt_toolkit.commands.clip_options import JsonOption
+from olt_toolkit.commands.generate_clips import clips
 
 if TYPE_CHECKING:
     from olt_generator.diffusion.accounting import ClipCost, PartSize
@@ -115,3 +116,6 @@ def _print_tables(result: dict[str, Any], parts: "tuple[PartSize, ...]", cost: "
     print_table("The clip", ("what", "how much"), rows)
     for left_out in result["left_out"]:
         print_line(f"left out: {word_omission(Omission(**left_out))}")
+
+
+app.command(help="Make the missing views of recordings, of those of a folder, or of a data set, as clips.")(clips)
