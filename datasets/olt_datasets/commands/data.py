@@ -225,7 +225,7 @@ def build(
     ] = MotionLabels.AS_MEASURED,
     source: SourceOption = None,
     cache: CacheOption = DEFAULT_CACHE,
-    seed: Annotated[int, typer.Option(help="Goes into the clips' ids; nothing is drawn by chance.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of what --backend draws by chance; goes into the clips' ids.")] = 0,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a window that fails.")] = False,
@@ -262,6 +262,7 @@ def build(
             seed=seed,
         ),
         estimators=building.estimators(),
+        backends=building.backends(),
         keep_going=keep_going,
         verify=not no_verify,
     )

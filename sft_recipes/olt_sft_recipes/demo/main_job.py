@@ -315,7 +315,9 @@ def store_clips(out: Path, made: list[dict[str, Any]]) -> dict[str, Any]:
     ClipStore(out / "clips").commit([clip["clip"]["clip_id"] for clip in training])
     kinds = [clip["clip"]["kind"] for clip in training]
     errors = [clip["pose_errors"]["metric"]["ate_m"] for clip in training if clip["pose_errors"]]
-    views = [view for clip in training for view in clip["clip"]["views"].values() if view["kind"] == "warped"]
+    views = [
+        view for clip in training for view in clip["clip"]["views"].values() if view["kind"] in ("warped", "generated")
+    ]
     observed = [view["observed_share"] for view in views]
     summary = {
         "clips": len(training),

@@ -62,8 +62,12 @@ def make_cache(folder):
     return write_cache(folder, CacheFacts(48, 32, 5, 100_000, "random"), WINDOWS, SPLITS, clips)
 
 
+def build_texts():
+    """Embeddings of a prompt and of none."""
+    prompt = torch.randn(3, ENGINE.backbone.text_dim, generator=torch.Generator().manual_seed(9))
+    return prompt, torch.zeros_like(prompt)
+
+
 def make_flow(cache, **settings):
     """Samples of that cache."""
-    generator = torch.Generator().manual_seed(9)
-    prompt = torch.randn(3, ENGINE.backbone.text_dim, generator=generator)
-    return FlowTraining(cache, FlowSettings(**settings), 0, prompt, torch.zeros_like(prompt))
+    return FlowTraining(cache, FlowSettings(**settings), 0, *build_texts())

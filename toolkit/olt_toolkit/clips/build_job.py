@@ -4,6 +4,7 @@ Each clip is prepared as soon as it is built, with its pictures; all are committ
 their jobs. So an interrupted run that is taken up again leaves the same bytes as one that was not.
 """
 
+import shutil
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -13,6 +14,7 @@ from typing import Any, Literal
 
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
+from olt_toolkit.clips.backends import Backends
 from olt_toolkit.clips.build_options import describe_build, find_differences
 from olt_toolkit.clips.builder import build_clip, clip_kind
 from olt_toolkit.clips.clip import ClipInfo, ClipOrigin
@@ -32,6 +34,8 @@ from olt_toolkit.runtime.threads import use_one_thread
 from olt_toolkit.runtime.workers import Engine, map_parallel
 
 PREVIEWS = "previews"
+# Where views wait that a learned backend sampled for clips that are not prepared yet.
+_GENERATED = ".generated"
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,7 @@ class BuildJob:
             `opening`.
         options: how to build the clip, but for its estimators; without a name the clip takes that of the drive. A drive
             of another scene than its `scene_id` is refused.
+        backends: what makes the views that no camera recorded.
         measured_motion: whether motion that the data set measured goes before what `estimators` say.
         source: the reader that the data set must have; None for any.
         keep_going: whether input that cannot be used is a result instead of an error.
@@ -92,6 +97,7 @@ class BuildJob:
     opening: OpenOptions = field(default_factory=OpenOptions)
     options: BuildOptions = field(default_factory=BuildOptions)
     estimators: Estimators = field(default_factory=Estimators)
+    backends: Backends = field(default_factory=Backends)
     measured_motion: bool = False
     source: str | None = None
     keep_going: bool = False
@@ -113,13 +119,23 @@ class BuildJob:
         """Id of the clip that will be built; errors are those of `identify`."""
         subject, options = self._told, self.options
         kind = clip_kind(options)
-        return clip_id_of(subject.scene_id, subject.take, subject.window_us, kind, options.seed, options.front)
+        return clip_id_of(
+            subject.scene_id,
+            subject.take,
+            subject.window_us,
+            kind,
+            options.seed,
+            options.front,
+            self.backends.backend.value,
+        )
 
     @property
     def build_options(self) -> str:
         """How the clip will be built, as the clip table keeps it; errors are those of `identify`."""
         asked = self.measured_motion or self.estimators.poses is PoseEstimator.REFERENCE
-        return describe_build(self.options, self.estimators, self.opening, asked and self._told.has_motion)
+        return describe_build(
+            self.options, self.estimators, self.opening, asked and self._told.has_motion, self.backends
+        )
 
     def identify(self, drive: Drive | None = None) -> "BuildJob":
         """The job with its subject, told by the drive, which is described where it is not given.
@@ -159,9 +175,12 @@ class BuildJob:
         options = self._complete_options()
         if self.measured_motion and recording.reference is not None:
             options = replace(options, use_reference_motion=True)
-        built = build_clip(recording, self.estimators.apply(options), on_progress, on_step)
+        kept = self.store / _GENERATED / self.clip_id
+        options = replace(self.estimators.apply(options), backend=self.backends.open(kept))
+        built = build_clip(recording, options, on_progress, on_step)
         start = time.perf_counter()
         info = ClipStore(self.store).prepare(built.clip)
+        shutil.rmtree(kept, ignore_errors=True)
         prepared = time.perf_counter()
         images, origins = built.clip.images, built.clip.origins
         times_us = next(iter(built.clip.streams.values())).timestamps_us
@@ -170,7 +189,11 @@ class BuildJob:
         drawn = time.perf_counter()
         verified = verify_before_commit(ClipStore(self.store), info.clip_id) if self.verify else None
         seconds = {"prepare": prepared - start, "pictures": drawn - prepared, "verify": time.perf_counter() - drawn}
-        sources = {"poses": str(self.estimators.poses), "depth": str(self.estimators.depth)}
+        sources = {
+            "poses": str(self.estimators.poses),
+            "depth": str(self.estimators.depth),
+            "views": self.backends.backend.value,
+        }
         return summarize_build(built, info) | {
             "sources": sources,
             "pictures": pictures,

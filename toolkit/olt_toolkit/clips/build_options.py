@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from olt_toolkit.clips.backends import Backends
 from olt_toolkit.clips.builder import clip_kind
 from olt_toolkit.clips.clip import ClipInfo
 from olt_toolkit.clips.estimators import Estimators, PoseEstimator
@@ -27,8 +28,17 @@ _OPTIONS = {
     "working_width": "the working width",
 }
 
+# Frozen, so that it can be a default.
+_GEOMETRIC = Backends()
 
-def describe_build(options: BuildOptions, estimators: Estimators, opening: OpenOptions, takes_reference: bool) -> str:
+
+def describe_build(
+    options: BuildOptions,
+    estimators: Estimators,
+    opening: OpenOptions,
+    takes_reference: bool,
+    backends: Backends = _GEOMETRIC,
+) -> str:
     """The JSON text of how a clip is built; what its kind does not use is left out.
 
     `takes_reference` says whether the motion is the one that the data set measured, whichever option asks for it.
@@ -60,6 +70,7 @@ def describe_build(options: BuildOptions, estimators: Estimators, opening: OpenO
         told["depth"] = estimators.depth.value
         if estimators.depth_weights is not None:
             told["depth_weights"] = _list_weights(estimators.depth_weights)
+        told |= backends.describe()
     return json.dumps(told, sort_keys=True)
 
 

@@ -15,6 +15,7 @@ from olt_generator.omissions import Omission
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
 from olt_generator.trajectory import Trajectory
+from olt_generator.views.backend import Target, ViewSource
 from olt_generator.views.front_view import FrontView
 from olt_generator.views.lookback import LOOKBACK_LATENTS, lookback_frame
 from olt_generator.views.moving_objects import check_distances
@@ -87,9 +88,10 @@ def build_clip(
     check_feasible(recording, options, plan)
     steps = Steps(_SHARES, on_progress, on_step)
     motion, at_frames, T_rig_camera = _measure_motion(recording, options, steps)
-    made, drawn_on, with_distance = _choose_frames(recording, options, plan)
+    needed = _needed_views(options, plan)
+    made, drawn_on, with_distance = _choose_frames(recording, options, needed)
 
-    front, distance_error = None, None
+    source, distance_error = None, None
     if clip_kind(options) == "Syn":
         with steps.step("distance") as on_part:
             distance = options.depth(
@@ -106,7 +108,7 @@ def build_clip(
             sources=np.searchsorted(with_distance, drawn_on),
             numbers=with_distance,
         )
-        front = check_distances(front)
+        source = _start_source(check_distances(front), options, needed, np.searchsorted(with_distance, made))
         distance_error = _distance_error(distance.distance, recording, with_distance)
 
     shown = recording
@@ -117,7 +119,7 @@ def build_clip(
             timestamps_us=recording.timestamps_us[made],
             views={name: images[made] for name, images in recording.views.items()},
         )
-    maker = ViewMaker(shown, options, T_rig_camera, front, np.searchsorted(with_distance, made))
+    maker = ViewMaker(shown, options, T_rig_camera, source)
     views: dict[str, View] = {}
     with steps.step("views") as on_part:
         for done, name in enumerate(plan.methods):
@@ -127,7 +129,11 @@ def build_clip(
     return BuiltClip(
         clip=_assemble(shown, options, views, doubts, motion),
         plan=plan,
-        left_out=(*plan.left_out, *_omissions(len(recording.frames), len(made), len(with_distance), views)),
+        left_out=(
+            *(omission for omission in plan.left_out if omission.what not in needed),
+            *_omissions(len(recording.frames), len(made), len(with_distance), views),
+            *(() if source is None else source.left_out()),
+        ),
         motion=motion if isinstance(motion, RecoveredMotion) else None,
         given=motion if isinstance(motion, GivenMotion) else None,
         doubts=doubts,
@@ -151,6 +157,18 @@ def clip_kind(options: BuildOptions) -> ClipKind:
     return "GT" if options.use_reference_views else "Syn"
 
 
+def _needed_views(options: BuildOptions, plan: ViewPlan) -> tuple[str, ...]:
+    """The views that are synthesized, with those that only others are made from."""
+    synthesized = [name for name, method in plan.methods.items() if method == "synthesized"]
+    return options.backend.needed(synthesized) if clip_kind(options) == "Syn" else ()
+
+
+def _start_source(front: FrontView, options: BuildOptions, needed: tuple[str, ...], indices: Indices) -> ViewSource:
+    rig = options.rig.fitted(options.width, options.height)
+    targets = {name: Target(rig[name].camera, rig[name].T_rig_camera) for name in needed}
+    return options.backend.start(front, targets, indices.tolist(), options.seed)
+
+
 def _measure_motion(
     recording: Recording, options: BuildOptions, steps: Steps
 ) -> tuple[RecoveredMotion | GivenMotion, Trajectory, Array]:
@@ -171,7 +189,9 @@ def _measure_motion(
     return recovered, smoothed.trajectory, measured.T_rig_camera
 
 
-def _choose_frames(recording: Recording, options: BuildOptions, plan: ViewPlan) -> tuple[Indices, Indices, Indices]:
+def _choose_frames(
+    recording: Recording, options: BuildOptions, needed: tuple[str, ...]
+) -> tuple[Indices, Indices, Indices]:
     """Indices of the frames that are made, of those that views draw on, and of those whose distances are needed.
 
     Views draw on what samples show up to the last frame that is made, so that they do not depend on which others are
@@ -184,7 +204,7 @@ def _choose_frames(recording: Recording, options: BuildOptions, plan: ViewPlan) 
         "sampled": sampled_frame_indices(recording.timestamps_us),
     }[options.frames]
     drawn_on = on_grid[on_grid <= made[-1]]
-    offsets = [LOOKBACK_LATENTS[name] for name in plan.methods if name in LOOKBACK_LATENTS]
+    offsets = [LOOKBACK_LATENTS[name] for name in needed if name in LOOKBACK_LATENTS]
     looked_back_to = [lookback_frame(frame, offset) for offset in offsets for frame in made.tolist()]
     return made, drawn_on, np.unique(np.concatenate([made, drawn_on, np.array(looked_back_to, np.int64)]))
 
@@ -204,7 +224,8 @@ def _assemble(
     origin = options.origin or ClipOrigin(recording.name, int(times_us[0]), int(times_us[-1]))
     window_us = (origin.start_us, origin.end_us)
     return Clip(
-        clip_id=options.clip_id or clip_id_of(scene_id, "", window_us, kind, options.seed, options.front),
+        clip_id=options.clip_id
+        or clip_id_of(scene_id, "", window_us, kind, options.seed, options.front, options.backend.name),
         name=name,
         scene_id=scene_id,
         source=recording.source,

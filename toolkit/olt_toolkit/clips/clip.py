@@ -28,7 +28,7 @@ from olt_toolkit.rigs.rig import VehicleDimensions
 ClipKind = Literal["GT", "Syn", "front_only"]
 """GT: every view is a true image. Syn: some views are synthesized. front_only: the front views and nothing else."""
 
-ViewKind = Literal["observed", "cropped", "mosaic", "rendered", "warped"]
+ViewKind = Literal["observed", "cropped", "mosaic", "rendered", "warped", "generated"]
 """How the images of a view came to be; a mosaic is put together from several cameras, and black where none saw."""
 
 NoiseBasis = Literal["stated", "estimated"]

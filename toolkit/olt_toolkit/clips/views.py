@@ -14,10 +14,9 @@ from olt_generator.motion.odometry import estimate_odometry
 from olt_generator.motion.pose_sources import PoseSource
 from olt_generator.poses import Array
 from olt_generator.progress import Progress, silent
-from olt_generator.views.front_view import FrontView
+from olt_generator.views.backend import GeometricBackend, ViewBackend, ViewSource
 from olt_generator.views.lookback import LOOKBACK_LATENTS
 from olt_generator.views.pixel_origin import PixelOrigin
-from olt_generator.views.synthesis import SynthesisSettings, synthesize_view
 from olt_generator.views.tele import crop_tele, tele_camera
 from olt_toolkit.clips.clip import ClipOrigin, ViewKind, ViewProvenance
 from olt_toolkit.clips.front import (
@@ -55,6 +54,7 @@ class BuildOptions:
         use_reference_motion: take the recording's true trajectory although views are synthesized.
         labels: whether a true trajectory is taken as it is or smoothed; one that is recovered is smoothed in any case.
         poses, depth: where motion otherwise and distances come from.
+        backend: makes the views that no camera recorded.
         image_kind: how the recording's own images came to be, for the provenance.
         name: None for the recording's name.
         scene_id: None for the source and the name of the recording, which suit one that no data set tells an id of.
@@ -63,7 +63,7 @@ class BuildOptions:
         category, factors, sample_t0_us: see `Clip`.
         split: None for the data set's own, or train where it has none.
         origin: what the recording was cut from; None where it is whole, and nothing more is known of it.
-        seed: goes into the clip's id and provenance; nothing in the build is random yet.
+        seed: goes into the clip's id and provenance, and seeds what the backend draws by chance.
     """
 
     width: int = 576
@@ -77,6 +77,7 @@ class BuildOptions:
     labels: MotionLabels = MotionLabels.AS_MEASURED
     poses: PoseSource = estimate_odometry
     depth: DepthSource = estimate_distance
+    backend: ViewBackend = field(default_factory=GeometricBackend)
     image_kind: ViewKind = "observed"
     name: str | None = None
     scene_id: str | None = None
@@ -119,15 +120,13 @@ class ViewMaker:
 
     Attributes:
         T_rig_front: (4, 4) mounting of the front camera, as corrected by the motion.
-        front: images of the front camera with their distances; None where nothing is synthesized.
-        indices: (n,) numbers of the recording's images among those of `front`.
+        source: of views that no camera recorded; None where nothing is synthesized.
     """
 
     recording: Recording
     options: BuildOptions
     T_rig_front: Array
-    front: FrontView | None
-    indices: NDArray[np.int64]
+    source: ViewSource | None
 
     def make(self, name: str, on_progress: Progress = silent) -> View:
         """Make one view; an `InputError` where its true images are not there, or the front lens cannot give it."""
@@ -140,9 +139,9 @@ class ViewMaker:
             camera = tele_camera(recording.camera, *size)
             images = crop_tele(recording.frames, recording.camera, camera)
             return self._given(images, camera, self.T_rig_front, np.ones((size[1], size[0]), bool), "cropped")
-        if self.front is None:
+        if self.source is None:
             raise InputError(f"{recording.name}: no true images of {name}; let it be synthesized instead")
-        return self._synthesized(name, self.front, on_progress)
+        return self._synthesized(name, self.source, on_progress)
 
     def _front_wide(self) -> View:
         """The recording's own images: as they are, or through the lens of the named camera where theirs is another."""
@@ -194,21 +193,22 @@ class ViewMaker:
         origin = border_origin(seen, len(images))
         return View(images, camera, T_rig_camera, provenance.with_shares(origin), origin, notes=notes)
 
-    def _synthesized(self, name: str, front: FrontView, on_progress: Progress) -> View:
-        target = self.options.rig.fitted(self.options.width, self.options.height)[name]
-        settings = SynthesisSettings(lookback=LOOKBACK_LATENTS.get(name))
-        indices = self.indices.tolist()
-        view = synthesize_view(front, target.camera, target.T_rig_camera, indices, settings, on_progress)
+    def _synthesized(self, name: str, source: ViewSource, on_progress: Progress) -> View:
+        target, backend = self.options.rig.fitted(self.options.width, self.options.height)[name], self.options.backend
+        view = source.make(name, on_progress)
         provenance = ViewProvenance(
-            kind="warped",
-            engine="olt_generator.views.synthesis",
+            kind=backend.kind,
+            engine=backend.engine,
             version=code_version(),
             seed=self.options.seed,
             observed_share=0.0,
             invented_share=1.0,
         ).with_shares(view.origin)
+        notes = tuple(f"{name}: {note}." for note in view.notes)
         blind = int((view.origin == PixelOrigin.INVENTED).all(axis=(1, 2)).sum())
-        why = " (what lies behind is seen only once the vehicle has driven past it)" if settings.lookback else ""
-        note = f"{name}: the front camera saw nothing of {blind} of its {len(indices)} images; they are made up{why}."
-        notes = (note,) if blind else ()
+        if blind:
+            rear = name in LOOKBACK_LATENTS
+            why = " (what lies behind is seen only once the vehicle has driven past it)" if rear else ""
+            shown = f"the front camera saw nothing of {blind} of its {len(view.images)} images"
+            notes = (f"{name}: {shown}; they are made up{why}.", *notes)
         return View(view.images, target.camera, target.T_rig_camera, provenance, view.origin, view.drawn_on, notes)

@@ -51,7 +51,7 @@ def build(
     ] = MotionLabels.AS_MEASURED,
     duration: DurationOption = 20.0,
     all_frames: AllFramesOption = False,
-    seed: Annotated[int, typer.Option(help="Goes into the clip's id; nothing is drawn by chance.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of what --backend draws by chance; goes into the clip's id.")] = 0,
     cache: CacheOption = None,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
@@ -92,7 +92,18 @@ def build(
     )
     store, opening = make_folder(out), building.opening(duration)
     jobs = [
-        BuildJob(place, key, store, None, opening, options, estimators, keep_going=keep_going, verify=not no_verify)
+        BuildJob(
+            place,
+            key,
+            store,
+            None,
+            opening,
+            options,
+            estimators,
+            building.backends(),
+            keep_going=keep_going,
+            verify=not no_verify,
+        )
         for place, key in find_drives(recording, cache)
     ]
     if jobs[0].place.path == recording and jobs[0].key == WHOLE:
@@ -119,6 +130,8 @@ def views(
     as_json: JsonOption = False,
 ) -> None:
     """Only the wanted views and those they are made from; the rest is named as left out."""
+    from dataclasses import replace
+
     from olt_toolkit.clips.builder import build_clip
     from olt_toolkit.clips.store import ClipStore
     from olt_toolkit.clips.view_files import leave_out_motion, parse_cameras, reopen_clip, write_view_files
@@ -145,7 +158,8 @@ def views(
         refuse_unused(unused, "a stored clip has its lens, motion and duration")
         store = ClipStore(source)
         recording = reopen_clip(store, store.find(clip))
-    options = leave_out_motion(recording, estimators.apply(options))
+    options = replace(estimators.apply(options), backend=building.backends().open())
+    options = leave_out_motion(recording, options)
     with show_progress("views") as (on_progress, on_step):
         built = build_clip(recording, options, on_progress, on_step)
         on_progress(1.0)  # steps that were left out count as done

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from olt_toolkit.clips.backends import Backends, Precision, Solver
 from olt_toolkit.clips.estimators import DepthEstimator, Estimators, PoseEstimator
-from olt_toolkit.rigs.names import ContractName, FrontLens
+from olt_toolkit.rigs.names import Backend, ContractName, FrontLens
 
 if TYPE_CHECKING:
     from olt_toolkit.recordings.recording import OpenOptions
@@ -81,6 +82,21 @@ class BuildingOptions(CameraOptions):
     mapanything_weights: Annotated[Path | None, typer.Option(help="Folder with the files of MapAnything.")] = None
     depth: Annotated[DepthEstimator, typer.Option(help="Where the distances come from.")] = DepthEstimator.GEOMETRIC
     depth_weights: Annotated[Path | None, typer.Option(help="Folder with the files of the depth network.")] = None
+    backend: Annotated[Backend, typer.Option(help="What makes the views that no camera recorded.")] = Backend.GEOMETRIC
+    generator_weights: Annotated[Path | None, typer.Option(help="Folder of the engine of --backend wan-vace.")] = None
+    backbone_weights: Annotated[
+        Path | None, typer.Option(help="Folder of Wan2.1-VACE, where the engine does not bring its own.")
+    ] = None
+    steps: Annotated[int, typer.Option(min=1, help="Steps in which wan-vace samples a view.")] = 50
+    solver: Annotated[Solver, typer.Option(help="How wan-vace goes a step.")] = Solver.EULER
+    guidance: Annotated[
+        float | None, typer.Option(help="Of all wan-vace views, 1 for one pass a step; 3.5 and 7 (rear) by default.")
+    ] = None
+    tile: Annotated[int | None, typer.Option(help="Decode wan-vace videos in tiles of so many pixels.")] = None
+    precision: Annotated[Precision, typer.Option(help="Of the weights of wan-vace.")] = Precision.FLOAT32
+    invent_all: Annotated[
+        bool, typer.Option("--invent-all", help="Show what wan-vace made of what the front camera saw, too.")
+    ] = False
     device: DeviceOption = "cpu"
 
     def given_of_recordings(self) -> dict[str, bool]:
@@ -93,6 +109,7 @@ class BuildingOptions(CameraOptions):
             "--front": self.front is not FrontLens.AS_NAMED,
             "--poses": self.poses is not PoseEstimator.ODOMETRY,
             "--depth": self.depth is not DepthEstimator.GEOMETRIC,
+            "--backend": self.backend is not Backend.GEOMETRIC,
         }
 
     def opening(self, duration: float = float("inf")) -> "OpenOptions":
@@ -110,7 +127,24 @@ class BuildingOptions(CameraOptions):
 
     def estimators(self) -> Estimators:
         """What measures motion and distances; an `InputError` where weights are given without their estimator."""
-        return Estimators(self.poses, self.mapanything_weights, self.depth, self.depth_weights, self.device)
+        learned = self.backend is Backend.GEOMETRIC or self.mapanything_weights or self.depth_weights
+        device = self.device if learned else "cpu"
+        return Estimators(self.poses, self.mapanything_weights, self.depth, self.depth_weights, device)
+
+    def backends(self) -> Backends:
+        """What makes the views; an `InputError` where it lacks its weights, or is told what it does not use."""
+        return Backends(
+            self.backend,
+            self.generator_weights,
+            self.backbone_weights,
+            self.steps,
+            self.solver,
+            self.guidance,
+            self.tile,
+            self.precision,
+            not self.invent_all,
+            "cpu" if self.backend is Backend.GEOMETRIC else self.device,
+        )
 
 
 def unpack_options(command: Callable[..., None]) -> Callable[..., None]:

@@ -57,7 +57,11 @@ def print_build(summary: dict[str, Any]) -> None:
         print_line(f"in doubt: {doubt['what']}: {doubt['why']}")
     rows = []
     for name, view in clip["views"].items():
-        errors = summary["view_errors"].get(name, {}) if view["kind"] == "warped" else {"psnr": "", "psnr_observed": ""}
+        errors = (
+            summary["view_errors"].get(name, {})
+            if view["kind"] in ("warped", "generated")
+            else {"psnr": "", "psnr_observed": ""}
+        )
         rows.append((name, view["kind"], *_share_cells(view), errors.get("psnr"), errors.get("psnr_observed")))
     print_table("Views", ["view", "kind", *_SHARES, "PSNR dB", "PSNR dB, observed"], rows)
     print_table("Run time", ["step", "seconds"], list((summary["seconds"] | summary["store_seconds"]).items()))

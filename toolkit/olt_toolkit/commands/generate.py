@@ -1,11 +1,12 @@
 """`olt generate`: the learned engine, which generates the views of a clip."""
 
-from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from olt_toolkit.clips.backends import Precision
 from olt_toolkit.commands.clip_options import JsonOption
+from olt_toolkit.commands.generate_clips import clips
 from olt_toolkit.commands.generate_evaluate import evaluate
 from olt_toolkit.commands.generate_train import train
 
@@ -18,13 +19,6 @@ app = typer.Typer(add_completion=False, no_args_is_help=True)
 @app.callback()
 def generate() -> None:
     """Generate views with the learned engine, and tell what it takes."""
-
-
-class Precision(StrEnum):
-    """Precision of weights and activations."""
-
-    BFLOAT16 = "bfloat16"
-    FLOAT32 = "float32"
 
 
 @app.command(help="Tell the parameters, operations and memory of an engine without building it.")
@@ -128,3 +122,6 @@ def _print_tables(result: dict[str, Any], parts: "tuple[PartSize, ...]", cost: "
     print_table("The clip", ("what", "how much"), rows)
     for left_out in result["left_out"]:
         print_line(f"left out: {word_omission(Omission(**left_out))}")
+
+
+app.command(help="Make the missing views of recordings, of those of a folder, or of a data set, as clips.")(clips)

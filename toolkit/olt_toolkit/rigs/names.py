@@ -18,6 +18,13 @@ class FrontLens(StrEnum):
     AS_IS = "as-is"
 
 
+class Backend(StrEnum):
+    """What makes the views that no camera recorded (`olt_toolkit.clips.backends`)."""
+
+    GEOMETRIC = "geometric"
+    WAN_VACE = "wan-vace"
+
+
 class MotionLabels(StrEnum):
     """How motion that a data set measured becomes the labels of a clip (`olt_toolkit.clips.given_motion`)."""
 

@@ -6,7 +6,7 @@ stay in their own folder.
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -161,7 +161,7 @@ def load_engine(
     if backbone is None:
         model, autoencoder = build_model(facts.config), build_autoencoder(facts.config.autoencoder)
         _fill(autoencoder, _load(folder / AUTOENCODER), dict(autoencoder.named_parameters()), folder / AUTOENCODER)
-        autoencoder = autoencoder.to(torch.device(device))
+        nn.Module.to(autoencoder, device)
     else:
         loaded = load_backbone(backbone, device, dtype)
         config = EngineConfig(
@@ -186,8 +186,8 @@ def digest_engine(folder: Path, backbone: Path | None = None) -> str:
         if (folder / name).is_file():
             with (folder / name).open("rb") as file:
                 digest.update(hashlib.file_digest(file, "blake2b").digest())
-    for path in sorted(backbone.rglob("*")) if backbone else ():
-        if path.is_file():
+    if backbone is not None:
+        for path in sorted(path for path in backbone.rglob("*") if path.is_file()):
             digest.update(f"{path.relative_to(backbone).as_posix()}:{path.stat().st_size}".encode())
     return digest.hexdigest()
 
@@ -220,7 +220,7 @@ def _fill(module: nn.Module, found: dict[str, Tensor], wanted: dict[str, Any], p
 
 def _read(kind: Any, values: object, where: str) -> Any:
     """A dataclass of JSON values, in which lists stand for tuples."""
-    if not isinstance(values, dict) or not is_dataclass(kind):
+    if not isinstance(values, dict):
         raise InputError(f"{where}: is no object")
     names = {field.name for field in fields(kind)}
     if values.keys() != names:
@@ -232,5 +232,5 @@ def _read(kind: Any, values: object, where: str) -> Any:
     plain = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
     try:
         return kind(**plain)
-    except TypeError as error:
+    except (TypeError, AttributeError) as error:
         raise InputError(f"{where}: {error}") from error

@@ -40,11 +40,19 @@ class GenerationOrder:
     left_out: tuple[Omission, ...]
 
 
-def order_views(wanted: Collection[str], given: Collection[str] = VIEWS[:1]) -> GenerationOrder:
+def conditions_of(view: int, most: int = MOST_CONDITIONS) -> tuple[int, ...]:
+    """Ids of the views that a view is conditioned on, the front view first, at most `most` of them."""
+    return CONDITIONS[view][:most]
+
+
+def order_views(
+    wanted: Collection[str], given: Collection[str] = VIEWS[:1], most: int = MOST_CONDITIONS
+) -> GenerationOrder:
     """Plan the generation of wanted views by name; the order in which they are named makes no difference.
 
     Args:
         given: views that a camera recorded; they condition others and are not generated.
+        most: views that one is conditioned on at most; 0 without memory.
 
     Raises:
         InputError: a name is none of `VIEWS`, nothing is wanted, or the front view is not given.
@@ -59,7 +67,7 @@ def order_views(wanted: Collection[str], given: Collection[str] = VIEWS[:1]) -> 
     # Conditions have lower ids, so one pass from the last view to the first finds all ancestors.
     for view in reversed(range(len(VIEWS))):
         if view in needed - given_ids:
-            needed |= set(CONDITIONS[view])
+            needed |= set(conditions_of(view, most))
     views = tuple(sorted(needed - given_ids))
     return GenerationOrder(
         views,

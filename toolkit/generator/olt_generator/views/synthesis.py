@@ -61,11 +61,13 @@ class SynthesizedView:
         origin: (m, h, w) uint8, a `PixelOrigin` per pixel. A pixel is invented where no source pixel lands on any part
             of it.
         drawn_on: for each image the other frames that it was made from.
+        notes: a sentence for everything about the view that its name does not promise.
     """
 
     images: NDArray[np.uint8]
     origin: NDArray[np.uint8]
     drawn_on: tuple[tuple[int, ...], ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def observed(self) -> NDArray[np.bool_]:
