@@ -42,11 +42,14 @@ def evaluate(
     from olt_generator.diffusion.evaluation import keep_observed as keep
     from olt_generator.diffusion.evaluation import sample_views, score_views
     from olt_generator.diffusion.training_cache import TrainingCache
+    from olt_generator.diffusion.training_state import read_settings
     from olt_generator.errors import InputError
     from olt_toolkit.clips.score import open_lpips, open_matcher
     from olt_toolkit.runtime.console import print_json, show_progress
 
     engine, cache = load_engine(run / "engine", backbone, device), TrainingCache(run / "cache")
+    # An engine that never had a warp is not given one.
+    use_warp = read_settings(run)["flow"]["use_warp"]
     numbers = cache.numbers(split.value)
     if not numbers:
         raise InputError(f"{run}: its cache holds no clip of the split {split.value}; train with a share of it")
@@ -55,7 +58,7 @@ def evaluate(
     with show_progress("clips", len(numbers)) as (on_progress, _):
         for done, number in enumerate(numbers):
             videos = cache.videos(number)
-            made = sample_views(engine, cache.clip(number), (1, 2, 3, 4, 5), steps, seed + done)
+            made = sample_views(engine, cache.clip(number), (1, 2, 3, 4, 5), steps, seed + done, use_warp)
             if keep_observed:
                 made = {view: keep(video, videos.filled[view], videos.origin[view]) for view, video in made.items()}
             rows += [

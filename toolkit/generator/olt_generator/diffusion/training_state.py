@@ -109,6 +109,22 @@ def load_state(
     return done[-1]
 
 
+def read_settings(run: Path) -> dict[str, Any]:
+    """What the last state of a run depends on.
+
+    Raises:
+        InputError: there is no state, or it is damaged.
+    """
+    done = _steps(run)
+    if not done:
+        raise InputError(f"{run}: holds no state of training; give the folder of a run")
+    path = _folder(run, done[-1]) / STATE
+    try:
+        return json.loads(read_bounded(path, "state of training", 1_000_000))["settings"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: cannot be read ({error})") from error
+
+
 def _placed(value: Tensor, kind: str, parameter: nn.Parameter) -> Tensor:
     """AdamW counts its steps on the processor."""
     return value if kind == "step" else value.to(parameter.device)
