@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from olt_generator.cameras import PinholeCamera
 from olt_generator.diffusion.engine_folder import Engine
-from olt_generator.diffusion.flow_training import collect_conditions
+from olt_generator.diffusion.flow_training import collect_conditions, move
 from olt_generator.diffusion.sampling import guided_velocity, integrate, sigma_grid
 from olt_generator.diffusion.training_clips import ClipVideos, TrainingClip
 from olt_generator.diffusion.view_graph import CONDITIONS, VIEWS
@@ -65,11 +65,11 @@ def sample_views(
     latents = {0: clip.latents[0]}
     for view in views:
         seen = [[latents[condition] for condition in CONDITIONS[view]]]
-        conditions = collect_conditions([clip], [view], engine.prompt, seen, use_warp)
+        conditions = move(collect_conditions([clip], [view], engine.prompt.cpu(), seen, use_warp), engine.device)
         generator = torch.Generator().manual_seed(derive_seed("evaluation", seed, view))
         noise = torch.randn(clip.latents[:1].shape, generator=generator)
         velocity = guided_velocity(engine.model, conditions)
-        latents[view] = integrate(velocity, noise, sigma_grid(steps))[0]
+        latents[view] = integrate(velocity, noise.to(engine.device), sigma_grid(steps))[0].cpu()
     return {view: engine.codec.decode(latents[view][None])[0].cpu().numpy() for view in views}
 
 

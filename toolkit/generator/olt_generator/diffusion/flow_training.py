@@ -5,6 +5,7 @@ z_sigma = (1 - sigma) z + sigma eps, the model tells eps - z (paper, section Tra
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -20,6 +21,7 @@ from olt_generator.diffusion.warp_control import no_warp, vace_control
 from olt_generator.seeds import derive_seed, make_generator
 
 _GENERATED = len(VIEWS) - 1
+Tree = TypeVar("Tree")
 
 
 @dataclass(frozen=True)
@@ -127,14 +129,11 @@ def collect_conditions(
     )
 
 
-def move(batch: FlowBatch, device: torch.device) -> FlowBatch:
-    """The batch on a device."""
-    return _moved(batch, device)
-
-
-def _moved(value, device):  # noqa: ANN001, ANN202 - a tree of dataclasses of tensors
-    if isinstance(value, Tensor):
-        return value.to(device)
-    if value is None:
-        return None
-    return type(value)(**{name: _moved(part, device) for name, part in vars(value).items()})
+def move(tree: Tree, device: torch.device) -> Tree:
+    """A dataclass of tensors, dataclasses of them, and None, on a device."""
+    anything: Any = tree
+    if isinstance(tree, Tensor):
+        anything = tree.to(device)
+    elif tree is not None:
+        anything = type(tree)(**{name: move(part, device) for name, part in vars(tree).items()})
+    return anything

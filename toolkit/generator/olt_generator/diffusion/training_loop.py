@@ -49,7 +49,7 @@ def train(
         InputError: accelerate is not installed, the samples of a step cannot be shared out evenly, a loss is not
             finite, the folder holds another run, or sharded training is asked for.
     """
-    accelerator = _make_accelerator(precision)
+    accelerator = _make_accelerator()
     if settings.batch % accelerator.num_processes:
         raise InputError(f"batch {settings.batch}: give a multiple of the {accelerator.num_processes} processes")
     model.to(accelerator.device)
@@ -66,7 +66,7 @@ def train(
     share = settings.batch // accelerator.num_processes
     for step in range(begun, settings.steps):
         first = step * settings.batch + accelerator.process_index * share
-        with accelerator.autocast():
+        with torch.autocast(accelerator.device.type, torch.bfloat16, enabled=precision == "bfloat16"):
             loss = losses_of(wrapped, list(range(first, first + share))).mean()
         accelerator.backward(loss)
         norm = nn.utils.clip_grad_norm_(trained.values(), settings.clip)
@@ -109,17 +109,16 @@ def rate_share(step: int, settings: OptimizerSettings) -> float:
     return settings.least_ratio + (1.0 - settings.least_ratio) * 0.5 * (1.0 + math.cos(math.pi * min(1.0, done)))
 
 
-def _make_accelerator(precision: Precision) -> Any:
+def _make_accelerator() -> Any:
     try:
         from accelerate import Accelerator, DistributedType
         from accelerate.utils import DistributedDataParallelKwargs
     except ImportError as error:
         raise InputError("training needs accelerate; pip install 'olt-generator[learned]'") from error
-    mixed = "bf16" if precision == "bfloat16" else "no"
     accelerator = Accelerator(
-        mixed_precision=mixed,
+        mixed_precision="no",
         cpu=not torch.cuda.is_available(),
-        kwargs_handlers=[DistributedDataParallelKwargs(broadcast_buffers=False)],
+        kwargs_handlers=[DistributedDataParallelKwargs(broadcast_buffers=False, find_unused_parameters=True)],
     )
     if accelerator.distributed_type in (DistributedType.FSDP, DistributedType.DEEPSPEED):
         raise InputError(
