@@ -141,8 +141,13 @@ def make_training_scene(name: str, seed: int, disturbance: Disturbance | None = 
     if leg:
         x, y, yaw = (_smoothed(each) for each in (x, y, np.unwrap(yaw)))
     label = f"training_{name}_{seed}" + (f"_leg_{leg}" if disturbance else "")
-    factors = (*entry.factors, RECOVERY) if leg else entry.factors
+    factors = factors_of_leg(name, find_legs(name, seed, disturbance)[leg])
     return scene_of_event(label, entry.category, factors, event, Trajectory(times, planar_pose(x, y, yaw)))
+
+
+def factors_of_leg(name: str, leg: Leg) -> tuple[str, ...]:
+    """The scene factors of a leg: those of its event, and RECOVERY behind a push."""
+    return (*_find(name).factors, RECOVERY) if leg.number else _find(name).factors
 
 
 def _smoothed(values: Array) -> Array:
