@@ -18,7 +18,7 @@ from olt_closed_loop.scenes.driving import SAMPLE_US
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.suite.catalogue import CURVED, EVENTS, LEFT, LONGTAIL, Entry
 from olt_closed_loop.suite.courses import DURATION_US
-from olt_closed_loop.suite.disturbances import Disturbance, Push, is_free
+from olt_closed_loop.suite.disturbances import Disturbance, Push, is_free, is_gentle
 from olt_closed_loop.suite.event import Event
 from olt_closed_loop.suite.everyday import NOMINAL, ORDINARY_STOPS
 from olt_closed_loop.suite.recorded_drives import (
@@ -49,6 +49,8 @@ _MORE_FUTURE_US = 200_000
 _LEAST_LEG_US = 600_000
 _SCALES = (1.0, -1.0, 0.5, -0.5, 0.0)
 """How strongly a push is tried, one after another, until it is a safe one."""
+_BACK_US = 2_500_000
+"""How long the way back to the path takes, about."""
 _SMOOTHING = 5.0
 """Samples of the recording."""
 
@@ -223,9 +225,10 @@ def _push(truth: Truth, push: Push, drive: Drive) -> tuple[tuple[Array, Array, A
     times = push.times(SAMPLE_US)
     for scale in _SCALES:
         x, y, yaw = poses = push.scaled(scale).move(drive, times)
-        if scale and not is_free(truth, times, poses):
+        if scale and not (is_gentle(times, poses) and is_free(truth, times, poses)):
             continue
         found = plan_drive(truth, push.end_us, float(x[-1]), float(y[-1]), speed_at(poses, times), float(yaw[-1]))
-        if is_clean(found, truth):
+        back = np.arange(push.end_us, push.end_us + _BACK_US, SAMPLE_US, dtype=np.int64)
+        if is_clean(found, truth) and is_gentle(back, found.poses(back)):
             break
     return (x[:-1], y[:-1], yaw[:-1]), found
