@@ -19,9 +19,10 @@ def holds_of(lanes: tuple[Lane, ...], lights: tuple[Light, ...], route: np.ndarr
     for light in lights:
         for name in light.lanes:
             lane = by_id[name]
-            middle = shapely.Point(lane.center[len(lane.center) // 2, :2])
+            # Other ways cross the route, and those of the same arm begin on it: it follows those that do both.
+            places = shapely.points(lane.center[[0, len(lane.center) // 2], :2])
             outranked = name in people and not light.id.startswith(HUMAN)
-            if outranked or line.distance(middle) > _ON_ROUTE:
+            if outranked or shapely.distance(places, line).max() > _ON_ROUTE:
                 continue
             ends = np.stack([lane.left[0, :2], lane.right[0, :2]])
             holds += [Hold(ends, int(begin), int(end)) for begin, end in light.spans("red", end_us)]

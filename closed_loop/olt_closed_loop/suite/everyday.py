@@ -56,7 +56,7 @@ def green_light(generator: np.random.Generator, goal: int) -> Event:
 def red_light(generator: np.random.Generator, goal: int) -> Event:
     """A junction whose light turns green only after the ego has come to it."""
     ground = four(generator, goal=goal, controls=_LIGHTS)
-    turns = ground.arrival(ground.crux) + float(generator.uniform(0.0, 4.0))
+    turns = ground.arrival(ground.crux) + float(generator.uniform(0.0, 5.0))
     plan = SignalPlan((_OWN_GREEN, _OTHERS_GREEN), green=12.0, start=turns)
     ground = replace(ground, road_map=with_signals(ground.road_map, plan))
     return Event(ground, tuple(_harmless(ground, generator, 3)))
