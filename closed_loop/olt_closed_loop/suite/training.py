@@ -16,7 +16,7 @@ from olt_closed_loop.privileged.plan import Drive, is_clean, plan_drive
 from olt_closed_loop.privileged.truth import Truth
 from olt_closed_loop.scenes.driving import SAMPLE_US
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.suite.catalogue import CURVED, EVENTS, LEFT, LONGTAIL, Entry
+from olt_closed_loop.suite.catalogue import CATEGORIES, CURVED, EVENTS, LEFT, Entry
 from olt_closed_loop.suite.courses import DURATION_US
 from olt_closed_loop.suite.disturbances import Disturbance, Push, is_free, is_gentle
 from olt_closed_loop.suite.event import Event
@@ -78,11 +78,13 @@ def _groups() -> dict[str, tuple[str, ...]]:
         category: tuple(name for name, entry in TRAINING_EVENTS.items() if entry.category == category)
         for category in categories
     }
-    return {"longtail": LONGTAIL, **groups}
+    # The categories of the suite take turns, each as often as it has events.
+    places = {name: (index + 0.5) / len(groups[each]) for each in CATEGORIES for index, name in enumerate(groups[each])}
+    return {"longtail": tuple(sorted(places, key=lambda name: places[name])), **groups}
 
 
 GROUPS: Mapping[str, tuple[str, ...]] = _groups()
-"""Names of events by category, and those of all CATEGORIES of the suite as `longtail`."""
+"""Names of events by category, and the 53 of the suite as `longtail`, whose categories take turns."""
 
 
 @dataclass(frozen=True)

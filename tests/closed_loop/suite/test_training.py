@@ -61,7 +61,9 @@ def test_no_lane_has_the_shape_of_one_of_the_suite(seed):
 
 
 def test_groups_are_the_categories_and_the_suite():
-    assert GROUPS["longtail"] == LONGTAIL
+    assert sorted(GROUPS["longtail"]) == sorted(LONGTAIL)
+    # Few drives show most of the categories already.
+    assert len({TRAINING_EVENTS[name].category for name in GROUPS["longtail"][:9]}) >= 3
     assert set(CATEGORIES) | {"nominal", "traffic_light", "stopped_traffic"} <= set(GROUPS)
     assert not set(GROUPS) & set(TRAINING_EVENTS)
     assert {name_in_group("nominal", seed) for seed in range(len(GROUPS["nominal"]))} == set(GROUPS["nominal"])
