@@ -65,7 +65,8 @@ def _entries() -> dict[str, Entry]:
 
 
 def _factors_of(name: str) -> tuple[str, ...]:
-    return tuple(factor for factor, word in ((CURVED, "bend"), (LEFT, "left_hand")) if word in name)
+    words = ((CURVED, "bend"), (CURVED, "curve"), (LEFT, "left_hand"))
+    return tuple(factor for factor, word in words if word in name)
 
 
 TRAINING_EVENTS: Mapping[str, Entry] = _entries()
