@@ -85,13 +85,13 @@ def _run(vehicle: DrivenVehicle, request: Any) -> Any:
     if len(request.planned_trajectory_in_rig.poses) > MOST_POSES:
         raise InputError(f"{_WHERE}: a plan of more than {MOST_POSES} poses")
     times_us, plan_rig = read_trajectory(request.planned_trajectory_in_rig, f"{_WHERE}: plan")
-    if len(times_us) == 0 or times_us[0] != now_us:
+    if len(times_us) == 0 or times_us[0] > now_us:
         begins = f"begins at {times_us[0]} us" if len(times_us) else "has no poses"
-        raise InputError(f"{_WHERE}: the plan {begins}; it must begin with the state, at {now_us} us")
+        raise InputError(f"{_WHERE}: the plan {begins}; it must begin with the state, at {now_us} us, or before")
     if request.coerce_dynamic_state or vehicle.time_us is None:
         vehicle.take_over(rates)
     try:
-        states = list(vehicle.run(T_local_rig, times_us, plan_rig, stops_us))
+        states = list(vehicle.run(now_us, T_local_rig, times_us, plan_rig, stops_us))
     except PlanRefused as refusal:
         raise InputError(f"{_WHERE}: {refusal}") from refusal
     return _write_states(states)
