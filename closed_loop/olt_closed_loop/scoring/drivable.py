@@ -122,8 +122,10 @@ def _within(lines: Sequence[Sequence[Array]], places: Array, distance: float) ->
     points = np.concatenate([line[:, :2] for group in lines for line in group])
     begins = np.cumsum([0, *sizes[:-1]])
     low, high = (extreme.reduceat(points, begins, axis=0) for extreme in (np.minimum, np.maximum))
-    beside = np.maximum(np.maximum(low[:, None] - places, places - high[:, None]), 0.0)
-    return (np.einsum("gni,gni->gn", beside, beside) <= distance**2).any(axis=1)
+    bounds = shapely.STRtree(shapely.box(*low.T, *high.T))
+    near = np.zeros(len(lines), dtype=bool)
+    near[bounds.query(shapely.points(places), predicate="dwithin", distance=distance)[1]] = True
+    return near
 
 
 def _outlined(outline: Array, origin: Array) -> BaseGeometry:
