@@ -206,4 +206,4 @@ def _separately(policy: PolicySource) -> PolicySource:
         raise InputError(
             f"policy {name} cannot be copied for every session ({word_error(error)}); give a factory"
         ) from error
-    return lambda: copy.deepcopy(given)
+    return lambda: copy.deepcopy(given)  # pyright: ignore[reportReturnType]
