@@ -19,7 +19,7 @@ from olt_generator.errors import InputError
 REASSIGNED, GUIDED, CONED = "temporary_path_reassignment", "human_guided_traffic_control", "cone_delineated_path"
 CURVED, IRREGULAR, WEAK = "curved_road", "irregular_layout", "weak_markings"
 PRIORITY, TAKEN, ONCOMING = "cross_traffic_first", "cross_traffic_takes_way", "oncoming_traffic"
-LEFT = "left_hand_traffic"
+LEFT, LIGHTS = "left_hand_traffic", "traffic_lights"
 FACTORS: Mapping[str, str] = {
     REASSIGNED: "cones, closures or routing override the markings",
     GUIDED: "somebody directs traffic by arms or a sign",
@@ -31,6 +31,7 @@ FACTORS: Mapping[str, str] = {
     TAKEN: "somebody takes the way whose right it is not",
     ONCOMING: "oncoming traffic bounds when the ego can go",
     LEFT: "traffic keeps to the left",
+    LIGHTS: "lamps show who may go, or somebody overrules them",
 }
 """The factors by which tables have rows, and what they mean."""
 
@@ -61,6 +62,7 @@ _taken, _across, _coned = intersections.way_taken, intersections.turn_across, in
 _people, _ring, _exit = intersections.people_cross, intersections.ring_entry, intersections.blocked_exit
 Controls = tuple[Control, ...]
 WORN = 0.85
+_LIGHT4: Controls = ("light", "light", "light", "light")
 _STOP4: Controls = ("priority", "stop", "priority", "stop")
 _STOP3: Controls = ("priority", "priority", "stop")
 _MAIN4: Controls = ("stop", "priority", "stop", "priority")
@@ -68,9 +70,9 @@ _MAIN4: Controls = ("stop", "priority", "stop", "priority")
 
 _COMPLEX: tuple[Row, ...] = (
     (
-        "officer_stops_straight",
-        (GUIDED, PRIORITY),
-        partial(_hold, roads=partial(four, goal=1), streams=((2, 0),), waiting=0),
+        "officer_overrules_light",
+        (GUIDED, PRIORITY, LIGHTS),
+        partial(_hold, roads=partial(four, goal=1, controls=_LIGHT4), streams=((2, 0),), waiting=0, overruled=True),
     ),
     (
         "officer_stops_both_ways",

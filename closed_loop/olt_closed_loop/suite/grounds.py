@@ -14,6 +14,7 @@ from olt_closed_loop.scenes.maps.junctions import Arm, junction
 from olt_closed_loop.scenes.maps.lanes import Control, Lane, Light, LightState, StopLine
 from olt_closed_loop.scenes.maps.road_map import RoadMap
 from olt_closed_loop.scenes.maps.roundabouts import roundabout
+from olt_closed_loop.scenes.maps.signals import SignalPlan, with_signals
 from olt_closed_loop.scenes.polylines import arc_lengths, points_along
 from olt_closed_loop.suite.courses import Course
 from olt_generator.poses import Array
@@ -60,6 +61,10 @@ class Ground:
     def with_light(self, light: Light) -> "Ground":
         """The ground with one light more."""
         return replace(self, road_map=replace(self.road_map, lights=(*self.road_map.lights, light)))
+
+    def signalled(self, plan: SignalPlan) -> "Ground":
+        """The ground with lights that change by a plan, on the arms that have stop lines for lights."""
+        return replace(self, road_map=with_signals(self.road_map, plan))
 
     def directed(self, held: Sequence[tuple[float, float]]) -> "Ground":
         """The ground where a person holds the ego's lane at the crux for spans of seconds."""
