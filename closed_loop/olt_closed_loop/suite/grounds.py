@@ -110,7 +110,6 @@ def crossroads(
     generator: np.random.Generator,
     headings: Sequence[float] = (0.0, 90.0, 180.0, 270.0),
     controls: Sequence[Control | None] = (None, None, None, None),
-    left_hand: bool = False,
     wear: float = 0.0,
     bend: float = 0.0,
 ) -> RoadMap:
@@ -128,7 +127,7 @@ def crossroads(
         )
         for heading, turn, more, control in zip(headings, off, lengths, controls, strict=True)
     ]
-    return junction(arms, turn_radius=float(generator.uniform(7.0, 10.0)), left_hand=left_hand)
+    return junction(arms, turn_radius=float(generator.uniform(7.0, 10.0)))
 
 
 def circle(generator: np.random.Generator, headings: Sequence[float]) -> RoadMap:

@@ -17,8 +17,8 @@ from olt_closed_loop.suite.people import flagger, officer
 Roads = Callable[..., Ground]
 _CLEARS = 1.2
 """Seconds from the last car of cross traffic to the hand that lets the ego go."""
-_RED_BEFORE, _LONG_GREEN = 2.0, 40.0
-"""Seconds from the red light to the hand that overrules it, and of a green that lasts the whole approach."""
+_RED_BEFORE, _LONG_GREEN, _NEVER = 2.0, 40.0, 35.0
+"""Seconds from the red light to the hand that overrules it, of a green that is there all along, and after the end."""
 
 FOUR = (0.0, 90.0, 180.0, 270.0)
 SKEWED = (20.0, 90.0, 200.0, 270.0)
@@ -35,14 +35,17 @@ def ground_of(
     lead: float | None = None,
     wear: float = 0.0,
     bend: float = 0.0,
-    left_hand: bool = False,
+    lit: bool = False,
 ) -> Ground:
-    """A junction that the ego comes to on its last arm and leaves on arm `goal`."""
+    """A junction that the ego comes to on its last arm and leaves on arm `goal`.
+
+    A `lit` one of four arms has lights, green for the ego's arm and the opposite one and red for the others.
+    """
     own = len(headings) - 1
-    road_map = crossroads(
-        generator, headings, controls or (None,) * len(headings), left_hand=left_hand, wear=wear, bend=bend
-    )
-    return place(road_map, f"arm{own}_in_0", f"arm{goal}_out_0", generator, lead)
+    told: Sequence[Control | None] = controls or ("light" if lit else None,) * len(headings)
+    road_map = crossroads(generator, headings, told, wear=wear, bend=bend)
+    ground = place(road_map, f"arm{own}_in_0", f"arm{goal}_out_0", generator, lead)
+    return ground.signalled(_turns_red(_NEVER)) if lit else ground
 
 
 def directed_hold(
@@ -83,7 +86,7 @@ def directed_hold(
 
 
 def _turns_red(when: float) -> SignalPlan:
-    """Lights of crossroads: the ego's arm and the opposite one are green until amber comes, red at `when` seconds."""
+    """Lights of crossroads: the ego's arm and the opposite one are green, then amber, and red from `when` seconds."""
     plan = SignalPlan(phases=((1, 3), (0, 2)), green=_LONG_GREEN)
     return replace(plan, start=when - plan.amber - plan.green)
 

@@ -13,7 +13,7 @@ from olt_closed_loop.scenes.maps.lanes import Light
 from olt_closed_loop.scenes.maps.signals import SignalPlan, with_signals
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scenes.scene_map import with_map
-from olt_closed_loop.sensors.ray_casting import SceneRenderer, rig_sensors
+from olt_closed_loop.sensors.ray_casting import rig_sensors
 from olt_closed_loop.sensors.signal_heads import SignalHeads
 from olt_generator.poses import planar_pose
 from olt_generator.trajectory import Trajectory
@@ -65,7 +65,7 @@ def shown(picture: np.ndarray) -> str | None:
 def test_a_camera_reads_the_lamp_at_the_line_and_from_afar(left_hand, light, camera, size, gap):
     scene = lit_scene(left_hand)
     conditions = replace(parse_conditions(light, "clear"), street_lights=False)
-    sensors = rig_sensors(replace(scene, road_edges=scene.road_edges), conditions)
+    sensors = rig_sensors(scene, conditions)
     pose = before_the_line(scene, gap)
     seen = {state: shown(sensors((camera,), size, pose, time_us)[0]) for state, time_us in STATES.items()}
     assert seen == {state: state for state in STATES}
@@ -122,20 +122,16 @@ def test_lights_of_lanes_that_the_map_lacks_show_to_all_sides():
         assert shown(sensors((FRONT_WIDE,), FULL, pose, 0)[0]) == "red"
 
 
-def test_heads_stand_on_hills():
+def test_poles_stand_on_hills():
     scene = put_on_hills(lit_scene(), lay_crest(0.0, 0.0, 6.0, 200.0))
-    heads = SignalHeads(scene)
-    assert scene.hills is not None
-    feet = heads.standing.center[:, 2] - heads.standing.half[:, 2]
-    poles = feet < 6.0
-    ground = scene.hills.height(heads.standing.center[:, :2])
-    np.testing.assert_allclose(feet[heads.standing.half[:, 2] > 1.0], ground[heads.standing.half[:, 2] > 1.0], atol=0.3)
-    assert poles.any()
+    standing = SignalHeads(scene).standing
+    poles = standing.select(standing.half[:, 2] > 1.0)
+    assert len(poles) == 4 and scene.hills is not None
+    np.testing.assert_allclose(poles.center[:, 2] - poles.half[:, 2], scene.hills.height(poles.center), atol=1e-6)
 
 
 def test_the_same_moment_gives_the_same_picture_again():
-    scene, renderer = lit_scene(), SceneRenderer(lit_scene())
-    del renderer
+    scene = lit_scene()
     sensors, pose = rig_sensors(scene), before_the_line(scene, 5.0)
     first = sensors((FRONT_WIDE,), TOY, pose, STATES["red"])
     sensors((FRONT_WIDE,), TOY, pose, STATES["green"])

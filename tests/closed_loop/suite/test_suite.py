@@ -1,5 +1,6 @@
 """The long-tail suite: how many events, made the same each time, drivable, apart from others; and suites as files."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from olt_closed_loop.scenes.scene_map import map_of, with_map
 from olt_closed_loop.scoring.definitions import RolloutScore
 from olt_closed_loop.suite.apart import lane_shape, shared_lanes
 from olt_closed_loop.suite.catalogue import CATEGORIES, EVENTS, FACTORS, LONGTAIL
+from olt_closed_loop.suite.event import in_mirror
 from olt_closed_loop.suite.files import Suite, SuiteScene, built_in_suites, find_suite, read_suite, write_suite
 from olt_closed_loop.suite.scenes import make_scene, scene_of
 from olt_generator.errors import InputError
@@ -85,6 +87,67 @@ def test_whoever_directs_traffic_is_to_be_seen(name):
             assert {light.state_at(int(time_us)) for time_us in sign.timestamps_us} == {"red"}
 
 
+def test_a_hand_outranks_the_lamp_that_contradicts_it():
+    """The ego's light is green while the hand stops it, and red when the hand waves it through; the drive obeys."""
+    scene = make_scene("officer_overrules_light")
+    hand = next(light for light in scene.lights if light.id.startswith(HUMAN))
+    lamp = next(light for light in scene.lights if light.position is not None and set(hand.lanes) <= set(light.lanes))
+    let_go = int(hand.timestamps_us[-1])
+    assert hand.state_at(0) == "red" and lamp.state_at(0) == "green"
+    assert hand.state_at(let_go) == "green" and lamp.state_at(let_go) == lamp.state_at(20_000_000) == "red"
+    crossed = scene.ego.timestamps_us[map_of(scene).nearest(scene.ego.T_world_rig[:, :3, 3]).lanes != 0]
+    line = next(lane for lane in scene.lanes if lane.id == hand.lanes[0]).center[0, :2]
+    ahead = (scene.ego.T_world_rig[:, :2, 3] - line) @ (scene.ego.T_world_rig[0, :2, 0])
+    assert scene.ego.timestamps_us[ahead > 0.0][0] > let_go and len(crossed)
+    assert len([light for light in scene.lights if light.position is not None]) == 4
+
+
+def on_left_of_road(scene) -> bool:
+    """Whether the ego begins to the left of the middle of the road."""
+    T_rig_world = np.linalg.inv(scene.ego.T_world_rig[0])
+    edges = [(T_rig_world[:2, :2] @ edge[:, :2].T).T + T_rig_world[:2, 3] for edge in scene.road_edges]
+    beside = np.concatenate([edge[np.abs(edge[:, 0]) < 8.0, 1] for edge in edges])
+    return bool(beside.max() < -beside.min())
+
+
+@pytest.mark.parametrize("name", LONGTAIL)
+def test_traffic_keeps_to_the_side_that_the_event_says(name):
+    assert on_left_of_road(make_scene(name)) is ("left_hand_traffic" in EVENTS[name].factors)
+
+
+def test_events_lie_on_hills_and_in_left_hand_traffic():
+    by_factor = {factor: [n for n in LONGTAIL if factor in EVENTS[n].factors] for factor in FACTORS}
+    assert len(by_factor["hills"]) >= 3 and len(by_factor["left_hand_traffic"]) >= 4
+    assert len(by_factor["traffic_lights"]) >= 3
+    for name in LONGTAIL:
+        assert (make_scene(name).hills is not None) is (name in by_factor["hills"])
+        lamps = [light for light in make_scene(name).lights if light.position is not None]
+        assert bool(lamps) is (name in by_factor["traffic_lights"])
+
+
+@pytest.mark.parametrize("name", [name for name in LONGTAIL if "hills" in EVENTS[name].factors])
+def test_what_lies_behind_a_crest_stands_on_the_ground(name):
+    scene = make_scene(name)
+    assert scene.hills is not None
+    heights = scene.hills.height(scene.ego.T_world_rig[:, :3, 3])
+    np.testing.assert_allclose(scene.ego.T_world_rig[:, 2, 3], heights, atol=1e-9)
+    assert np.ptp(heights) > 1.5
+    for agent in scene.agents:
+        ground = scene.hills.height(agent.poses[:, :3])
+        np.testing.assert_allclose(agent.poses[:, 2] - 0.5 * agent.height, ground, atol=1e-6)
+
+
+def test_arms_in_the_mirror_reach_away_from_the_body():
+    make = EVENTS["officer_stops_both_ways"].make
+    for maker in (make, in_mirror(make)):
+        agents = maker(make_generator("mirror")).agents
+        body = next(agent for agent in agents if agent.id == "officer").poses[0]
+        for arm in (agent for agent in agents if agent.label == "arm"):
+            x, y, _, yaw = arm.poses.T
+            outward = np.stack([x, y]) - body[:2, None]
+            assert np.all(outward[0] * -np.sin(yaw) + outward[1] * np.cos(yaw) > 0.5)
+
+
 @pytest.mark.parametrize("name", FAST)
 def test_an_event_is_driven_by_who_sees_everything_only(name):
     event = check_event(f"longtail/{name}")
@@ -92,9 +155,10 @@ def test_an_event_is_driven_by_who_sees_everything_only(name):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("name", LONGTAIL)
-def test_every_event_can_be_driven(name):
-    event = check_event(f"longtail/{name}")
+def test_every_event_can_be_driven(name, seed):
+    event = check_event(f"longtail/{name}:{seed}")
     assert event.gate == () and event.collided == ()
     assert set(event.privileged.values()) == {1.0}
     assert len(event.solved_by) < 4
@@ -191,8 +255,11 @@ def test_the_commands_list_make_check_and_run(tmp_path):
     assert listed.exit_code == 0 and "longtail/rider_crosses" in listed.output
     made = runner.invoke(app, ["suite", "make", "longtail", "--out", str(tmp_path), *only])
     assert made.exit_code == 0, made.output
-    checked = runner.invoke(app, ["suite", "check", *only, "--apart-from", "nominal:0", "--workers", "1"])
+    options = ["--apart-from", "nominal:0", "--seeds", "2", "--workers", "1", "--json"]
+    checked = runner.invoke(app, ["suite", "check", *only, *options])
     assert checked.exit_code == 0, checked.output
+    sources = [event["source"] for event in json.loads(checked.output)["events"]]
+    assert sources == ["longtail/rider_crosses:0", "longtail/rider_crosses:1"]
     options = ["--suite", str(tmp_path / "suite.yaml"), "--policy", "privileged", "--rollouts", "1", "--workers", "1"]
     driven = runner.invoke(app, ["run", *options, "--no-baselines"])
     assert driven.exit_code == 0, driven.output
