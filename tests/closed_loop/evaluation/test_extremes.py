@@ -71,9 +71,8 @@ def test_an_agent_that_turns_across_half_a_turn_turns_the_shorter_way(straight_s
     poses = np.array([[22.0, 3.2, 0.8, np.pi - 0.05], [22.0, 3.2, 0.8, -np.pi + 0.05]])
     turns = Agent("turns", "automobile", 4.5, 1.9, 1.6, times, poses)
     assert score(straight_scene((turns,))).score == 1.0
-    unwrapped = poses * [1.0, 1.0, 1.0, 0.0] + [[0.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]]
-    quarter = replace(turns, poses=unwrapped + [0.0, 0.0, 0.0, np.pi / 2 - 0.25])
-    assert score(straight_scene((quarter,))).collided
+    poses[:, 3] = [np.pi / 2 - 0.25, np.pi / 2 + 0.75]
+    assert score(straight_scene((replace(turns, poses=poses),))).collided
 
 
 @pytest.mark.parametrize("place", [(1e6, -1e6), (-1e6, 1e6)])
