@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import shapely
 from typer.testing import CliRunner
 
 from olt_closed_loop.commands import app
@@ -108,12 +109,13 @@ def test_roads_have_what_the_factors_say(name):
     assert (event.hills is not None) is ("hills" in factors)
     lamps = [light for light in event.ground.road_map.lights if light.position is not None]
     assert bool(lamps) is ("traffic_lights" in factors)
-    x, y, heading = event.ground.course.locate(event.ground.start)
-    ahead = np.array([np.cos(heading[0]), np.sin(heading[0])])
-    edges = np.concatenate([edge[:, :2] for edge in event.ground.road_map.road_edges]) - [x[0], y[0]]
-    beside = (edges @ [-ahead[1], ahead[0]])[np.abs(edges @ ahead) < 15.0]
-    nearer_left = beside[beside > 0.0].min() < -beside[beside < 0.0].max()
-    assert nearer_left == ("left_hand_traffic" in factors)
+    x, y, _ = event.ground.course.locate(event.ground.start, np.array([-20.0, 0.0, 20.0]))
+    areas = [shapely.Polygon(outline[:, :2]) for outline in event.ground.road_map.drivable]
+    right, left = (
+        shapely.LineString([(x[1], y[1]), (x[end], y[end])]).intersection(shapely.union_all(areas)).length
+        for end in (0, 2)
+    )
+    assert (left < right) is ("left_hand_traffic" in factors)
 
 
 def test_events_lie_on_hills_under_lights_and_in_left_hand_traffic():
