@@ -6,12 +6,11 @@ from functools import cached_property
 
 import numpy as np
 
-from olt_closed_loop.privileged.holds import HUMAN
 from olt_closed_loop.scenes.maps.carriageways import carriageway
 from olt_closed_loop.scenes.maps.cross_sections import CrossSection
 from olt_closed_loop.scenes.maps.frames import moved
 from olt_closed_loop.scenes.maps.junctions import Arm, junction
-from olt_closed_loop.scenes.maps.lanes import Control, Lane, Light, LightState, StopLine
+from olt_closed_loop.scenes.maps.lanes import HUMAN, Control, Lane, Light, LightState, StopLine
 from olt_closed_loop.scenes.maps.road_map import RoadMap
 from olt_closed_loop.scenes.maps.roundabouts import roundabout
 from olt_closed_loop.scenes.maps.signals import SignalPlan, with_signals
@@ -54,6 +53,10 @@ class Ground:
         """The course from a lane to another."""
         return Course(self.road_map.route_line(self.road_map.route(start, goal)))
 
+    def ways(self, start: str, goal: str) -> tuple[str, ...]:
+        """The lanes between two, without these."""
+        return self.road_map.route(start, goal)[1:-1]
+
     def arrival(self, station: float) -> float:
         """Seconds until the centre of an ego that nothing slows down is at a station."""
         return (station - self.start - _CENTER) / self.cruise
@@ -65,6 +68,10 @@ class Ground:
     def signalled(self, plan: SignalPlan) -> "Ground":
         """The ground with lights that change by a plan, on the arms that have stop lines for lights."""
         return replace(self, road_map=with_signals(self.road_map, plan))
+
+    def waved_on(self, lanes: Sequence[str]) -> "Ground":
+        """The ground where a person waves traffic on through some lanes all the time."""
+        return self.with_light(Light(f"{HUMAN}_others", tuple(lanes), np.zeros(1, dtype=np.int64), ("green",)))
 
     def directed(self, held: Sequence[tuple[float, float]]) -> "Ground":
         """The ground where a person holds the ego's lane at the crux for spans of seconds."""

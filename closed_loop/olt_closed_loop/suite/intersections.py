@@ -79,7 +79,8 @@ def directed_hold(
         agents.append(stand("waiting", "automobile", lane, lane.length - 4.0, 0.0))
     held = ((0.0, comes + _CLEARS),)
     if overruled:
-        ground = ground.signalled(_turns_red(held[0][1] - _RED_BEFORE))
+        others = [name for start, goal in streams for name in ground.ways(f"arm{start}_in_0", f"arm{goal}_out_0")]
+        ground = ground.signalled(_turns_red(held[0][1] - _RED_BEFORE)).waved_on(others)
     ground = ground.directed(held)
     side = float(generator.uniform(2.6, 3.0))
     return Event(ground, (*agents, *officer(ground.course, ground.crux + 3.0, -side, held)))
