@@ -442,6 +442,8 @@ def convert_scene(
         "metres": loaded.ego.path_length,
         "agents": len(loaded.agents),
         "lanes": len(loaded.lanes),
+        "lights": len(loaded.lights),
+        "lights_not_drawn": sum(light.position is None for light in loaded.lights),
     }
     if as_json:
         print_json(

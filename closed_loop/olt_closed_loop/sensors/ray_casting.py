@@ -22,6 +22,7 @@ from olt_closed_loop.sensors.ground import Ground, MapPlaces
 from olt_closed_loop.sensors.illumination import illuminate, sink_into_hills
 from olt_closed_loop.sensors.lamps import hang_street_lights
 from olt_closed_loop.sensors.level_view import LevelView, Stand, lay_out, rotate, sky_places
+from olt_closed_loop.sensors.signal_heads import SignalHeads
 from olt_closed_loop.sensors.sky import Sky
 from olt_closed_loop.sensors.terrain import meet_ground
 from olt_closed_loop.sensors.textures import FloatImage, Image
@@ -102,7 +103,8 @@ class SceneRenderer:
         self._changing = [
             (agent, body, pose_columns(agent)) for (agent, body), still in zip(bodies, stands, strict=True) if not still
         ]
-        self._fixed = Boxes.concatenate([self._place_scenery(), *fixed])
+        self._heads = SignalHeads(scene)
+        self._fixed = Boxes.concatenate([self._place_scenery(), self._heads.standing, *fixed])
         self._light = illuminate(scene, self.looks, conditions, self._fixed)
         # What stands in the scene at `_time_us`.
         self._time_us: int | None = None
@@ -237,9 +239,8 @@ class SceneRenderer:
             if agent.timestamps_us[0] <= time_us <= agent.timestamps_us[-1]
         ]
         self._time_us = time_us
-        nothing = self._fixed.select(np.zeros(len(self._fixed), dtype=bool))
         bodies = (body.moved(stand_up(agent, pose, self._hills)) for agent, body, pose in present)
-        changing = Boxes.concatenate([nothing, *bodies])
+        changing = Boxes.concatenate([self._heads.at(time_us), *bodies])
         self._boxes = Boxes.concatenate([self._fixed, changing])
         self._light.show(changing, [(agent, pose) for agent, _, pose in present])
 
