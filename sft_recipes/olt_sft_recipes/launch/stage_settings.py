@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from olt_datasets.mixtures.training_arithmetic import TrainingStage
@@ -58,7 +59,7 @@ class StageSettings:
 
 @dataclass(frozen=True)
 class Difference:
-    """A key that a launch sets to something else than the shipped recipe; `shipped` is None where it has no such key."""
+    """A key that a launch sets to something else than the shipped recipe, whose value is None where it has none."""
 
     key: str
     shipped: str | None
@@ -124,22 +125,27 @@ def find_differences(policy: str, stage: Stage, values: Mapping[str, Any]) -> li
     """Where a launch with these values differs from the shipped recipe, and why."""
     shipped = shipped_values(policy, stage)
     reasons = read_yaml_mapping(_FOLDER / "differences.yaml", "table of differences", ())
-    return [
-        Difference(
-            key,
-            to_hydra(shipped[key]) if key in shipped else None,
-            to_hydra(value),
-            reasons.get(key, "set in the settings that were given"),
-        )
-        for key, value in sorted(values.items())
-        if key not in shipped or shipped[key] != value
-    ]
+    differences = []
+    for key, value in sorted(values.items()):
+        if key not in shipped or shipped[key] != value:
+            launched = to_hydra(value)
+            places = (f"{key}={launched}", key, key.partition(".")[0])
+            reason = next((reasons[place] for place in places if place in reasons), "set in the file that was given")
+            differences.append(Difference(key, to_hydra(shipped[key]) if key in shipped else None, launched, reason))
+    return differences
 
 
-def to_overrides(policy: str, stage: Stage, values: Mapping[str, Any]) -> list[str]:
-    """Hydra's overrides; a key that the shipped recipe does not have is added with `+`."""
+def to_overrides(
+    policy: str, stage: Stage, values: Mapping[str, Any], groups: Mapping[str, str] = MappingProxyType({})
+) -> list[str]:
+    """Hydra's overrides: groups first; a key that neither the shipped recipe nor a group has is added with `+`."""
     shipped = shipped_values(policy, stage)
-    return [f"{'' if key in shipped else '+'}{key}={to_hydra(value)}" for key, value in sorted(values.items())]
+    of_groups = tuple(f"{group.partition('@')[2] or group}." for group in groups)
+    added = [f"+{group}={name}" for group, name in groups.items()]
+    return added + [
+        f"{'' if key in shipped or key.startswith(of_groups) else '+'}{key}={to_hydra(value)}"
+        for key, value in sorted(values.items())
+    ]
 
 
 def to_hydra(value: Any) -> str:
