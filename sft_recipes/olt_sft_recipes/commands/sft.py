@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from olt_datasets.commands.comparing import AllowUncomparedOption
+from olt_sft_recipes.commands.preflight import preflight
 from olt_toolkit.rigs.names import ContractName
 
 if TYPE_CHECKING:
     from olt_datasets import Mixture
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Train the toy policy, and judge it in open loop.")
+
+app.command()(preflight)
 
 Stores = Annotated[list[Path], typer.Option(help="Clip store; may be given several times.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]

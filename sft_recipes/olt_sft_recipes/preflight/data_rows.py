@@ -162,10 +162,13 @@ def _file_rows(folder: RecipeFolder, part: str, selected: pd.Series, plan: Prefl
     good = f"{len(names) * len(by_chunk)} archives hold all members of {len(selected)} clips"
     yield ROWS.judge(f"{part} chunk files", folder.root, problems, good, _EXPORT)
     known = [name for name in CALIBRATIONS if name in folder.features]
+    if len(known) < len(CALIBRATIONS):
+        absent = ", ".join(name for name in CALIBRATIONS if name not in known)
+        found = f"no row {absent}, which only include_extr_intr and the public devkit need"
+        yield ROWS.note(f"{part} calibration", folder.root / FEATURE_TABLE, found)
     problems = problems_of(lambda each: _check_table(folder, *each), [(name, k) for name in known for k in by_chunk])
-    if problems or known:
-        good = f"{len(known) * len(by_chunk)} tables open; the loader reads them only with include_extr_intr"
-        yield ROWS.judge(f"{part} calibration", folder.root, problems, good, _EXPORT)
+    good = f"{len(known) * len(by_chunk)} tables open; the loader reads them only with include_extr_intr"
+    yield ROWS.judge(f"{part} calibration files", folder.root, problems, good, _EXPORT)
 
 
 def _check_members(folder: RecipeFolder, name: str, chunk: int, by_chunk: dict[int, list[str]]) -> None:

@@ -5,21 +5,12 @@ Values are those of the public recipes (docs/formats/sft_recipes.md).
 
 import math
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 
 from olt_generator.errors import InputError
+from olt_sft_recipes.preflight.names import PolicyName
 from olt_toolkit.rigs.contracts import CameraContract, find_contract
 from olt_toolkit.rigs.names import ContractName
-
-
-class PolicyName(StrEnum):
-    """Policies that preflight knows."""
-
-    TOY = "toy"
-    ALPAMAYO_R1 = "alpamayo-r1"
-    ALPAMAYO_1_5 = "alpamayo-1.5"
-    ALPAMAYO_2 = "alpamayo-2"
 
 
 @dataclass(frozen=True)

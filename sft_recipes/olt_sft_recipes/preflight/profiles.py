@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from olt_sft_recipes.preflight.plan import PolicyName
+from olt_sft_recipes.preflight.names import PolicyName
 
 FIRST_TRAJECTORY_ID = 151_669
 """Length of the vocabulary of Qwen3-VL, so the id of `<i0>`."""
