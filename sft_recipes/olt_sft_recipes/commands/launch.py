@@ -1,6 +1,5 @@
 """`olt sft launch`, and what goes with it: following a log, handing a policy to AlpaSim, differences."""
 
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -8,6 +7,7 @@ import typer
 
 from olt_datasets.commands.comparing import AllowUncomparedOption
 from olt_sft_recipes.commands.mixtures import choose_mixture
+from olt_sft_recipes.preflight.names import PolicyName, StageChoice
 
 if TYPE_CHECKING:
     from olt_sft_recipes.launch.alpamayo import LaunchRequest, PreparedLaunch
@@ -17,25 +17,8 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.
 Out = Annotated[Path, typer.Option(help="Folder of the launch; the same command goes on where it ended.")]
 
 
-class Policy(StrEnum):
-    """Policies that can be asked for; of Alpamayo 2 there is no public recipe, which is said."""
-
-    TOY = "toy"
-    ALPAMAYO_R1 = "alpamayo-r1"
-    ALPAMAYO_1_5 = "alpamayo-1.5"
-    ALPAMAYO_2 = "alpamayo-2"
-
-
-class Stages(StrEnum):
-    """Which stages run."""
-
-    FIRST = "1"
-    SECOND = "2"
-    BOTH = "both"
-
-
 def launch(
-    policy: Annotated[Policy, typer.Option(help="The policy that is trained.")],
+    policy: Annotated[PolicyName, typer.Option(help="The policy that is trained.")],
     out: Out = Path("training"),
     recipe: Annotated[str | None, typer.Option(help="A recipe, composed here from --stores.")] = None,
     mixture: Annotated[Path | None, typer.Option(help="Instead of it: what `olt mix compose` wrote.")] = None,
@@ -47,7 +30,7 @@ def launch(
     validation: Annotated[
         Path | None, typer.Option(help="PhysicalAI-AV folder by which the recipe evaluates. Alpamayo.")
     ] = None,
-    stage: Annotated[Stages, typer.Option(help="Which stages run.")] = Stages.BOTH,
+    stage: Annotated[StageChoice, typer.Option(help="Which stages run.")] = StageChoice.BOTH,
     stage1: Annotated[Path | None, typer.Option(help="YAML of Stage 1; by default that of the paper's table.")] = None,
     stage2: Annotated[Path | None, typer.Option(help="YAML of Stage 2.")] = None,
     stage1_checkpoint: Annotated[
@@ -102,7 +85,7 @@ def launch(
         "--slurm-option": bool(slurm_option),
         "--lora": lora,
     }
-    if policy is Policy.TOY:
+    if policy is PolicyName.TOY:
         refuse_unused(of_alpamayo | {"--chunks": chunks is not None}, "the toy is trained here, by this toolkit")
         raise InputError("not yet")
     find_public_recipe(policy.value)
@@ -273,7 +256,7 @@ def handoff(
 
 
 def differences(
-    policy: Annotated[Policy, typer.Argument(help="A policy with a public recipe.")], as_json: JsonOption = False
+    policy: Annotated[PolicyName, typer.Argument(help="A policy with a public recipe.")], as_json: JsonOption = False
 ) -> None:
     """Print what the built-in stages set otherwise than the shipped recipe, and why."""
     from dataclasses import asdict

@@ -8,10 +8,11 @@ import typer
 from olt_datasets.commands.comparing import AllowUncomparedOption
 from olt_sft_recipes.commands import launch as launching
 from olt_sft_recipes.commands.mixtures import choose_mixture
+from olt_sft_recipes.commands.preflight import preflight
 from olt_toolkit.rigs.names import ContractName
 
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Train policies, and judge them in open loop.")
-for _command in (launching.launch, launching.follow, launching.handoff, launching.differences):
+for _command in (preflight, launching.launch, launching.follow, launching.handoff, launching.differences):
     app.command()(_command)
 
 Stores = Annotated[list[Path], typer.Option(help="Clip store; may be given several times.")]
