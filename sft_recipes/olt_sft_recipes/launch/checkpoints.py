@@ -69,7 +69,8 @@ def check_tokens(base: CheckpointFolder, trained: CheckpointFolder) -> None:
         if key in base.config and key in trained.config and base.config[key] != trained.config[key]:
             raise InputError(
                 f"{trained.root / 'config.json'}: {key} is {_short(trained.config[key])}, and "
-                f"{_short(base.config[key])} in {base.root}: their trajectory tokens are not the same; both stages must start from one base"
+                f"{_short(base.config[key])} in {base.root}: their trajectory tokens are "
+                "not the same; both stages must start from one base"
             )
     shapes = [vlm_tensors(folder)[_EMBEDDING].shape for folder in (base, trained) if _EMBEDDING in vlm_tensors(folder)]
     if len(set(shapes)) > 1:
@@ -131,8 +132,8 @@ class VlmComparison:
             whose = "the released model's" if self.as_base == len(self.unlike) else "neither Stage 1's nor the base's"
             raise InputError(
                 f"{stage2}: Stage 2 has the wrong vision-language model: {len(self.unlike)} of {self.compared} "
-                f"compared tensors are not those of {stage1} but {whose}, first {self.unlike[0]}; before 9299254 (2026-07-07) "
-                "the recipe loads Stage 1 in vain: update it and train Stage 2 again"
+                f"compared tensors are not those of {stage1} but {whose}, first {self.unlike[0]}; before "
+                "9299254 (2026-07-07) the recipe loads Stage 1 in vain: update it and train Stage 2 again"
             )
 
     def word(self) -> str:

@@ -140,8 +140,9 @@ class LogWatch:
         if loss >= UNIFORM_LOSS:
             raise InputError(
                 f"the first loss is {loss:.3g}, no better than guessing among {FUTURE_BINS} tokens "
-                f"({UNIFORM_LOSS:.3g}); a released model starts at 1.6 to 1.7: its trajectory tokens have other ids (a mixed-up offset: "
-                "future tokens are <i0> to <i2999>, those of the history follow), or it is not the released model"
+                f"({UNIFORM_LOSS:.3g}); a released model starts at 1.6 to 1.7: its trajectory tokens have other "
+                "ids (a mixed-up offset: future tokens are <i0> to <i2999>, those of the history follow), or "
+                "it is not the released model"
             )
 
     def see_metric(self, line: str) -> None:

@@ -121,7 +121,7 @@ def test_a_base_without_pixel_budget_is_refused_before_anything_runs(launch, bas
     config = json.loads((base / "config.json").read_text())
     del config["max_pixels"]
     (base / "config.json").write_text(json.dumps(config))
-    with pytest.raises(InputError, match="'max_pixels': None.*write"):
+    with pytest.raises(InputError, match=r"'max_pixels': None.*write"):
         launch()
     assert not calls(environment)
 
@@ -178,7 +178,7 @@ def test_a_base_of_1_5_is_rewritten_first_and_the_policy_is_handed_to_alpasim(la
 
 
 def test_a_policy_without_recipe_is_refused_in_words(launch):
-    with pytest.raises(InputError, match="no public SFT recipe.*olt data export"):
+    with pytest.raises(InputError, match=r"no public SFT recipe.*olt data export"):
         launch(policy="alpamayo-2")
 
 
