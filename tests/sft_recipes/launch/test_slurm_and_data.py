@@ -16,7 +16,8 @@ from olt_sft_recipes.launch.slurm import write_batch
 STAGES = [(1, Path("/a b/run/stage1/checkpoint-6"), ["--nproc_per_node", "8", "-m", "x", "paths.output_dir='/a b/it'"])]
 FAKES = {
     "scontrol": "echo node0\necho node1",
-    "srun": 'echo "srun $*" >> "$LOG"; [ -z "$MAKES" ] || { mkdir -p "$MAKES"; touch "$MAKES/model.safetensors.index.json"; }',
+    "srun": 'echo "srun $*" >> "$LOG"\n'
+    '[ -z "$MAKES" ] || { mkdir -p "$MAKES"; touch "$MAKES/model.safetensors.index.json"; }',
 }
 
 
