@@ -15,6 +15,15 @@ ROWS = RowMaker("checkpoint")
 VLM = "vlm."
 PREFIXES = (VLM, "expert.", "action_in_proj.", "action_out_proj.")
 """Of the tensors of a released checkpoint."""
+NAMES = (
+    "vlm.model.language_model.embed_tokens.weight",
+    "vlm.model.language_model.norm.weight",
+    "vlm.lm_head.weight",
+    "vlm.model.visual.patch_embed.proj.weight",
+    "vlm.model.visual.pos_embed.weight",
+    "expert.norm.weight",
+)
+"""Of tensors outside of its layers. A tensor that a layer lacks shows by the other layers."""
 _COMPARED, _COMPARED_BYTES = 16, 1 << 16
 
 
@@ -44,8 +53,18 @@ def _prefix_rows(base: CheckpointFolder) -> Iterator[Row]:
         return
     counts = {prefix: sum(name.startswith(prefix) for name in base.tensors) for prefix in PREFIXES}
     missing = [f"no tensor {prefix}*" for prefix, count in counts.items() if not count]
+    missing += [f"no tensor {name}" for name in NAMES if name not in base.tensors]
+    stacks = [f"{VLM}model.language_model.layers", "expert.layers"]
+    layers = {stack: _count_layers(base, stack) for stack in stacks}
+    if len(set(layers.values())) > 1:
+        told = ", ".join(f"{count} of {stack}" for stack, count in layers.items())
+        missing.append(f"the expert meets the language model layer by layer, and there are {told}")
     good = ", ".join(f"{count} {prefix}*" for prefix, count in counts.items())
     yield ROWS.judge("base tensors", base.root, missing, good, "this is not the whole release; fetch it again")
+
+
+def _count_layers(base: CheckpointFolder, stack: str) -> int:
+    return sum(name.startswith(f"{stack}.") and name.endswith("self_attn.q_proj.weight") for name in base.tensors)
 
 
 def _dtype_row(base: CheckpointFolder) -> Row:

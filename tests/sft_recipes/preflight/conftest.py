@@ -205,7 +205,7 @@ def folders(clean_base, clean_stage1, clean_vlm, tmp_path):
 def make_python(tmp_path):
     """An interpreter that says that it has these packages: the recipe's, with changes; None takes one out."""
 
-    def make(policy="alpamayo-r1", python="3.12.7", commit=None, found=True, **changes):
+    def make(policy="alpamayo-r1", python="3.12.7", found=True, **changes):
         recipe = PROFILES[policy].recipe
         versions = {name: pin.lstrip("=>") or "0.1" for name, pin in recipe.pins.items()}
         versions["torch"] += "+cu128"
