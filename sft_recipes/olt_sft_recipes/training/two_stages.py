@@ -202,6 +202,19 @@ def train_stage(
     return result
 
 
+def read_results(out: Path, only: StageChoice = "both") -> list[StageResult]:
+    """What the finished stages of a training gave.
+
+    Raises:
+        InputError: one of them has no checkpoint.
+    """
+    folders = [out / f"stage{number}" for number in ((1, 2) if only == "both" else (int(only),))]
+    for folder in folders:
+        if not list_checkpoints(folder):
+            raise InputError(f"{folder}: holds no checkpoint; train this stage")
+    return [_result(read_state(list_checkpoints(folder)[-1])) for folder in folders]
+
+
 @dataclass(frozen=True)
 class _StagePlan:
     """What a stage is to be trained from, before anything is loaded."""
