@@ -21,10 +21,15 @@ STAGES = (
 STEPS = 12  # six of each stage
 
 
-@pytest.fixture
-def train(drives, tiny_config, tmp_path):
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("trainings")
+
+
+@pytest.fixture(scope="module")
+def train(drives, tiny_config, folder):
     keys = sorted(drives)
-    validation = Validation([drives[key] for key in keys[:3]])
+    validation = Validation([drives[keys[0]]])
 
     def batches(epoch, size):
         return [keys[start : start + size] for start in range(0, len(keys), size)]
@@ -33,7 +38,7 @@ def train(drives, tiny_config, tmp_path):
         def load(asked):
             return [drives[key] for key in asked]
 
-        return train_two_stages(STAGES, batches, load, tmp_path / name, tiny_config, on_progress, validation)
+        return train_two_stages(STAGES, batches, load, folder / name, tiny_config, on_progress, validation)
 
     return run
 
@@ -53,31 +58,32 @@ def kill():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-@pytest.fixture
-def whole(train, tmp_path):
+@pytest.fixture(scope="module")
+def whole(train, folder):
     """An uninterrupted training: the results and all bytes of its policy."""
     results = train("whole")
-    return results, [path.read_bytes() for path in sorted((tmp_path / "whole/policy").glob("*.safetensors"))]
+    return results, [path.read_bytes() for path in sorted((folder / "whole/policy").glob("*.safetensors"))]
 
 
-def check_equal(results, whole, folder):
+def check_equal(results, whole, out):
     assert [result.losses for result in results] == [result.losses for result in whole[0]]
     assert [result.evaluations for result in results] == [result.evaluations for result in whole[0]]
-    assert [path.read_bytes() for path in sorted((folder / "policy").glob("*.safetensors"))] == whole[1]
-    assert not [path.name for path in folder.rglob(".*")]
-    assert not (folder / "samples").exists()
+    assert [path.read_bytes() for path in sorted((out / "policy").glob("*.safetensors"))] == whole[1]
+    assert not [path.name for path in out.rglob(".*")]
+    assert not (out / "samples").exists()
 
 
-def test_killed_at_any_step_it_goes_on_exactly(train, whole, tmp_path):
-    for step in range(1, STEPS + 1):
-        name = f"killed-{step}"
+@pytest.mark.parametrize(
+    "step", [pytest.param(step, marks=[pytest.mark.slow] if step not in (3, 8) else []) for step in range(1, STEPS + 1)]
+)
+def test_killed_at_any_step_it_goes_on_exactly(train, whole, folder, step):
+    def kill_there(share):
+        if share >= step / STEPS - 1e-9:
+            kill()
 
-        def kill_there(share, step=step):
-            if share >= step / STEPS - 1e-9:
-                kill()
-
-        assert in_child(lambda name=name, at=kill_there: train(name, at)) == -signal.SIGKILL
-        check_equal(train(name), whole, tmp_path / name)
+    name = f"killed-{step}"
+    assert in_child(lambda: train(name, kill_there)) == -signal.SIGKILL
+    check_equal(train(name), whole, folder / name)
 
 
 @pytest.mark.parametrize(
@@ -91,10 +97,9 @@ def test_killed_at_any_step_it_goes_on_exactly(train, whole, tmp_path):
     ],
 )
 @pytest.mark.parametrize("after", [False, True])
-def test_killed_while_it_saves_or_judges_it_goes_on_exactly(
-    train, whole, tmp_path, monkeypatch, module, function, after
-):
-    real, calls = getattr(module, function), []
+@pytest.mark.slow
+def test_killed_while_it_saves_or_judges_it_goes_on_exactly(train, whole, folder, monkeypatch, module, function, after):
+    real, calls, name = getattr(module, function), [], f"{module.__name__}-{function}-{after}"
 
     def killing(*arguments):
         calls.append(arguments)
@@ -108,14 +113,15 @@ def test_killed_while_it_saves_or_judges_it_goes_on_exactly(
 
     with monkeypatch.context() as patched:
         patched.setattr(module, function, killing)
-        assert in_child(lambda: train("killed")) == -signal.SIGKILL
-    results = train("killed")
+        assert in_child(lambda: train(name)) == -signal.SIGKILL
+    results = train(name)
     assert [result.losses for result in results] == [result.losses for result in whole[0]]
     assert [result.evaluations for result in results] == [result.evaluations for result in whole[0]]
-    assert [path.read_bytes() for path in sorted((tmp_path / "killed/policy").glob("*.safetensors"))] == whole[1]
+    assert [path.read_bytes() for path in sorted((folder / name / "policy").glob("*.safetensors"))] == whole[1]
 
 
-def test_killed_in_a_row_it_still_goes_on(train, whole, tmp_path):
+@pytest.mark.slow
+def test_killed_in_a_row_it_still_goes_on(train, whole, folder):
     """Each life takes three more steps and is killed before it saves the last of them."""
 
     def live():
@@ -126,20 +132,19 @@ def test_killed_in_a_row_it_still_goes_on(train, whole, tmp_path):
     while in_child(live) == -signal.SIGKILL:
         lives += 1
     assert lives > 2
-    check_equal(train("killed"), whole, tmp_path / "killed")
+    check_equal(train("killed"), whole, folder / "killed")
 
 
-def test_other_settings_are_not_gone_on_with(train, tmp_path, monkeypatch):
-    whole = train("one")
+def test_what_other_code_began_is_not_gone_on_with(train, whole, monkeypatch):
     monkeypatch.setattr(two_stages, "code_version", lambda: "another")
-    again = train("one")
-    assert [result.losses for result in again] == [result.losses for result in whole]
-    assert again[0].seconds != whole[0].seconds
+    again = train("other code")
+    assert [result.losses for result in again] == [result.losses for result in whole[0]]
+    monkeypatch.undo()
+    assert train("other code")[0].seconds != again[0].seconds
 
 
-def test_the_state_holds_no_pickle_and_nothing_hidden(train, tmp_path):
-    train("one")
-    names = {path.name for path in (tmp_path / "one/stage2/checkpoint-6").iterdir()}
+def test_the_state_holds_no_pickle_and_nothing_hidden(whole, folder):
+    names = {path.name for path in (folder / "whole/stage2/checkpoint-6").iterdir()}
     assert names == {
         "config.json",
         "model-00001-of-00001.safetensors",
@@ -147,23 +152,23 @@ def test_the_state_holds_no_pickle_and_nothing_hidden(train, tmp_path):
         "optimizer.safetensors",
         "trainer_state.json",
     }
-    state = json.loads((tmp_path / "one/stage2/checkpoint-6/trainer_state.json").read_text())
+    state = json.loads((folder / "whole/stage2/checkpoint-6/trainer_state.json").read_text())
     assert state["global_step"] == state["max_steps"] == 6
     assert [row["step"] for row in state["log_history"]] == [1, 2, 3, 4, 5, 6]
     rates = [row["learning_rate"] for row in state["log_history"]]
     assert rates == [STAGES[1].learning_rate_at(step, 6) for step in range(6)]
 
 
-def test_the_best_checkpoint_is_kept_and_goes_on(train, tmp_path):
-    results = train("one")
+def test_the_best_checkpoint_is_kept_and_goes_on(whole, folder):
+    results = whole[0]
     judged = results[1].evaluations
     assert [evaluation["step"] for evaluation in judged] == [3, 6]
     errors = [evaluation["open_loop"]["min_ade"] for evaluation in judged]
     best = judged[int(np.argmin(errors))]["step"]
     assert results[1].checkpoint == f"checkpoint-{best}"
-    kept = {path.name for path in (tmp_path / "one/stage2").glob("checkpoint-*")}
+    kept = {path.name for path in (folder / "whole/stage2").glob("checkpoint-*")}
     assert kept == {"checkpoint-4", "checkpoint-6", f"checkpoint-{best}"}
     weights = "model-00001-of-00001.safetensors"
-    chosen = tmp_path / "one/stage2" / results[1].checkpoint / weights
-    assert (tmp_path / "one/policy" / weights).read_bytes() == chosen.read_bytes()
-    assert read_results(tmp_path / "one") == results
+    chosen = folder / "whole/stage2" / results[1].checkpoint / weights
+    assert (folder / "whole/policy" / weights).read_bytes() == chosen.read_bytes()
+    assert read_results(folder / "whole") == results
