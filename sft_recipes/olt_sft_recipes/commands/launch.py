@@ -10,6 +10,7 @@ from olt_sft_recipes.commands.mixtures import choose_mixture
 from olt_sft_recipes.preflight.names import PolicyName, StageChoice
 
 if TYPE_CHECKING:
+    from olt_datasets import Mixture
     from olt_sft_recipes.launch.alpamayo import LaunchRequest, PreparedLaunch
 
 Stores = Annotated[list[Path], typer.Option(help="Clip store; may be given several times.")]
@@ -42,8 +43,9 @@ def launch(
     vlm: Annotated[
         Path | None, typer.Option(help="Local folder of Qwen/Qwen3-VL-8B-Instruct; from Hugging Face without.")
     ] = None,
-    nodes: Annotated[int, typer.Option(min=1, help="Machines. Alpamayo.")] = 1,
-    gpus: Annotated[int, typer.Option(min=1, help="Processes on each machine; of the toy, all of them.")] = 8,
+    nodes: Annotated[int | None, typer.Option(min=1, help="Machines, 1 by default. Alpamayo.")] = None,
+    gpus: Annotated[int | None, typer.Option(min=1, help="Processes on each, 8 by default. Alpamayo.")] = None,
+    processes: Annotated[int | None, typer.Option(min=1, help="Processes of the toy, 1 by default.")] = None,
     head: Annotated[str | None, typer.Option(metavar="HOST[:PORT]", help="Where several machines meet.")] = None,
     gpu_memory: Annotated[float | None, typer.Option(help="GiB of each card, for preflight.")] = None,
     slurm: Annotated[bool, typer.Option("--slurm", help="Submit one batch file instead of running here.")] = False,
@@ -52,8 +54,9 @@ def launch(
     ] = [],  # noqa: B006
     lora: Annotated[bool, typer.Option("--lora", help="Adapters in Stage 1, where the recipe has them.")] = False,
     most_saturated: Annotated[
-        float, typer.Option(min=0.0, max=1.0, help="Share of saturated trajectory tokens beyond which nothing runs.")
-    ] = 0.01,
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="Share of saturated trajectory tokens beyond which nothing runs; 0.01."),
+    ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the mixture, and of the toy.")] = 0,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Look, print the commands, and write nothing.")] = False,
     allow_uncompared: AllowUncomparedOption = False,
@@ -64,42 +67,53 @@ def launch(
     Looks at everything first, and stops at faults that the recipe passes over in silence. What is finished is kept.
     """
     from olt_generator.errors import InputError
-    from olt_sft_recipes.launch.alpamayo import LaunchRequest
-    from olt_sft_recipes.launch.plan import Places
-    from olt_sft_recipes.launch.public_recipes import find_public_recipe
-    from olt_sft_recipes.launch.torchrun import Machines
     from olt_toolkit.recordings.recording import refuse_unused
 
     of_alpamayo = {
         "--pai": pai is not None,
+        "--chunks": chunks is not None,
         "--validation": validation is not None,
         "--stage1-checkpoint": stage1_checkpoint is not None,
         "--base": base is not None,
         "--recipes": recipes is not None,
         "--python": python is not None,
         "--vlm": vlm is not None,
-        "--nodes": nodes > 1,
+        "--nodes": nodes is not None,
+        "--gpus": gpus is not None,
         "--head": head is not None,
         "--gpu-memory": gpu_memory is not None,
         "--slurm": slurm,
         "--slurm-option": bool(slurm_option),
         "--lora": lora,
+        "--most-saturated": most_saturated is not None,
     }
     if policy is PolicyName.TOY:
-        refuse_unused(of_alpamayo | {"--chunks": chunks is not None}, "the toy is trained here, by this toolkit")
-        raise InputError("not yet")
+        from olt_sft_recipes.launch.toy import HELD_OUT_SCENES
+
+        refuse_unused(of_alpamayo, "it is of the public recipes; the toy is trained here")
+        chosen = choose_mixture(mixture, recipe, stores, seed, allow_uncompared, HELD_OUT_SCENES)
+        _launch_toy(chosen, out, stage, processes or 1, seed, stores, (stage1, stage2), dry_run, as_json)
+        return
+    from olt_sft_recipes.launch.alpamayo import MOST_SATURATED, LaunchRequest
+    from olt_sft_recipes.launch.plan import Places
+    from olt_sft_recipes.launch.public_recipes import find_public_recipe
+    from olt_sft_recipes.launch.torchrun import Machines
+
+    refuse_unused({"--processes": processes is not None}, "it is of the toy; give --nodes and --gpus")
     find_public_recipe(policy.value)
     if base is None or recipes is None:
         raise InputError(f"{policy.value}: give --base (the released checkpoint) and --recipes (a clone of them)")
     refuse_unused({"--slurm-option": bool(slurm_option) and not slurm}, "it is for --slurm")
     refuse_unused({"--chunks": chunks is not None and pai is None}, "it selects chunks of --pai")
-    refuse_unused({"--head": head is not None and (slurm or nodes == 1)}, "machines meet there without --slurm")
+    refuse_unused(
+        {"--head": head is not None and (slurm or not nodes or nodes == 1)}, "machines meet there without --slurm"
+    )
     interpreter = python or _find_python(recipes, policy.value)
     places = Places(out.resolve(), recipes.resolve(), base.resolve(), interpreter.absolute(), vlm and vlm.resolve())
     request = LaunchRequest(
         policy.value,
         places,
-        Machines(nodes, gpus, head),
+        Machines(nodes or 1, gpus or 8, head),
         None if pai is not None else choose_mixture(mixture, recipe, stores, seed, allow_uncompared),
         pai and pai.resolve(),
         chunks,
@@ -108,11 +122,47 @@ def launch(
         (stage1, stage2),
         stage1_checkpoint and stage1_checkpoint.resolve(),
         lora,
-        most_saturated,
+        MOST_SATURATED if most_saturated is None else most_saturated,
         gpu_memory,
         tuple(slurm_option) if slurm else None,
     )
     _launch_alpamayo(request, dry_run, as_json)
+
+
+def _launch_toy(
+    mixture: "Mixture",
+    out: Path,
+    stage: StageChoice,
+    processes: int,
+    seed: int,
+    stores: list[Path],
+    stage_files: tuple[Path | None, Path | None],
+    dry_run: bool,
+    as_json: bool,
+) -> None:
+    from olt_sft_recipes.launch.toy import describe_toy, launch_toy
+    from olt_toolkit.runtime.console import print_json, print_line, show_progress
+    from olt_toolkit.runtime.threads import use_one_thread
+
+    use_one_thread()
+    with show_progress("training") as (progress, _):
+        result = launch_toy(
+            mixture,
+            out,
+            stage=stage.value,
+            processes=processes,
+            seed=seed,
+            stores=stores,
+            stage1=stage_files[0],
+            stage2=stage_files[1],
+            dry_run=dry_run,
+            on_progress=progress,
+        )
+    if as_json:
+        print_json(result)
+        return
+    for line in describe_toy(result):
+        print_line(line)
 
 
 def _launch_alpamayo(request: "LaunchRequest", dry_run: bool, as_json: bool) -> None:
