@@ -31,6 +31,9 @@ def launch(
     validation: Annotated[
         Path | None, typer.Option(help="PhysicalAI-AV folder by which the recipe evaluates. Alpamayo.")
     ] = None,
+    validation_chunks: Annotated[
+        str | None, typer.Option(metavar="FIRST-END", help="Chunks of --validation; all by default.")
+    ] = None,
     stage: Annotated[StageChoice, typer.Option(help="Which stages run.")] = StageChoice.BOTH,
     stage1: Annotated[Path | None, typer.Option(help="YAML of Stage 1; by default that of the paper's table.")] = None,
     stage2: Annotated[Path | None, typer.Option(help="YAML of Stage 2.")] = None,
@@ -73,6 +76,7 @@ def launch(
         "--pai": pai is not None,
         "--chunks": chunks is not None,
         "--validation": validation is not None,
+        "--validation-chunks": validation_chunks is not None,
         "--stage1-checkpoint": stage1_checkpoint is not None,
         "--base": base is not None,
         "--recipes": recipes is not None,
@@ -105,6 +109,7 @@ def launch(
         raise InputError(f"{policy.value}: give --base (the released checkpoint) and --recipes (a clone of them)")
     refuse_unused({"--slurm-option": bool(slurm_option) and not slurm}, "it is for --slurm")
     refuse_unused({"--chunks": chunks is not None and pai is None}, "it selects chunks of --pai")
+    refuse_unused({"--validation-chunks": bool(validation_chunks and not validation)}, "it is for --validation")
     refuse_unused(
         {"--head": head is not None and (slurm or not nodes or nodes == 1)}, "machines meet there without --slurm"
     )
@@ -118,6 +123,7 @@ def launch(
         pai and pai.resolve(),
         chunks,
         validation and validation.resolve(),
+        validation_chunks,
         stage.value,
         (stage1, stage2),
         stage1_checkpoint and stage1_checkpoint.resolve(),

@@ -18,7 +18,7 @@ from olt_sft_recipes.launch.checkpoints import check_pixel_budget, read_checkpoi
 from olt_sft_recipes.launch.following import LAUNCH_FILE
 from olt_sft_recipes.launch.handoff import handoff_lines
 from olt_sft_recipes.launch.pai_data import PaiData, Saturation, count_saturation, existing_data, planned_data
-from olt_sft_recipes.launch.plan import LaunchPlan, Places, make_plan, stage_plan
+from olt_sft_recipes.launch.plan import FINISHED, LaunchPlan, Places, make_plan, stage_plan
 from olt_sft_recipes.launch.public_recipes import Stage, find_public_recipe
 from olt_sft_recipes.launch.running import run_before, run_evaluation, run_stage
 from olt_sft_recipes.launch.stage_settings import StageSettings, builtin_stage_settings, read_stage_settings
@@ -47,7 +47,7 @@ class LaunchRequest:
         machines: nodes and processes.
         mixture: what is exported and trained on; None takes `pai`.
         pai, chunk_ids: a folder that is in PhysicalAI-AV layout already, and which of its chunks; None is all.
-        validation: such a folder for the recipe's evaluation.
+        validation, validation_chunks: the same for the recipe's evaluation.
         stages: which of them run.
         stage_files: settings of Stage 1 and 2; None takes the built-in ones.
         stage1_checkpoint: for Stage 2 alone.
@@ -64,6 +64,7 @@ class LaunchRequest:
     pai: Path | None = None
     chunk_ids: str | None = None
     validation: Path | None = None
+    validation_chunks: str | None = None
     stages: Stages = "both"
     stage_files: tuple[Path | None, Path | None] = (None, None)
     stage1_checkpoint: Path | None = None
@@ -103,7 +104,7 @@ def prepare_launch(request: LaunchRequest, on_progress: Progress) -> PreparedLau
     """
     recipe = find_public_recipe(request.policy)
     contents, train = _training_data(request)
-    validation = None if request.validation is None else existing_data(request.validation)
+    validation = _validation_data(request, train)
     base = _look_at_base(request.places.base)
     numbers: Sequence[Stage] = {"1": (1,), "2": (2,), "both": (1, 2)}[request.stages]
     settings = [(stage, _settings(request, stage)) for stage in numbers]
@@ -116,7 +117,7 @@ def prepare_launch(request: LaunchRequest, on_progress: Progress) -> PreparedLau
         settings,
         model_sizes(base),
         base.config if base else None,
-        request.stage1_checkpoint,
+        request.stage1_checkpoint or _finished_stage1(request),
         request.lora,
     )
     saturation = count_saturation(train, on_progress)
@@ -173,7 +174,7 @@ def write_launch(prepared: PreparedLaunch) -> None:
     plan, out = prepared.plan, prepared.plan.places.out
     text = json.dumps(plan.to_dict(), indent=2) + "\n"
     path = out / LAUNCH_FILE
-    if path.exists() and read_json(path, "launch") != json.loads(text):
+    if path.exists() and not _goes_on(read_json(path, "launch"), json.loads(text)):
         raise InputError(f"{path}: another launch was made there; choose another --out, or ask for the same again")
     make_folder(out / "logs")
     options = prepared.request.slurm_options
@@ -181,6 +182,16 @@ def write_launch(prepared: PreparedLaunch) -> None:
     for name, content in ((LAUNCH_FILE, text), commands):
         with write_whole(out / name) as temporary:
             temporary.write_text(content, encoding="utf-8")
+
+
+def _goes_on(before: Any, now: dict[str, Any]) -> bool:
+    """Whether a launch is an earlier one again, or the same with other stages of it."""
+    if not isinstance(before, dict) or not isinstance(before.get("stages"), list):
+        return False
+    of_stages = ("stages", "evaluation", "stage1_checkpoint")
+    same = [{key: value for key, value in each.items() if key not in of_stages} for each in (before, now)]
+    earlier = {each["stage"]: each for each in before["stages"]}
+    return same[0] == same[1] and all(earlier.get(each["stage"], each) == each for each in now["stages"])
 
 
 def export_data(prepared: PreparedLaunch, workers: int, on_progress: Progress) -> dict[str, Any] | None:
@@ -249,6 +260,26 @@ def _training_data(request: LaunchRequest) -> tuple[Contents | None, PaiData]:
     if request.pai is None:
         raise InputError("no data: give --recipe with --stores, --mixture, or --pai")
     return None, existing_data(request.pai, request.chunk_ids)
+
+
+def _validation_data(request: LaunchRequest, train: PaiData) -> PaiData | None:
+    if request.validation is None:
+        return None
+    data = existing_data(request.validation, request.validation_chunks)
+    if data.folder == train.folder and set(data.chunks) & set(train.chunks):
+        raise InputError(
+            f"{data.folder}: chunks {data.chunk_ids} for validation and {train.chunk_ids} for training share some, so "
+            "the policy would be judged on what it was trained on; give --chunks and --validation-chunks apart"
+        )
+    return data
+
+
+def _finished_stage1(request: LaunchRequest) -> Path | None:
+    """What an earlier launch into the same folder left, for Stage 2 alone."""
+    note = request.places.stage(1) / FINISHED
+    if request.stages != "2" or not note.exists():
+        return None
+    return Path(read_json(note, "note of a finished stage")["checkpoint"])
 
 
 def _settings(request: LaunchRequest, stage: Stage) -> StageSettings:

@@ -68,7 +68,10 @@ def followed_of_launch(out: Path, stage: Stage) -> FollowedStage:
         entry = next((each for each in content["stages"] if each["stage"] == stage), None)
         if entry is None:
             raise InputError(f"{out / LAUNCH_FILE}: Stage {stage} is not launched there")
-        told = entry["expected"] | {"chunks": range(*entry["expected"]["chunks"])}
+        told = {
+            name: range(*value) if name.endswith("chunks") and value is not None else value
+            for name, value in entry["expected"].items()
+        }
         given = content["stage1_checkpoint"]
         stage1 = None if given is None else Path(given)
         return FollowedStage(out, Expected(**told), Path(entry["checkpoint"]), Path(content["base"]), stage1)

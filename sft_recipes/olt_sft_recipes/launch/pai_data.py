@@ -42,6 +42,11 @@ class PaiData:
     notes: tuple[str, ...] = ()
     samples: Samples | None = None
 
+    @property
+    def chunks(self) -> range:
+        """The chunk numbers of the range."""
+        return range(*map(int, self.chunk_ids.split("-")))
+
 
 def planned_data(contents: Contents, folder: Path) -> PaiData:
     """What an export of these contents to `folder` will be."""

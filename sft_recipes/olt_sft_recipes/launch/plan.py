@@ -146,7 +146,7 @@ class LaunchPlan:
                     "stage": each.stage,
                     "arguments": list(each.arguments),
                     "checkpoint": str(each.checkpoint),
-                    "expected": asdict(each.expected) | {"chunks": _range_to_list(each.expected.chunks)},
+                    "expected": _expected_to_dict(each.expected),
                     "arithmetic": each.arithmetic,
                     "modules": [asdict(module) for module in each.modules],
                     "trained": sum(module.trained for module in each.modules),
@@ -168,8 +168,11 @@ def _data_to_dict(data: PaiData) -> dict[str, Any]:
     }
 
 
-def _range_to_list(chunks: range) -> list[int]:
-    return [chunks.start, chunks.stop]
+def _expected_to_dict(expected: Expected) -> dict[str, Any]:
+    return {
+        name: [value.start, value.stop] if isinstance(value, range) else value
+        for name, value in asdict(expected).items()
+    }
 
 
 def make_plan(
@@ -209,7 +212,9 @@ def make_plan(
             added, adapted = lora_groups(places.recipe(recipe))
             groups |= added
             values = values | adapted
-        launches.append(_stage_launch(recipe, places, machines, train, stage, chosen, groups, values, sizes, lora))
+        launches.append(
+            _stage_launch(recipe, places, machines, train, validation, stage, chosen, groups, values, sizes, lora)
+        )
         if stage == 1:
             stage1 = launches[-1].checkpoint
     used = stage1 if launches[-1].stage == 2 else None
@@ -268,6 +273,7 @@ def _stage_launch(
     places: Places,
     machines: Machines,
     train: PaiData,
+    validation: PaiData | None,
     stage: Stage,
     chosen: StageSettings,
     groups: dict[str, str],
@@ -279,15 +285,21 @@ def _stage_launch(
     overrides = to_overrides(recipe.policy, stage, values, groups)
     planned = stage_plan(stage, values, lora)
     modules = tuple(count_trained(sizes, planned))
-    first, end = map(int, train.chunk_ids.split("-"))
     steps = arithmetic["total_steps"]
+    expected = Expected(
+        stage,
+        str(train.folder),
+        train.chunks,
+        train.clips,
+        steps,
+        sum(module.trained for module in modules),
+        validation.chunks if validation and validation.folder == train.folder else None,
+    )
     return StageLaunch(
         stage,
         (*recipe_words(machines.gpus, recipe.package, chosen.config_name, "train_hf"), *overrides),
         places.stage(stage) / f"checkpoint-{steps}",
-        Expected(
-            stage, str(train.folder), range(first, end), train.clips, steps, sum(module.trained for module in modules)
-        ),
+        expected,
         arithmetic,
         modules,
         tuple(find_differences(recipe.policy, stage, values)),

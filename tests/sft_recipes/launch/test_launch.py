@@ -85,7 +85,14 @@ def test_stage_1_is_kept_when_stage_2_fails(launch, environment):
 def test_another_launch_in_the_same_folder_is_refused(launch):
     launch("--stage", "1")
     with pytest.raises(InputError, match="another launch"):
-        launch()
+        launch("--stage", "1", "--chunks", "3-5")
+
+
+def test_stage_2_goes_on_from_a_stage_1_that_was_launched_alone(launch, environment, tmp_path):
+    launch("--stage", "1")
+    told = launch("--stage", "2")
+    assert told["stage1_checkpoint"] == str(tmp_path / "run/stage1/checkpoint-6")
+    assert launch()["results"]["stage2"]["kept"] and len(calls(environment)) == 2
 
 
 @pytest.mark.parametrize(
@@ -183,7 +190,7 @@ def test_a_policy_without_recipe_is_refused_in_words(launch):
 
 
 def test_validation_is_evaluated_by_the_recipe(launch, pai):
-    told = launch("--validation", str(pai))
+    told = launch("--chunks", "3-5", "--validation", str(pai), "--validation-chunks", "5-6")
     assert told["results"]["evaluation"] == {"metric/ade": 2.0072, "metric/min_ade/by_t=0.5": 0.0079}
 
 
@@ -210,3 +217,25 @@ def test_several_nodes_need_a_meeting_place_and_are_not_started_from_one(launch,
     script = (tmp_path / "run/commands.sh").read_text()
     assert script.count("--rdzv_endpoint node0:29500") == 2 and script.count("--nnodes 2") == 2
     assert subprocess.run(["bash", "-n"], input=script, text=True, check=False).returncode == 0
+
+
+def test_validation_on_training_clips_is_refused(launch, pai):
+    with pytest.raises(InputError, match="judged on what it was trained on"):
+        launch("--validation", str(pai))
+
+
+def test_preflight_is_given_what_will_run(launch, monkeypatch):
+    monkeypatch.undo()  # the real one
+    rows = launch("--dry-run", "--gpu-memory", "80")["preflight"]["rows"]
+    assert {"data", "checkpoint", "steps", "memory"} <= {row["group"] for row in rows}
+    assert any(row["group"] == "steps" and "23" in row["found"] for row in rows)
+
+
+def test_people_read_what_will_run_and_what_ran(recipes, environment, base, pai, tmp_path):
+    arguments = ["launch", "--policy", "alpamayo-1.5", "--base", str(base), "--recipes", str(recipes)]
+    arguments += ["--pai", str(pai), "--python", str(environment / "python"), "--out", str(tmp_path / "run")]
+    shown = CliRunner().invoke(app, [*arguments, "--gpus", "4", "--dry-run"], catch_exceptions=False).stdout
+    assert "23 clips, chunks 3-6" in shown and "not counted because" in shown
+    assert "+models@model=ar1_5_base" in shown and "include_camera_ids" in shown
+    ran = CliRunner().invoke(app, [*arguments, "--gpus", "4"], catch_exceptions=False).stdout
+    assert "0 differ" in ran and "driver.model.model_type=alpamayo1_5_recipes_sft" in ran
