@@ -3,7 +3,7 @@
 import json
 import shutil
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -35,6 +35,7 @@ BATCH_FILE, COMMANDS_FILE = "launch.sbatch", "commands.sh"
 MOST_SATURATED = 0.01
 """Share of saturated future tokens up to which a launch goes on, where the user says nothing else."""
 Stages = Literal["1", "2", "both"]
+_STAGES: dict[Stages, tuple[Stage, ...]] = {"1": (1,), "2": (2,), "both": (1, 2)}
 
 
 @dataclass(frozen=True)
@@ -106,8 +107,7 @@ def prepare_launch(request: LaunchRequest, on_progress: Progress) -> PreparedLau
     contents, train = _training_data(request)
     validation = _validation_data(request, train)
     base = _look_at_base(request.places.base)
-    numbers: Sequence[Stage] = {"1": (1,), "2": (2,), "both": (1, 2)}[request.stages]
-    settings = [(stage, _settings(request, stage)) for stage in numbers]
+    settings = [(stage, _settings(request, stage)) for stage in _STAGES[request.stages]]
     plan = make_plan(
         recipe,
         request.places,
@@ -145,7 +145,7 @@ def look_before(prepared: PreparedLaunch) -> PreflightReport:
             policy=request.policy,
             stages=tuple(
                 stage_plan(stage, dict(_settings(request, stage).values) | _deepspeed(stage), request.lora)
-                for stage in (launch.stage for launch in plan.stages)
+                for stage in _STAGES[request.stages]
             ),
             data=plan.train.folder if there else None,
             chunk_ids=plan.train.chunk_ids,

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from olt_datasets.export.chunks import divide_into_chunks
 from olt_datasets.export.contents import Contents
@@ -72,6 +73,8 @@ def existing_data(folder: Path, chunk_ids: str | None = None) -> PaiData:
                 f"{folder}: has no {name}, so it is no PhysicalAI-AV folder; write one with olt data export"
             )
     index = read_indexed(folder / CLIP_INDEX, ["chunk"], ["clip_id"])
+    if not pd.api.types.is_integer_dtype(index["chunk"]):
+        raise InputError(f"{folder / CLIP_INDEX}: column chunk is {index['chunk'].dtype}; it holds whole numbers")
     if chunk_ids is None and len(index):
         chunk_ids = f"{index['chunk'].min()}-{index['chunk'].max() + 1}"
     first, end = _parse_range(chunk_ids or "0-1")
@@ -82,10 +85,14 @@ def existing_data(folder: Path, chunk_ids: str | None = None) -> PaiData:
             f"{sorted(map(int, index['chunk'].unique()))[:8]}"
         )
     own_times = "event_t0s" in chosen.columns
+    times = dict(zip(chosen.index, chosen["event_t0s"], strict=True)) if own_times else {}
+    without = next((clip for clip, of_clip in times.items() if np.size(of_clip) == 0), None)
+    if without is not None:
+        raise InputError(f"{folder / CLIP_INDEX}: clip {without} has no sample time (event_t0s), and the recipe stops")
 
     def samples() -> Iterator[tuple[ClipStore, str, int]]:
         store = ClipStore(folder)
-        return ((store, str(clip), int(times[0])) for clip, times in chosen["event_t0s"].items())
+        return ((store, str(clip), int(np.ravel(of_clip)[0])) for clip, of_clip in times.items())
 
     told = samples if own_times and (folder / CLIP_TABLE).is_file() else None
     return PaiData(folder, f"{first}-{end}", len(chosen), own_times, samples=told)

@@ -206,7 +206,7 @@ def make_plan(
     for stage, chosen in settings:
         if stage == 2 and stage1 is None:
             raise InputError("Stage 2 alone: give --stage1-checkpoint, the last checkpoint that Stage 1 left")
-        values = chosen.values | _computed(recipe, places, stage, train, validation, base, stage1, base_config)
+        values = dict(chosen.values) | _computed(recipe, places, stage, train, validation, base, stage1, base_config)
         groups = dict(chosen.groups)
         if lora and stage == 1:
             added, adapted = lora_groups(places.recipe(recipe))
