@@ -18,7 +18,7 @@ def flow(
     ] = None,
     stores: Annotated[list[Path], typer.Option(help="Clip store of the samples; may be given several times.")] = [],  # noqa: B006
     split: Annotated[str, typer.Option(help="Split whose clips are used.")] = "val",
-    samples: Annotated[int, typer.Option(min=2, help="Samples at most.")] = 8,
+    samples: Annotated[int, typer.Option(min=2, help="Samples at most.")] = 6,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
     """Hold every solver against a fine one, and its plans against what was driven."""
@@ -68,6 +68,7 @@ def print_result(result: dict[str, Any]) -> None:
     print_line(
         f"{result['samples']} samples, {result['plans_per_sample']} plans each; own solver {result['own_solver']}"
     )
+    print_line(f"{result['reference']} is {result['reference_doubt_m']:.3g} m from half its steps")
     columns = ("setting", "minADE (m)", f"from {result['reference']} (m)", "processor ms a plan")
     keys = ("setting", "min_ade_m", "distance_from_reference_m", "processor_ms_per_plan")
     for title, rows in (("Solvers of the flow", result["solvers"]), ("Precision", result["precision"])):

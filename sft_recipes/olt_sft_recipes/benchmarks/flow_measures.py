@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from olt_sft_recipes.benchmarks.flow_solvers import REFERENCE, SOLVERS, Solver, integrate
+from olt_sft_recipes.benchmarks.flow_solvers import COARSER, REFERENCE, SOLVERS, Solver, integrate
 from olt_sft_recipes.benchmarks.motions import Motions
 from olt_sft_recipes.benchmarks.tokens import extreme_motions
 from olt_sft_recipes.open_loop import displacement_errors
@@ -73,6 +73,8 @@ def measure(policy: ToyPolicy, samples: Sequence[PolicySample]) -> dict[str, Any
     truths = [sample.ego_future_xyz[0].astype(np.float64) for sample in samples]
     with solved_by(policy, REFERENCE):
         exact, _ = plan_all(policy, observations)
+    with solved_by(policy, COARSER):
+        coarser, _ = plan_all(policy, observations)
 
     def row(name: str, plans: Plans, spent: float) -> dict[str, Any]:
         off = np.linalg.norm(plans[..., :2] - exact[..., :2], axis=-1)
@@ -97,6 +99,7 @@ def measure(policy: ToyPolicy, samples: Sequence[PolicySample]) -> dict[str, Any
         "samples": len(samples),
         "plans_per_sample": PLANS,
         "reference": str(REFERENCE),
+        "reference_doubt_m": float(np.linalg.norm(coarser[..., :2] - exact[..., :2], axis=-1).mean()),
         "own_solver": str(own),
         "solvers": solvers,
         "precision": rows,

@@ -33,7 +33,11 @@ SOLVERS: Sequence[Solver] = (
     *(Solver("midpoint", steps) for steps in (1, 2, 5, 10)),
     *(Solver("heun", steps) for steps in (1, 2, 5, 10)),
 )
-REFERENCE = Solver("heun", 40)
+REFERENCE, COARSER = Solver("heun", 250), Solver("heun", 125)
+"""What solvers are held against, and half its steps: how far these are apart is the reference's own doubt.
+
+The toy is told the time by waves of up to 100 periods, so its velocity is smooth on no longer scale than 0.01.
+"""
 
 
 def integrate(velocity: Velocity, solver: Solver, noise: "Tensor", condition: Any) -> "Tensor":
