@@ -11,6 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 import pytest
+from accelerate.utils import LoggerType
 
 from olt_generator.errors import InputError
 from olt_sft_recipes.training.processes import run_on_processes
@@ -78,8 +79,7 @@ def test_a_tracker_is_told_every_loss(drives, tiny_config, tmp_path, monkeypatch
     for name in ("torch.utils.tensorboard", "tensorboardX"):
         monkeypatch.setitem(sys.modules, name, types.SimpleNamespace(SummaryWriter=Recorder))
     monkeypatch.setattr("torch.utils.tensorboard", sys.modules["tensorboardX"], raising=False)
-    for module in ("olt_sft_recipes.training.processes", "accelerate.tracking"):
-        monkeypatch.setattr(f"{module}.is_tensorboard_available", lambda: True)
+    monkeypatch.setattr("accelerate.tracking._available_trackers", [LoggerType.TENSORBOARD])
     monkeypatch.setattr("olt_sft_recipes.training.processes._AVAILABLE", {"tensorboard": lambda: True})
     monkeypatch.setattr(Recorder, "told", [])
     stage = StageConfig(stage=1, num_train_epochs=2, report_to="tensorboard", warmup_steps=1)

@@ -169,19 +169,30 @@ def test_images_that_are_all_black_or_wholly_invented_train(drives, tiny_config,
 
 def test_a_loss_that_is_not_finite_ends_the_training_and_leaves_its_batch(drives, tiny_config, tmp_path):
     keys = sorted(drives)
-    bad = {**drives, keys[5]: replace(drives[keys[5]], ego_future_xyz=np.full((1, 64, 3), np.inf, np.float32))}
-    stage = STAGE_1.model_copy(update={"save_steps": 1})
-    with pytest.raises(InputError, match="step 2") as caught, np.errstate(invalid="ignore"):
-        train_one(stage, bad, tmp_path / "out", tiny_config, [keys[:4], keys[4:8], keys[8:]])
+    stage = STAGE_1.model_copy(update={"save_steps": 1, "learning_rate": 1e30})
+    with pytest.raises(InputError, match="step 2 .* checkpoint-1 is kept") as caught:
+        train_one(stage, drives, tmp_path / "out", tiny_config, [keys[:4], keys[4:8], keys[8:]])
     folder = tmp_path / "out/not-finite-step-2"
     assert str(folder) in str(caught.value)
     about = json.loads((folder / "step.json").read_text())
     assert [sample["clip_id"] for sample in about["samples"]] == [key.clip_id for key in keys[4:8]]
-    assert about["finite"]["images"] and not about["finite"]["future"]
-    assert not np.isfinite(load_file(folder / "samples.safetensors")["future"][1]).any()
+    assert all(about["finite"].values()) and "nan" in about["why"]
+    saved = load_file(folder / "samples.safetensors")["future"][1]
+    np.testing.assert_allclose(saved[:, :2], drives[keys[5]].ego_future_xyz[0, :, :2], atol=1e-6)
     assert [path.name for path in (tmp_path / "out").glob("checkpoint-*")] == ["checkpoint-1"]
     status = read_statuses(tmp_path / "out")[0]
     assert (status.phase, status.step, status.is_alive()) == ("stopped", 1, False) and "step 2" in status.describe()
+
+
+@pytest.mark.parametrize("field", ["ego_future_xyz", "ego_history_xyz"])
+def test_a_sample_that_is_not_finite_is_refused_before_any_step(drives, tiny_config, tmp_path, field):
+    keys = sorted(drives)
+    broken = np.array(getattr(drives[keys[5]], field))
+    broken[0, 3] = np.nan
+    bad = {**drives, keys[5]: replace(drives[keys[5]], **{field: broken})}
+    with pytest.raises(InputError, match="clip05 at 2000000 us"):
+        train_one(STAGE_1, bad, tmp_path / "out", tiny_config, [keys])
+    assert not (tmp_path / "out/samples").exists()
 
 
 def test_status_of_a_finished_training(trained, capsys):
