@@ -107,7 +107,9 @@ def prepare_launch(request: LaunchRequest, on_progress: Progress) -> PreparedLau
     contents, train = _training_data(request)
     validation = _validation_data(request, train)
     base = _look_at_base(request.places.base)
-    settings = [(stage, _settings(request, stage)) for stage in _STAGES[request.stages]]
+    settings: list[tuple[Stage, StageSettings]] = [
+        (stage, _settings(request, stage)) for stage in _STAGES[request.stages]
+    ]
     plan = make_plan(
         recipe,
         request.places,

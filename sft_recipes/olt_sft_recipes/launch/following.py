@@ -68,7 +68,7 @@ def followed_of_launch(out: Path, stage: Stage) -> FollowedStage:
         entry = next((each for each in content["stages"] if each["stage"] == stage), None)
         if entry is None:
             raise InputError(f"{out / LAUNCH_FILE}: Stage {stage} is not launched there")
-        told = {
+        told: dict[str, Any] = {
             name: range(*value) if name.endswith("chunks") and value is not None else value
             for name, value in entry["expected"].items()
         }
