@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
-import pandas as pd
 
 from olt_generator.errors import InputError
 from olt_sft_recipes.preflight.plan import PreflightPlan
@@ -44,7 +43,7 @@ def data_rows(plan: PreflightPlan) -> tuple[list[Row], int | None]:
     val_rows, val_selected = _look(val_folder, "val", plan.val_chunk_ids, plan, deadline + 0.5 * plan.seconds)
     rows += val_rows
     if selected is not None and val_selected is not None:
-        both = sorted(set(selected.index) & set(val_selected.index))
+        both = sorted(selected.keys() & val_selected.keys())
         wrong = [f"{len(both)} clips are trained on and validated with, as {both[0]}"] if both else []
         good = "no clip of the one is in the other, by their ids"
         rows.append(ROWS.judge("train and val apart", plan.val_data, wrong, good, "choose chunk ids that do not meet"))
@@ -53,11 +52,11 @@ def data_rows(plan: PreflightPlan) -> tuple[list[Row], int | None]:
 
 def _look(
     folder: RecipeFolder, part: str, chunk_ids: str | None, plan: PreflightPlan, deadline: float
-) -> tuple[list[Row], pd.Series | None]:
+) -> tuple[list[Row], dict[str, int] | None]:
     rows = [
         _features_row(folder, part, plan),
         _readable(
-            folder, part, CLIP_INDEX, lambda: f"{len(folder.index)} clips in {folder.index.chunk.nunique()} chunks"
+            folder, part, CLIP_INDEX, lambda: f"{len(folder.index)} clips in {len(set(folder.chunks.values()))} chunks"
         ),
         _readable(folder, part, FEATURE_PRESENCE, lambda: _read_presence(folder)),
     ]
@@ -108,33 +107,33 @@ def _features_row(folder: RecipeFolder, part: str, plan: PreflightPlan) -> Row:
     return _readable(folder, part, FEATURE_TABLE, look)
 
 
-def _selection_row(folder: RecipeFolder, part: str, chunk_ids: str | None, selected: pd.Series) -> Row:
+def _selection_row(folder: RecipeFolder, part: str, chunk_ids: str | None, selected: dict[str, int]) -> Row:
     check, where = f"{part} chunks", f"{folder.root / CLIP_INDEX}: chunk_ids {chunk_ids or 'not given: all'}"
-    there = folder.index["chunk"]
+    there, taken = sorted(folder.chunks.values()), sorted(selected.values())
     if len(selected) == 0:
         why = "a text without '-' selects nothing" if chunk_ids and "-" not in chunk_ids else "no clip has these chunks"
-        action = f"write {there.min()}-{there.max() + 1} for all that is there" if len(there) else _EXPORT
+        action = f"write {there[0]}-{there[-1] + 1} for all that is there" if there else _EXPORT
         return ROWS.failed(check, where, f"0 of {len(there)} clips are selected: {why}", action)
-    said = f"{len(selected)} of {len(there)} clips are selected, of chunks {selected.min()} to {selected.max()}"
+    said = f"{len(selected)} of {len(there)} clips are selected, of chunks {taken[0]} to {taken[-1]}"
     if chunk_ids is None:
         return ROWS.passed(check, where, said)
     numbers = selected_numbers(chunk_ids)
-    present = sorted(selected.unique())
+    present = sorted(set(taken))
     if len(present) < len(numbers):
         absent = next(number for number, here in zip(numbers, [*present, None], strict=False) if number != here)
         action = f"write {present[0]}-{present[-1] + 1}, or fetch the missing chunks"
         found = f"{said}; {len(numbers) - len(present)} of its {len(numbers)} chunks have no clip, as {absent}"
         return ROWS.failed(check, where, found, action)
-    left_out = int((there == numbers[-1] + 1).sum())
+    left_out = there.count(numbers[-1] + 1)
     if left_out:
         found = f"{said}; chunk {numbers[-1] + 1} ({left_out} clips) is left out, for the last number does not count"
         return ROWS.note(check, where, found, f"write {numbers[0]}-{numbers[-1] + 2} if it should be in")
     return ROWS.passed(check, where, said)
 
 
-def _held_out_row(folder: RecipeFolder, part: str, selected: pd.Series) -> Row:
+def _held_out_row(folder: RecipeFolder, part: str, selected: dict[str, int]) -> Row:
     """The reader filters by neither column, so what they rule out must not be in the selection."""
-    chosen, wrong, looked = folder.index.loc[selected.index], [], []
+    chosen, wrong, looked = folder.index.loc[list(selected)], [], []
     if "clip_is_valid" in chosen:
         looked.append("clip_is_valid")
         invalid = chosen.index[~chosen["clip_is_valid"].astype(bool)]
@@ -152,10 +151,12 @@ def _held_out_row(folder: RecipeFolder, part: str, selected: pd.Series) -> Row:
     return ROWS.judge(check, where, wrong, good, "the recipe does not look at these columns: take such clips out")
 
 
-def _file_rows(folder: RecipeFolder, part: str, selected: pd.Series, plan: PreflightPlan) -> Iterator[Row]:
+def _file_rows(folder: RecipeFolder, part: str, selected: dict[str, int], plan: PreflightPlan) -> Iterator[Row]:
     """Every archive that the loader would open, and in each the members of every selected clip."""
     names = [*plan.contract.cameras, EGOMOTION]
-    by_chunk = {int(chunk): list(ids) for chunk, ids in selected.groupby(selected).groups.items()}
+    by_chunk: dict[int, list[str]] = {}
+    for clip_id, chunk in selected.items():
+        by_chunk.setdefault(chunk, []).append(clip_id)
     problems = problems_of(
         lambda each: _check_members(folder, *each, by_chunk), [(name, chunk) for chunk in by_chunk for name in names]
     )
@@ -187,9 +188,9 @@ def _check_table(folder: RecipeFolder, name: str, chunk: int) -> None:
 
 
 def _clip_rows(
-    folder: RecipeFolder, part: str, selected: pd.Series, plan: PreflightPlan, deadline: float
+    folder: RecipeFolder, part: str, selected: dict[str, int], plan: PreflightPlan, deadline: float
 ) -> Iterator[Row]:
-    clip_ids = spread(list(selected.index), plan.clips)
+    clip_ids = spread(list(selected), plan.clips)
     problems: list[str] = []
     looked = decoded = 0
     sizes: set[tuple[int, int]] = set()

@@ -53,9 +53,10 @@ def checkpoint_bytes(sizes: ModelSizes, stage: StagePlan, steps: int | None) -> 
 def disk_row(plan: PreflightPlan, sizes: ModelSizes | str, steps: dict[int, int]) -> Row:
     """Free space against the checkpoints of all stages that will run."""
     check = "space for checkpoints"
-    if plan.out is None or isinstance(sizes, str):
-        why = "no output folder was given" if plan.out is None else sizes
-        return DISK.not_checked(check, plan.out or "--out", why)
+    if plan.out is None:
+        return DISK.not_checked(check, "--out", "no output folder was given")
+    if isinstance(sizes, str):
+        return DISK.not_checked(check, plan.out, sizes)
     each = [checkpoint_bytes(sizes, stage, steps.get(stage.stage)) for stage in plan.stages]
     needed = sum(size * kept for size, kept, _ in each)
     there = existing_parent(plan.out)

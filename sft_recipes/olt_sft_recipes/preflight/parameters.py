@@ -132,7 +132,7 @@ def sizes_of_checkpoint(tensors: Mapping[str, StoredTensor], source: str) -> Mod
     Raises:
         InputError: tensors that tell the shapes are not there.
     """
-    parts = dict.fromkeys(("visual", "embedding", "layers", "head", "expert"), 0)
+    parts: dict[str, int] = {"visual": 0, "embedding": 0, "layers": 0, "head": 0, "expert": 0}
     for name, tensor in tensors.items():
         parts[_part_of(name)] += tensor.count
     try:

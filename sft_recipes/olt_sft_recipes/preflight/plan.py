@@ -6,6 +6,7 @@ Values are those of the public recipes (docs/formats/sft_recipes.md).
 import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from olt_generator.errors import InputError
 from olt_sft_recipes.preflight.names import PolicyName
@@ -123,13 +124,11 @@ class PreflightPlan:
 def recipe_stages(policy: str) -> tuple[StagePlan, StagePlan]:
     """Both stages as the public recipe of Alpamayo-R1 has them.
 
-    The same values are taken for Alpamayo 1.5, whose recipe has them too, and 2, which has no recipe. The toy's own are
-    in its stage files (`olt_sft_recipes.preflight.toy_rows`).
+    The same values are taken for Alpamayo 1.5, whose recipe has them too, and 2, which has no recipe; the toy has the
+    stages that come with the package.
     """
     if policy == PolicyName.TOY:
-        from olt_sft_recipes.preflight.toy_rows import toy_stages
-
-        return toy_stages()
+        return _toy_stage(1), _toy_stage(2)
     first = StagePlan(
         1,
         gradient_accumulation_steps=4,
@@ -139,3 +138,18 @@ def recipe_stages(policy: str) -> tuple[StagePlan, StagePlan]:
         gradient_checkpointing=True,
     )
     return first, StagePlan(2)
+
+
+def _toy_stage(stage: Literal[1, 2]) -> StagePlan:
+    from olt_sft_recipes.training.stage_config import builtin_stage_config
+
+    config = builtin_stage_config(stage)
+    return StagePlan(
+        stage,
+        per_device_train_batch_size=config.per_device_train_batch_size,
+        gradient_accumulation_steps=config.gradient_accumulation_steps,
+        num_train_epochs=config.num_train_epochs,
+        learning_rate=config.learning_rate,
+        min_lr=config.min_lr,
+        warmup_steps=config.warmup_steps,
+    )

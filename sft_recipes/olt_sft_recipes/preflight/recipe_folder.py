@@ -77,17 +77,22 @@ class RecipeFolder:
         """The clip index, with `chunk` as whole numbers."""
         path = self.root / CLIP_INDEX
         index = read_indexed(path, ["chunk"], ["clip_id"])
-        if not pd.api.types.is_integer_dtype(index["chunk"]) or index["chunk"].isna().any():
-            raise InputError(f"{path}: column chunk is {index['chunk'].dtype}; file names need whole numbers, int64")
+        dtype = index["chunk"].dtype
+        if not isinstance(dtype, np.dtype) or dtype.kind != "i":
+            raise InputError(f"{path}: column chunk is {dtype}; file names need whole numbers, int64")
         return index
 
-    def select(self, chunk_ids: str | None) -> pd.Series:
+    @cached_property
+    def chunks(self) -> dict[str, int]:
+        """The chunk of every clip of the index."""
+        return dict(zip(self.index.index.astype(str), self.index["chunk"].tolist(), strict=True))
+
+    def select(self, chunk_ids: str | None) -> dict[str, int]:
         """The chunk of every clip that the reader takes, by clip id."""
-        chunks = self.index["chunk"]
         if chunk_ids is None:
-            return chunks
+            return self.chunks
         numbers = selected_numbers(chunk_ids)
-        return chunks[(chunks >= numbers.start) & (chunks < numbers.stop)]
+        return {clip_id: chunk for clip_id, chunk in self.chunks.items() if chunk in numbers}
 
     def t0_us(self, clip_id: str, use_default_keyframe: bool) -> int:
         """The time at which the reader samples a clip."""
@@ -112,7 +117,7 @@ class RecipeFolder:
 
     def look_at_clip(self, clip_id: str, t0_us: int, contract: CameraContract) -> None:
         """Read motion, times and video tables of a clip as a sample at `t0_us` needs them; decodes nothing."""
-        chunk = int(self.index.at[clip_id, "chunk"])
+        chunk = self.chunks[clip_id]
         motion = read_egomotion(*self._member(EGOMOTION, EGOMOTION, chunk, clip_id))
         spans = {}
         for camera in contract.cameras:
@@ -124,7 +129,7 @@ class RecipeFolder:
 
     def decode_sample(self, clip_id: str, t0_us: int, contract: CameraContract) -> tuple[int, int]:
         """Decode the images of a sample; gives their height and width, which all cameras share."""
-        chunk = int(self.index.at[clip_id, "chunk"])
+        chunk = self.chunks[clip_id]
         sizes = {}
         for camera in contract.cameras:
             times = read_timestamps(*self._member(camera, FRAME_TIMESTAMPS, chunk, clip_id))

@@ -7,31 +7,13 @@ from pathlib import Path
 from olt_datasets import read_mixture
 from olt_generator.errors import InputError
 from olt_sft_recipes.preflight.machine_rows import existing_parent
-from olt_sft_recipes.preflight.plan import PreflightPlan, StagePlan
+from olt_sft_recipes.preflight.plan import PreflightPlan
 from olt_sft_recipes.preflight.rows import Row, RowMaker
-from olt_sft_recipes.training.stage_config import builtin_stage_config
 from olt_toolkit.clips.store import ClipStore
 
 DATA, DISK = RowMaker("data"), RowMaker("disk")
 _KEPT_BYTES = 200 << 20
 """Of checkpoints and logs of a toy of the largest size that its configuration allows: far more than the usual one."""
-
-
-def toy_stages() -> tuple[StagePlan, StagePlan]:
-    """Both stages as they come with the package."""
-    keys = (
-        "per_device_train_batch_size",
-        "gradient_accumulation_steps",
-        "num_train_epochs",
-        "learning_rate",
-        "min_lr",
-        "warmup_steps",
-    )
-    first, second = (builtin_stage_config(1), builtin_stage_config(2))
-    return (
-        StagePlan(1, **{key: getattr(first, key) for key in keys}),
-        StagePlan(2, **{key: getattr(second, key) for key in keys}),
-    )
 
 
 def toy_data_rows(plan: PreflightPlan) -> tuple[list[Row], int | None]:
