@@ -4,6 +4,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +65,12 @@ def train(weight: float) -> Array:
 
     errors = []
     for seed in SEEDS:
-        shared = {"num_train_epochs": EPOCHS, "per_device_train_batch_size": 8, "warmup_steps": 10, "seed": seed}
+        shared: dict[str, Any] = {
+            "num_train_epochs": EPOCHS,
+            "per_device_train_batch_size": 8,
+            "warmup_steps": 10,
+            "seed": seed,
+        }
         shared |= {"mirror_probability": 0.5, "invented_pixel_weight": weight}
         stages = (
             StageConfig(stage=1, learning_rate=1e-3, regression_warmup_epochs=EPOCHS - 2, **shared),

@@ -170,7 +170,7 @@ def test_images_that_are_all_black_or_wholly_invented_train(drives, tiny_config,
 def test_a_loss_that_is_not_finite_ends_the_training_and_leaves_its_batch(drives, tiny_config, tmp_path):
     keys = sorted(drives)
     stage = STAGE_1.model_copy(update={"save_steps": 1, "learning_rate": 1e30})
-    with pytest.raises(InputError, match="step 2 .* checkpoint-1 is kept") as caught:
+    with pytest.raises(InputError, match=r"step 2 .*checkpoint-1 is kept") as caught:
         train_one(stage, drives, tmp_path / "out", tiny_config, [keys[:4], keys[4:8], keys[8:]])
     folder = tmp_path / "out/not-finite-step-2"
     assert str(folder) in str(caught.value)
