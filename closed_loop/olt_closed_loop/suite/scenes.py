@@ -9,6 +9,7 @@ from olt_closed_loop.privileged.holds import holds_of
 from olt_closed_loop.privileged.plan import plan_drive
 from olt_closed_loop.privileged.truth import Truth, area_of
 from olt_closed_loop.scenes.driving import SAMPLE_US
+from olt_closed_loop.scenes.hills import put_on_hills
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scenes.scene_map import with_map
 from olt_closed_loop.suite.catalogue import Entry, find_event
@@ -36,6 +37,11 @@ def make_scene(name: str, seed: int = 0) -> Scene:
         InputError: there is no such event.
     """
     return _make(find_event(name), seed)
+
+
+def with_seed(source: str, seed: int) -> str:
+    """The source of an event of the suite with a seed; others, and those that have one, stay as they are."""
+    return f"{source}:{seed}" if source.startswith(PREFIX) and ":" not in source else source
 
 
 def scene_of(source: str) -> Scene:
@@ -66,7 +72,8 @@ def _make(entry: Entry, seed: int) -> Scene:
         drivable=(),
         route=road_map.route_line(ground.lanes),
     )
-    return with_map(scene, road_map)
+    scene = with_map(scene, road_map)
+    return scene if event.hills is None else put_on_hills(scene, event.hills)
 
 
 def _planned(event: Event) -> Trajectory:
