@@ -69,8 +69,8 @@ def train_quick_toy(out: Path) -> tuple[ToyPolicy, list[PolicySample]]:
         "seed": 0,
     }
     stages = (
-        StageConfig(stage=1, learning_rate=1e-3, regression_warmup_epochs=EPOCHS - 3, **shared),
-        StageConfig(stage=2, learning_rate=2e-3, **shared),
+        StageConfig(stage=1, seed=0, learning_rate=1e-3, regression_warmup_epochs=EPOCHS - 3, **shared),
+        StageConfig(stage=2, seed=0, learning_rate=2e-3, **shared),
     )
     config = ToyPolicyConfig(image_height=HEIGHT, image_width=WIDTH)
     train_two_stages(stages, batches, lambda wanted: [by_key[key] for key in wanted], out, config)
