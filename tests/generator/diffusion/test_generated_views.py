@@ -107,6 +107,23 @@ def test_clips_of_any_length(folder, frames):
     assert view.images.shape == (frames, 32, 48, 3)
 
 
+def test_what_is_seen_where_windows_meet_hides_nothing_elsewhere(folder, monkeypatch):
+    """A window whose last frames are seen whole is decoded all the same for the frames before."""
+    settings = replace(QUICK, steps=1, window=9, overlap=1)
+    plain = start(folder, settings, 9).make(CROSS_LEFT)
+    prior = generated_views.warp_prior
+
+    def see_the_end(images, origin):
+        shown, visible = prior(images, origin)
+        visible[8:] = 1.0
+        return shown, visible
+
+    monkeypatch.setattr(generated_views, "warp_prior", see_the_end)
+    long = start(folder, settings, 13).make(CROSS_LEFT)
+    black = (long.images[:8] == 0).all(axis=-1).mean()
+    assert black < 0.05 + (plain.images[:8] == 0).all(axis=-1).mean()
+
+
 def test_windows_share_the_noise_of_what_they_share():
     whole = draw_noise(3, 1, 0, (6, 4, 6), 0.5)
     assert np.array_equal(whole[:, :, 2:], draw_noise(3, 1, 2, (4, 4, 6), 0.5))

@@ -14,7 +14,7 @@ from olt_generator.diffusion.generation import draw_noise
 from olt_generator.diffusion.sampling import Solver, guided_velocity, integrate, sigma_grid
 from olt_toolkit.bench.benchmark import Benchmark, list_settings
 
-FRAMES, HEIGHT, WIDTH, CONDITIONS = 9, 32, 48, 2
+FRAMES, HEIGHT, WIDTH, CONDITIONS, TEXT_TOKENS = 5, 32, 48, 2, 8
 GUIDANCE = 3.5
 STEPS = (10, 25, 50, 100)
 REFERENCE_STEPS = 1000
@@ -32,7 +32,7 @@ def engine(precision: str) -> tuple[ConditionedModel, Conditions, torch.Tensor]:
         if not parameter.any():
             parameter.copy_(0.05 * torch.randn(parameter.shape, generator=generator))
     cast(model, getattr(torch, precision), trainable=True)
-    _, conditions = make_inputs(CONFIGS["tiny"], (FRAMES, HEIGHT, WIDTH), CONDITIONS)
+    _, conditions = make_inputs(CONFIGS["tiny"], (FRAMES, HEIGHT, WIDTH), CONDITIONS, TEXT_TOKENS)
     for tensor in (conditions.text, conditions.rays, conditions.control, conditions.motion):
         tensor.copy_(torch.randn(tensor.shape, generator=generator))
     return model, conditions, torch.zeros_like(conditions.text)

@@ -12,6 +12,7 @@ from olt_generator.doubts import Doubt
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
+from olt_toolkit.recordings.truth import Holds, ObstacleTracks
 from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT
 from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
@@ -48,6 +49,9 @@ class Recording:
         observed: pixels (h, w) that some camera saw, of those of `views` that are mosaics of several cameras.
         spread: how well height and focal length of the front camera are known.
         doubts: what the reader has reason to doubt, such as where the camera looks.
+        route: (n, 2) metres, n >= 2, the line that the vehicle was meant to follow, seen from the rig at time 0 without
+            its roll and pitch; None where it is not known.
+        obstacles, holds: what is known of others and of the right to go on (`recordings.truth`).
     """
 
     name: str
@@ -66,6 +70,9 @@ class Recording:
     observed: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     spread: CameraSpread = field(default_factory=CameraSpread)
     doubts: tuple[Doubt, ...] = ()
+    route: Array | None = None
+    obstacles: ObstacleTracks | None = None
+    holds: Holds | None = None
 
 
 def refuse_unused(given: Mapping[str, bool], why: str) -> None:
@@ -81,6 +88,8 @@ class OpenOptions:
 
     Attributes:
         width: working width of the frames in pixels; height follows the aspect ratio.
+        height: of the frames in pixels, for a world that is rendered in any shape; None for its usual one, as for all
+            other recordings.
         duration: at most this many seconds from the start, where no window is asked for.
         horizontal_fov: field of view in radians to assume where no calibration exists; None for the reader's default.
         camera_height: height in metres above ground to assume where no mounting is known; None for the default.
@@ -92,6 +101,7 @@ class OpenOptions:
     """
 
     width: int = 832
+    height: int | None = None
     duration: float = 20.0
     horizontal_fov: float | None = None
     camera_height: float | None = None

@@ -165,7 +165,8 @@ def cast(model: ConditionedModel, dtype: torch.dtype, trainable: bool = False) -
 def _tokens(embedding: nn.Module, cells: Tensor) -> Tensor:
     """Tokens (b, n, d) of latents or control (b, c, t, h, w)."""
     weight: Any = embedding.weight
-    return embedding(cells.to(weight.dtype)).flatten(2).transpose(1, 2)
+    # Layers round differently on tokens that do not lie one after the other.
+    return embedding(cells.to(weight.dtype)).flatten(2).transpose(1, 2).contiguous()
 
 
 def _call(module: nn.Module, *arguments: Any) -> Any:

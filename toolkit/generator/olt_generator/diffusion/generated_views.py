@@ -147,17 +147,19 @@ class GeneratedViews:
         warped = self._geometric.make_through(VIEWS[view], self._camera(view))
         prior = _Prior(*warp_prior(warped.images, warped.origin))
         sampled: list[Tensor] = []
-        decoded: dict[int, Video] = {}
+        self._videos[view] = {}
         for number, window in enumerate(self._windows):
+            before = None
             if number > 0:
-                hidden = prior.visible[window.start : self._windows[number - 1].stop] == 0.0
-                decoded[number - 1] = self._decode(sampled[-1], hidden.any(axis=0))
-            before = None if number == 0 else (self._windows[number - 1], decoded[number - 1])
+                last = self._windows[number - 1]
+                hidden = (prior.visible[window.start : last.stop] == 0.0).any(axis=0)
+                before = last, self._decode(sampled[-1], hidden)
+                # Whole images serve the view too; of tiles it may need others.
+                if self._settings.tile is None and hidden.any():
+                    self._videos[view][number - 1] = before[1]
             sampled.append(self._sample_window(view, number, _cut(prior, window, before)))
             on_progress((number + 1) / len(self._windows))
         self._latents[view] = tuple(sampled)
-        # Whole images serve the view too; of tiles it may need others.
-        self._videos[view] = decoded if self._settings.tile is None else {}
 
     def _sample_window(self, view: int, number: int, prior: _Prior) -> Tensor:
         engine, geometry, window = self._engine, self._geometries[number], self._windows[number]
