@@ -50,7 +50,8 @@ def assign_splits(windows: Sequence[Window], seen: float, unseen: float, seed: i
         own = sorted(
             (i for i, window in enumerate(windows) if window.scene == scene), key=lambda i: windows[i].first_us
         )
-        last = round(seen * len(own)) or int(seen > 0.0 and number % 2 == 0 and len(own) > 1)
+        wanted = round(seen * len(own)) or int(seen > 0.0 and number % 2 == 0)
+        last = min(wanted, len(own) - 1)
         for index in own[len(own) - last :]:
             splits[index] = "seen"
     check_splits(windows, splits)
