@@ -197,7 +197,7 @@ def start(run, steps, extra=None):
 @pytest.mark.slow
 def test_a_killed_run_has_the_losses_that_it_would_have_had(tmp_path):
     toy_cache.make_cache(tmp_path / "cache")
-    assert start(tmp_path / "whole", 40).wait(300) == 0
+    assert start(tmp_path / "whole", 40).wait(900) == 0
     killed = start(tmp_path / "killed", 40)
     log = tmp_path / "killed" / "losses.jsonl"
     while killed.poll() is None and not (log.exists() and log.read_text().count("\n") >= 13):
@@ -205,7 +205,7 @@ def test_a_killed_run_has_the_losses_that_it_would_have_had(tmp_path):
     killed.send_signal(signal.SIGKILL)
     assert killed.wait() == -signal.SIGKILL
     assert len(losses(tmp_path / "killed")) < 40
-    assert start(tmp_path / "killed", 40).wait(300) == 0
+    assert start(tmp_path / "killed", 40).wait(900) == 0
     assert losses(tmp_path / "killed") == losses(tmp_path / "whole")
     for name in ("model", "average", "optimizer"):
         file = f"steps/step_000040/{name}.safetensors"
@@ -215,13 +215,13 @@ def test_a_killed_run_has_the_losses_that_it_would_have_had(tmp_path):
 @pytest.mark.slow
 def test_two_processes_have_the_losses_of_one(tmp_path):
     toy_cache.make_cache(tmp_path / "cache")
-    assert start(tmp_path / "one", 6).wait(300) == 0
+    assert start(tmp_path / "one", 6).wait(900) == 0
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = str(free.getsockname()[1])
     world = {"WORLD_SIZE": "2", "MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "ACCELERATE_USE_CPU": "true"}
     both = [start(tmp_path / "two", 6, world | {"RANK": str(n), "LOCAL_RANK": str(n)}) for n in range(2)]
-    assert [process.wait(300) for process in both] == [0, 0]
+    assert [process.wait(900) for process in both] == [0, 0]
     np.testing.assert_allclose(losses(tmp_path / "two"), losses(tmp_path / "one"), rtol=0, atol=1e-5)
 
 

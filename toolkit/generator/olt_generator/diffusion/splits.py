@@ -36,7 +36,7 @@ def assign_splits(windows: Sequence[Window], seen: float, unseen: float, seed: i
     """A split for each window.
 
     A share `unseen` of the scenes, at least one where it is not 0, is kept for evaluation; of the windows of each
-    other scene the last ones, a share `seen`, at least one of every second scene where it is not 0.
+    other scene the last ones, a share `seen`, at least one of every second scene that has several where it is not 0.
 
     Raises:
         InputError: a source is external, windows of a scene overlap, or nothing is left to train on.
