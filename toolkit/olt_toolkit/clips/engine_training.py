@@ -23,6 +23,7 @@ from olt_generator.diffusion.config import EngineConfig
 from olt_generator.diffusion.engine_folder import EngineFacts, save_engine
 from olt_generator.diffusion.flow_training import FlowTraining
 from olt_generator.diffusion.latents import LatentCodec
+from olt_generator.diffusion.splits import Split
 from olt_generator.diffusion.training_cache import CacheFacts, TrainingCache, write_cache
 from olt_generator.diffusion.training_clips import ClipVideos, encode_clip
 from olt_generator.diffusion.training_loop import train
@@ -161,8 +162,8 @@ def _make_cache(
             yield encode_clip(clip, codec), clip
             on_progress((done + 1) / len(windows))
 
-    own, splits = [each.window for each in windows], [each.split for each in windows]
-    return write_cache(run / CACHE, wanted, own, splits, encoded())
+    splits: list[Split] = [each.split for each in windows]
+    return write_cache(run / CACHE, wanted, [each.window for each in windows], splits, encoded())
 
 
 def _keep_videos(

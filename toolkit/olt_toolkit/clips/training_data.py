@@ -57,7 +57,9 @@ def plan_windows(dataset: Dataset, settings: TrainingSettings, seed: int) -> lis
     if not found:
         raise InputError(f"no drive has {settings.frames + 1} images; give longer drives")
     splits = assign_splits([window for _, window, _ in found], settings.seen, settings.unseen, seed)
-    return [TrainingWindow(*each, split, indices) for (*each, indices), split in zip(found, splits, strict=True)]
+    return [
+        TrainingWindow(key, window, split, indices) for (key, window, indices), split in zip(found, splits, strict=True)
+    ]
 
 
 def frame_time(dataset: Dataset, windows: Sequence[TrainingWindow]) -> int:

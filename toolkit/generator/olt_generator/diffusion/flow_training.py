@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -65,21 +66,20 @@ class FlowTraining:
         """The samples of these numbers; the same number is always the same sample. Views take turns."""
         settings = self._settings
         views = [1 + number % _GENERATED for number in numbers]
-        parts = [self._draw_one(number, view) for number, view in zip(numbers, views, strict=True)]
-        latents, target, sigma, texts = ([part[key] for part in parts] for key in range(4))
+        drawn = [self._draw_one(number, view) for number, view in zip(numbers, views, strict=True)]
+        latents, target, sigma, texts = (torch.stack([tensors[key] for tensors, _, _ in drawn]) for key in range(4))
         conditions = collect_conditions(
-            [part[4] for part in parts], views, torch.stack(texts), [part[5] for part in parts], settings.use_warp
+            [clip for _, clip, _ in drawn], views, texts, [seen for *_, seen in drawn], settings.use_warp
         )
         weight = [settings.rear_weight if view == _GENERATED else 1.0 for view in views]
-        return FlowBatch(
-            torch.stack(latents), torch.stack(target), torch.stack(sigma), conditions, torch.tensor(weight)
-        )
+        return FlowBatch(latents, target, sigma, conditions, torch.tensor(weight))
 
-    def _draw_one(self, number: int, view: int) -> tuple[Tensor, Tensor, Tensor, Tensor, TrainingClip, list[Tensor]]:
+    def _draw_one(self, number: int, view: int) -> tuple[list[Tensor], TrainingClip, list[Tensor]]:
+        """Noised latents, target, noise level and text; the clip; the latents of what the view is conditioned on."""
         settings, draw = self._settings, make_generator("flow sample", self._seed, number)
         noises = torch.Generator().manual_seed(derive_seed("flow noise", self._seed, number))
         clip = self._cache.clip(self._numbers[int(draw.integers(len(self._numbers)))])
-        sigma = torch.tensor(float(shift_sigma(draw.random(), settings.shift)))
+        sigma = torch.tensor(float(shift_sigma(np.array(draw.random()), settings.shift)))
         clean = clip.latents[view]
         noise = torch.randn(clean.shape, generator=noises)
         text = self._empty if draw.random() < settings.text_drop else self._prompt
@@ -89,7 +89,7 @@ class FlowTraining:
             level = draw.uniform(least, most) if draw.random() < chance else 0.0
             other = torch.randn(clean.shape, generator=noises)
             seen.append((1.0 - level) * clip.latents[condition] + level * other)
-        return (1.0 - sigma) * clean + sigma * noise, noise - clean, sigma, text, clip, seen
+        return [(1.0 - sigma) * clean + sigma * noise, noise - clean, sigma, text], clip, seen
 
 
 def collect_conditions(

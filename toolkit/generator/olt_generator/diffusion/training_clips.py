@@ -102,7 +102,7 @@ def make_videos(
         camera = rectified_camera(true.camera, width, height)
         remapper = Remapper(true.camera, camera, np.eye(3))
         truth.append(remapper.remap(true.images[frames]))
-        known.append(remapper.seen)
+        known.append(np.asarray(remapper.seen))
         poses = anchor_poses(T_world_front, front.T_rig_camera, true.T_rig_camera)
         rays.append(plucker_rays(camera, poses[steps]))
         lenses.append([camera.fx, camera.fy, camera.cx, camera.cy])
@@ -114,11 +114,19 @@ def make_videos(
         settings = SynthesisSettings(lookback=LOOKBACK_LATENTS.get(name))
         made = synthesize_view(front, camera, true.T_rig_camera, frames, settings)
         # Beyond the real lens there is no truth; the geometric engine goes on without an edge to be learned.
-        truth[view] = np.where(remapper.seen[..., None], truth[view], made.images)
+        truth[view] = np.where(known[view][..., None], truth[view], made.images)
         filled.append(made.images)
         origin.append(made.origin)
-    stacked = (np.stack(parts) for parts in (truth, filled, origin, known, rays))
-    return ClipVideos(*stacked, ego_motion_features(all_poses[0][steps]), np.array(lenses), np.stack(all_poses))
+    return ClipVideos(
+        np.stack(truth),
+        np.stack(filled),
+        np.stack(origin),
+        np.stack(known),
+        np.stack(rays),
+        ego_motion_features(all_poses[0][steps]),
+        np.array(lenses),
+        np.stack(all_poses),
+    )
 
 
 def encode_clip(videos: ClipVideos, codec: LatentCodec) -> TrainingClip:
