@@ -16,20 +16,18 @@ from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor, nn
-from torch.nn import functional
+from torch import nn
 
 from olt_datasets import Mixture, MixtureDataset
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.progress import Progress, silent
-from olt_generator.seeds import derive_seed, make_generator
-from olt_sft_recipes.toy.action_expert import draw_training_times
+from olt_generator.seeds import derive_seed
 from olt_sft_recipes.toy.checkpoint import ToyModel, load_tensors, read_config, read_tensors, save_model
 from olt_sft_recipes.toy.config import ToyPolicyConfig
-from olt_sft_recipes.toy.inputs import encode_inputs
-from olt_sft_recipes.toy.tokens import FUTURE_TOKENS, encode_actions
+from olt_sft_recipes.toy.tokens import encode_actions
 from olt_sft_recipes.training.driving_samples import DrivingSamples
+from olt_sft_recipes.training.objectives import StepDraws, draw_step, prepare_batch, sample_losses
 from olt_sft_recipes.training.stage_config import StageConfig
 from olt_toolkit import PolicySample, SampleKey
 from olt_toolkit.runtime.json_files import read_json
@@ -41,9 +39,6 @@ Batches = Callable[[int, int], Sequence[Sequence[SampleKey]]]
 LoadSamples = Callable[[Sequence[SampleKey]], Sequence[PolicySample]]
 LOG_FILE = "training_log.json"
 VLM_PREFIX = "vlm."
-# Future tokens whose cross-entropy a step computes, drawn anew each time: the mean is the same, at a quarter of the
-# cost of the largest product.
-LOSS_TOKENS = 32
 
 
 @dataclass(frozen=True)
@@ -230,14 +225,12 @@ def _optimize(
         trained = model.vlm if stage.stage == 1 else model.expert
         frozen = [tensor.clone() for tensor in model.vlm.state_dict().values()] if stage.stage == 2 else []
         optimizer = torch.optim.AdamW(trained.parameters(), lr=stage.learning_rate, weight_decay=stage.weight_decay)
-        draw = make_generator("training", stage.seed, stage.stage)
-        noise = torch.Generator().manual_seed(derive_seed("noise", stage.seed, stage.stage))
         losses = []
         for step, rows in enumerate(steps):
             for group in optimizer.param_groups:
                 group["lr"] = stage.learning_rate_at(step, len(steps))
-            batch = _augment(samples.take(rows), stage, draw)
-            losses.append(_accumulate_gradient(model, stage, batch, step < warmup, noise))
+            draws = draw_step(stage, len(rows), step)
+            losses.append(_accumulate_gradient(model, stage, samples.take(rows), draws, step < warmup))
             nn.utils.clip_grad_norm_(trained.parameters(), stage.max_grad_norm)
             optimizer.step()
             optimizer.zero_grad()
@@ -250,54 +243,18 @@ def _optimize(
         torch.use_deterministic_algorithms(False)
 
 
-def _augment(batch: DrivingSamples, stage: StageConfig, draw: np.random.Generator) -> DrivingSamples:
-    if stage.move_metres or stage.turn_degrees:
-        # A coarse grid, so that the few tables behind the perturbed images are made once.
-        offsets, angles = draw.integers(-4, 5, (2, len(batch))) / 4.0
-        batch = batch.perturbed(stage.move_metres * offsets, np.radians(stage.turn_degrees) * angles)
-    return batch.mirrored() if draw.random() < stage.mirror_probability else batch
-
-
 def _accumulate_gradient(
-    model: ToyModel, stage: StageConfig, batch: DrivingSamples, warmup: bool, noise: torch.Generator
+    model: ToyModel, stage: StageConfig, samples: DrivingSamples, draws: StepDraws, warmup: bool
 ) -> float:
-    """Add the gradient of the batch, part by part; returns the loss: the weighted mean over the samples."""
-    total, weights = 0.0, batch.weights(stage.invented_pixel_weight)
+    """Add the gradient of the samples, part by part; returns the loss: their weighted mean."""
+    total, weights = 0.0, samples.weights(stage.invented_pixel_weight)
     weights /= weights.sum()
-    for rows in np.array_split(np.arange(len(batch)), min(stage.gradient_accumulation_steps, len(batch))):
-        losses = _losses(model, stage, batch.take(rows.tolist()), warmup, noise)
+    for rows in np.array_split(np.arange(len(samples)), min(stage.gradient_accumulation_steps, len(samples))):
+        part = {name: values[rows] for name, values in draws.items()}
+        losses = sample_losses(model, stage, prepare_batch(samples.take(rows.tolist()), part), warmup)
         loss = losses @ torch.from_numpy(weights[rows].astype(np.float32))
         loss.backward()
         total += loss.item()
     if not math.isfinite(total):
         raise RuntimeError(f"stage {stage.stage}: the loss is not finite")
     return total
-
-
-def _losses(
-    model: ToyModel, stage: StageConfig, batch: DrivingSamples, warmup: bool, generator: torch.Generator
-) -> Tensor:
-    """Loss (batch,) of each sample.
-
-    Of the regression head alone (warm-up), of tokens and regression head (Stage 1), or flow matching (Stage 2).
-    """
-    inputs, actions = encode_inputs(batch.images, batch.history), batch.actions()
-    wanted = torch.from_numpy(actions.astype(np.float32))
-    if warmup:
-        return _squared_errors(model.vlm.regress(inputs), wanted)
-    if stage.stage == 2:
-        times = draw_training_times(len(wanted), generator)
-        noise = torch.randn(wanted.shape, generator=generator)
-        return model.expert.loss(wanted, times, noise, model.vlm.prefix_cache(inputs))
-    tokens = torch.from_numpy(encode_actions(actions)[0])
-    hidden = torch.rand(tokens.shape, generator=generator) < stage.hidden_token_probability
-    states, regressed = model.vlm(inputs, tokens, hidden)
-    chosen = torch.randperm(FUTURE_TOKENS, generator=generator)[:LOSS_TOKENS]
-    logits = model.vlm.logits(states[:, chosen])
-    token_losses = functional.cross_entropy(logits.transpose(1, 2), tokens[:, chosen], reduction="none").mean(dim=1)
-    return token_losses + _squared_errors(regressed, wanted)
-
-
-def _squared_errors(actions: Tensor, wanted: Tensor) -> Tensor:
-    """Mean squared error (batch,) of the actions (batch, 64, 2) of each sample."""
-    return (actions - wanted).square().mean(dim=(1, 2))
