@@ -5,11 +5,11 @@ at a junction and a straight road have in common is the same there, so that few 
 square ahead of the vehicle and shows who comes from the sides.
 """
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
 from olt_generator.poses import Array, invert
 from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
@@ -57,77 +57,77 @@ def world_cells() -> Array:
     return np.stack([x, y, np.zeros_like(x)], axis=-1)
 
 
-@dataclass(frozen=True)
-class Lookup:
-    """Where the cells of a grid are in the features of images: a sparse matrix of weights in CSR form.
+def look_up(cells: Array, frame_poses: Array, config: ToyPolicyConfig) -> csr_array:
+    """Where the cells of a grid are in the features of images, as a sparse matrix of weights.
 
-    Rows are (sample, cell, frame); columns are (sample, camera, frame, row, column, height) of features. A cell takes
-    the four features around its place, bilinearly, in every image that shows it, and is the mean over those.
-
-    Attributes:
-        begins: (rows + 1,) int64, where the entries of each row begin.
-        columns, weights: (entries,) int64 and float32.
-        cells: of each sample.
-    """
-
-    begins: NDArray[np.int64]
-    columns: NDArray[np.int64]
-    weights: NDArray[np.float32]
-    cells: int
-
-
-def look_up(cells: Array, frame_poses: Array, config: ToyPolicyConfig) -> Lookup:
-    """Find cells in images.
+    A cell takes the four features around its place, bilinearly, in every image that shows it, and is their mean.
 
     Args:
         cells: (n, cells, 2) centres in the rig frame at t0, metres.
         frame_poses: (n, frames, 3) x, y, yaw of the rig at the time of each frame, in the rig frame at t0.
         config: the cameras and the size of their images.
+
+    Returns:
+        Rows are (sample, cell, frame), columns (sample, frame, camera, row, column, height) of the features.
     """
     cos, sin = np.cos(frame_poses[:, None, :, 2]), np.sin(frame_poses[:, None, :, 2])
     apart = cells[:, :, None] - frame_poses[:, None, :, :2]
     x, y = cos * apart[..., 0] + sin * apart[..., 1], cos * apart[..., 1] - sin * apart[..., 0]
-    rows, columns = config.feature_size
-    samples, count, frames = x.shape
-    images = (samples, len(config.camera_rows), frames, rows, columns, len(HEIGHTS))
-    entries: list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]]] = []
-    for camera, mounted in enumerate(_cameras(config)):
-        for index, height in enumerate(HEIGHTS):
-            row, column, seen = _project(mounted, x, y, height, config)
-            cell = np.flatnonzero(seen)
-            sample, _, frame = np.unravel_index(cell, x.shape)
-            row, column = row[seen], column[seen]
-            top, left = np.floor(row).astype(np.int64), np.floor(column).astype(np.int64)
-            for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
-                weight = np.abs(1 - down - (row - top)) * np.abs(1 - right - (column - left))
-                at = np.clip(top + down, 0, rows - 1), np.clip(left + right, 0, columns - 1)
-                place = np.ravel_multi_index((sample, np.full_like(sample, camera), frame, *at), images[:-1])
-                entries.append((cell, place * len(HEIGHTS) + index, weight.astype(np.float32)))
-    cell, places, weights = (np.concatenate(parts) for parts in zip(*entries, strict=True))
-    order = np.argsort(cell, kind="stable")
-    cell, counts = cell[order], np.bincount(cell, minlength=x.size)
-    share = (4.0 / np.maximum(counts, 1)).astype(np.float32)
-    begins = np.concatenate([[0], np.cumsum(counts)])
-    return Lookup(begins, places[order], weights[order] * share[cell], count)
+    samples, _, frames = x.shape
+    table = _ground_table(config)
+    found = table[_ground_row(x, y).ravel()]
+    image = np.broadcast_to(np.arange(samples * frames).reshape(samples, 1, frames), x.shape).ravel()
+    columns = found.indices + np.repeat(image * table.shape[1], np.diff(found.indptr))
+    return csr_array((found.data, columns, found.indptr), shape=(x.size, samples * frames * table.shape[1]))
+
+
+_TABLE_STEP, _TABLE_BEGIN, _TABLE_SIZE = 0.25, (-10.0, -50.0), (360, 400)
+
+
+def _ground_row(x: Array, y: Array) -> NDArray[np.int64]:
+    """Rows of the table of places on the ground; the first is for those beyond it, which nothing sees."""
+    row = np.rint((x - _TABLE_BEGIN[0]) / _TABLE_STEP).astype(np.int64)
+    column = np.rint((y - _TABLE_BEGIN[1]) / _TABLE_STEP).astype(np.int64)
+    inside = (row >= 0) & (row < _TABLE_SIZE[0]) & (column >= 0) & (column < _TABLE_SIZE[1])
+    return np.where(inside, 1 + row * _TABLE_SIZE[1] + column, 0)
 
 
 @lru_cache(maxsize=4)
-def _cameras(config: ToyPolicyConfig) -> tuple[MountedCamera, ...]:
+def _ground_table(config: ToyPolicyConfig) -> csr_array:
+    """Weights of features (camera, row, column, height) for places on the ground every quarter of a metre."""
     rig = pav_rig().fitted(config.image_width, config.image_height)
-    return tuple(rig[name] for name in config.camera_names)
+    rows, columns = config.feature_size
+    shape = len(config.camera_rows), rows, columns, len(HEIGHTS)
+    x, y = (np.arange(size) * _TABLE_STEP + begin for size, begin in zip(_TABLE_SIZE, _TABLE_BEGIN, strict=True))
+    ground = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    places, features, weights = list[Array](), list[Array](), list[Array]()
+    for camera, name in enumerate(config.camera_names):
+        for index, height in enumerate(HEIGHTS):
+            row, column, seen = _project(rig[name], ground, height, config)
+            place = np.flatnonzero(seen)
+            top, left = np.floor(row[place]), np.floor(column[place])
+            for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
+                at = np.clip(top + down, 0, rows - 1).astype(int), np.clip(left + right, 0, columns - 1).astype(int)
+                places.append(1 + place)
+                features.append(np.ravel_multi_index((np.full_like(place, camera), *at, index), shape))
+                weights.append(np.abs(1 - down - row[place] + top) * np.abs(1 - right - column[place] + left))
+    place, feature, weight = (np.concatenate(parts) for parts in (places, features, weights))
+    images = np.maximum(np.bincount(place, minlength=len(ground) + 1) / 4.0, 1.0)
+    weight = (weight / images[place]).astype(np.float32)
+    return csr_array((weight, (place, feature)), shape=(len(ground) + 1, int(np.prod(shape))))
 
 
 def _project(
-    mounted: MountedCamera, x: Array, y: Array, height: float, config: ToyPolicyConfig
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_]]:
-    """Row and column in the features, and whether they are seen, of points of the rig frame at one height."""
-    T = invert(mounted.T_rig_camera).astype(np.float32)
-    points = np.stack([x, y, np.full_like(x, height)], axis=-1).astype(np.float32) @ T[:3, :3].T + T[:3, 3]
-    pixels, seen = mounted.camera.project(points)
+    mounted: MountedCamera, ground: Array, height: float, config: ToyPolicyConfig
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Row and column in the features, and whether they are seen, of points (n, 2) at one height over the ground."""
+    T_camera_rig = invert(mounted.T_rig_camera)
+    points = np.column_stack([ground, np.full(len(ground), height)])
+    pixels, seen = mounted.camera.project(points @ T_camera_rig[:3, :3].T + T_camera_rig[:3, 3])
     # Pixel centres are whole numbers, and so are the middles of features.
     column = (pixels[..., 0] + 0.5) / PATCH - 0.5
     row = (pixels[..., 1] + 0.5 - config.image_top) / PATCH - 0.5
-    return row.astype(np.float32), column.astype(np.float32), seen & (row >= -0.5)
+    return row, column, seen & (row >= -0.5)
 
 
 def _along(points: Array, distances: Array) -> tuple[Array, Array]:

@@ -1,6 +1,6 @@
 """The sizes of the toy policy."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -22,11 +22,15 @@ class ToyPolicyConfig(BaseModel):
         frames: which of the four frames of each camera it uses, 0 the oldest and 3 that at t0.
         cameras: indices of the cameras of the contract that it uses, in order; None for all.
         image_channels: channels of the features of images and of the bird's-eye grids.
+        precision: of the convolutions of the image encoder; everything else is float32.
         width: width of the language model.
         layers: layers of the language model and of the action expert, which meet layer by layer.
         heads: attention heads of both.
         expert_width: width of the action expert; its heads have the size of the language model's.
         integration_steps: Euler steps from noise to a plan.
+        plans_drawn: how many plans it draws; the first starts from no noise.
+        chooses_plan: whether its sight chooses among them and among those that brake (`plan_choice`), or the first is
+            driven.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -34,15 +38,18 @@ class ToyPolicyConfig(BaseModel):
     rig: str = DEFAULT_CONTRACT.name
     image_height: Annotated[int, Field(ge=PATCH, le=1024)] = 96
     image_width: Annotated[int, Field(ge=PATCH, le=1024)] = 168
-    image_top: Annotated[int, Field(ge=0, le=1023)] = 36
+    image_top: Annotated[int, Field(ge=0, le=1023)] = 48
     frames: tuple[Annotated[int, Field(ge=0, lt=IMAGE_FRAMES)], ...] = (0, 3)
     cameras: tuple[Annotated[int, Field(ge=0)], ...] | None = None
-    image_channels: Annotated[int, Field(ge=1, le=128)] = 24
+    image_channels: Annotated[int, Field(ge=1, le=128)] = 32
+    precision: Literal["bfloat16", "float32"] = "bfloat16"
     width: Annotated[int, Field(ge=1, le=512)] = 96
     layers: Annotated[int, Field(ge=1, le=32)] = 2
     heads: Annotated[int, Field(ge=1, le=64)] = 4
     expert_width: Annotated[int, Field(ge=1, le=512)] = 64
-    integration_steps: Annotated[int, Field(ge=1, le=1000)] = 10
+    integration_steps: Annotated[int, Field(ge=1, le=1000)] = 5
+    plans_drawn: Annotated[int, Field(ge=1, le=64)] = 2
+    chooses_plan: bool = True
 
     @field_validator("rig")
     @classmethod

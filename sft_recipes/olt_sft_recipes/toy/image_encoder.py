@@ -14,12 +14,14 @@ from scipy.sparse import csr_array
 from torch import Tensor, nn
 from torch.nn import functional
 
-from olt_sft_recipes.toy.birds_eye import HEIGHTS, OFFSETS, STATIONS, WORLD_X, WORLD_Y, Lookup
+from olt_sft_recipes.toy.birds_eye import HEIGHTS, OFFSETS, STATIONS, WORLD_X, WORLD_Y
 from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
 
-SECONDS_AHEAD = (0, 1, 2, 3, 4)
+SECONDS_AHEAD = tuple(0.5 * step for step in range(9))
 """Seconds from t0 on at which the heads tell which cells are taken."""
 ROUTE_TOKENS, WORLD_TOKENS = len(STATIONS) // 2, len(WORLD_X) * len(WORLD_Y) // 16
+_WAY = slice(len(OFFSETS) // 2 - 2, len(OFFSETS) // 2 + 2)
+WAY_FEATURES = (len(SECONDS_AHEAD) + 1) * len(STATIONS)
 IMAGE_TOKENS = ROUTE_TOKENS + WORLD_TOKENS
 
 
@@ -37,6 +39,10 @@ class Sight:
     route: Tensor
     world: Tensor
 
+    def way(self) -> Tensor:
+        """How likely the way along the route is taken or held at each time and station, (batch, WAY_FEATURES)."""
+        return self.route[..., _WAY].amax(dim=-1).sigmoid().flatten(1)
+
 
 class ImageEncoder(nn.Module):
     """See the module."""
@@ -44,9 +50,9 @@ class ImageEncoder(nn.Module):
     def __init__(self, config: ToyPolicyConfig) -> None:
         super().__init__()
         channels, cameras, frames = config.image_channels, len(config.camera_rows), len(config.frames)
-        self.top = config.image_top
+        self.top, self.bfloat16 = config.image_top, config.precision == "bfloat16"
         self.patches = nn.Conv2d(3, channels, kernel_size=PATCH, stride=PATCH)
-        self.image_positions = nn.Parameter(0.02 * torch.randn(cameras, 1, *config.feature_size, channels))
+        self.image_positions = nn.Parameter(0.02 * torch.randn(cameras, *config.feature_size, channels))
         self.image_blocks = nn.ModuleList([_Residual(channels) for _ in range(2)])
         self.by_height = nn.Linear(channels, len(HEIGHTS) * channels)
         self.route_net = _GridNet(frames * channels, channels, len(STATIONS), len(OFFSETS), len(SECONDS_AHEAD) + 1)
@@ -54,24 +60,32 @@ class ImageEncoder(nn.Module):
         self.route_tokens = nn.Linear(2 * len(OFFSETS) * channels, config.width)
         self.world_tokens = nn.Linear(16 * channels, config.width)
 
-    def forward(self, images: Tensor, route: Lookup, world: Lookup) -> Sight:
+    def forward(self, images: Tensor, route: csr_array, world: csr_array) -> Sight:
         """Encode images (batch, cameras, frames, 3, H, W) uint8 RGB, with where the cells of the grids are in them."""
-        batch, cameras, frames = images.shape[:3]
-        pixels = images[..., self.top :, :].flatten(0, 2).contiguous(memory_format=torch.channels_last)
-        features = self.patches(pixels.float() / 64.0 - 2.0)
-        # The layout of channels_last, in which cells find their features side by side.
-        named = features.permute(0, 2, 3, 1).unflatten(0, (batch, cameras, frames)) + self.image_positions
-        features = named.flatten(0, 2).permute(0, 3, 1, 2)
-        for block in self.image_blocks:
-            features = block(features)
-        table = self.by_height(features.permute(0, 2, 3, 1)).flatten(0, 2).reshape(-1, features.shape[1])
-        along, route_logits = self.route_net(_gather(table, route, batch, len(STATIONS)))
-        around, world_logits = self.world_net(_gather(table, world, batch, len(WORLD_X)))
+        batch, cameras = images.shape[:2]
+        pixels = images[..., self.top :, :].transpose(1, 2).flatten(0, 2).contiguous(memory_format=torch.channels_last)
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.bfloat16):
+            table = self._features(pixels, cameras)
+            along, route_logits = self.route_net(_gather(table, route, batch, len(STATIONS), len(OFFSETS)))
+            around, world_logits = self.world_net(_gather(table, world, batch, len(WORLD_X), len(WORLD_Y)))
+        along, around = along.float(), around.float()
         tokens = [
             self.route_tokens(along.permute(0, 2, 3, 1).reshape(batch, ROUTE_TOKENS, -1)),
             self.world_tokens(functional.pixel_unshuffle(around, 4).flatten(2).transpose(1, 2)),
         ]
-        return Sight(torch.cat(tokens, dim=1), route_logits, world_logits)
+        return Sight(torch.cat(tokens, dim=1), route_logits.float(), world_logits.float())
+
+    def _features(self, pixels: Tensor, cameras: int) -> Tensor:
+        """Features (places, channels) of the pixels of all images, in the order that `birds_eye.look_up` tells."""
+        # The weights take grey levels to about unit size, which is cheaper than to change the pixels.
+        bias = self.patches.bias - 2.0 * self.patches.weight.sum((1, 2, 3))
+        features = functional.conv2d(pixels.float(), self.patches.weight / 64.0, bias, stride=PATCH)
+        # The layout of channels_last, in which cells find their features side by side.
+        named = features.permute(0, 2, 3, 1).unflatten(0, (-1, cameras))
+        features = (named + self.image_positions.to(named.dtype)).flatten(0, 1).permute(0, 3, 1, 2)
+        for block in self.image_blocks:
+            features = block(features)
+        return self.by_height(features.permute(0, 2, 3, 1)).float().reshape(-1, features.shape[1])
 
 
 class _Residual(nn.Module):
@@ -97,27 +111,27 @@ class _GridNet(nn.Module):
         nn.init.constant_(self.heads.bias, -3.0)  # few cells are taken
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        x = self.first(x) + self.positions.permute(2, 0, 1)
+        x = self.first(x)
+        x = x + self.positions.permute(2, 0, 1).to(x.dtype)
         for block in self.blocks:
             x = block(x)
         x = functional.relu(x)
         return x, self.heads(x)
 
 
-def _gather(table: Tensor, lookup: Lookup, batch: int, rows: int) -> Tensor:
+def _gather(table: Tensor, lookup: csr_array, batch: int, rows: int, columns: int) -> Tensor:
     """Cells (batch, frames * channels, rows, columns) of a grid from features (places, channels)."""
     cells: Tensor = _Sparse.apply(table, lookup)  # pyright: ignore[reportAssignmentType]
-    return cells.view(batch, rows, lookup.cells // rows, -1).permute(0, 3, 1, 2)
+    return cells.view(batch, rows, columns, -1).permute(0, 3, 1, 2)
 
 
 class _Sparse(torch.autograd.Function):
     """The product of a sparse matrix and a dense one; scipy's has a fast transpose, torch's has not."""
 
     @staticmethod
-    def forward(ctx: Any, table: Tensor, lookup: Lookup) -> Tensor:
-        shape = len(lookup.begins) - 1, len(table)
-        ctx.matrix = csr_array((lookup.weights, lookup.columns, lookup.begins), shape=shape)
-        return torch.from_numpy(ctx.matrix @ table.detach().numpy())
+    def forward(ctx: Any, table: Tensor, matrix: csr_array) -> Tensor:
+        ctx.matrix = matrix
+        return torch.from_numpy(matrix @ table.detach().numpy())
 
     @staticmethod
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:

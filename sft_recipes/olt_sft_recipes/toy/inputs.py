@@ -5,16 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from torch import Tensor
 
 from olt_generator.poses import Array, yaw_of
-from olt_sft_recipes.toy.birds_eye import WORLD_CELLS, Lookup, look_up, route_cells, world_cells
+from olt_sft_recipes.toy.birds_eye import WORLD_CELLS, look_up, route_cells, world_cells
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.toy.tokens import encode_history
 from olt_toolkit.clips.images import resize_images
 from olt_toolkit.policy.action_space import normalise_actions
 from olt_toolkit.policy.contract import IMAGE_FRAMES, STEP_SECONDS
 
+ROUTE_POINTS = 20
+"""Most points of a route that are read."""
 ROUTE_STATIONS = (4, 8, 12, 16, 20, 24)
 """Stations of the route grid whose places are told in numbers, too."""
 MOTION_FEATURES = 4 + 4 * len(ROUTE_STATIONS)
@@ -36,15 +39,13 @@ class PolicyInputs:
     """
 
     images: Tensor
-    route: Lookup
-    world: Lookup
+    route: csr_array
+    world: csr_array
     history_tokens: Tensor
     motion: Tensor
 
 
-def encode_inputs(
-    images: NDArray[np.uint8], history: Array, routes: Array, config: ToyPolicyConfig
-) -> PolicyInputs:
+def encode_inputs(images: NDArray[np.uint8], history: Array, routes: Array, config: ToyPolicyConfig) -> PolicyInputs:
     """Tensors of a batch.
 
     History tokens cut off what is fast and do not hold the heading; the toy is too small to make up for it, so the
@@ -58,13 +59,11 @@ def encode_inputs(
         config: of the model.
     """
     flat = np.concatenate([history[..., :2], np.zeros_like(history[..., :1])], axis=-1)
-    rates = np.diff(history, axis=-2) / STEP_SECONDS
-    speed = np.linalg.norm(rates[..., :2], axis=-1)
-    curvature = (rates[..., -3:, 2] / np.maximum(speed[..., -3:], LEAST_SPEED)).mean(axis=-1)
-    along = np.stack([route_cells(*row) for row in zip(routes, curvature, strict=True)])
+    speed, curvature = _speed_and_curvature(history)
+    along = cells_along(history, routes)
     world = np.broadcast_to(world_cells().reshape(1, -1, 3), (len(history), WORLD_CELLS, 3))
     frame_poses = history[:, [frame - IMAGE_FRAMES for frame in config.frames]]
-    motion = np.concatenate([_motion(speed[..., -1], curvature), _route_numbers(along, routes)], axis=-1)
+    motion = np.concatenate([_motion(speed, curvature), _route_numbers(along, routes)], axis=-1)
     return PolicyInputs(
         torch.from_numpy(np.ascontiguousarray(images)),
         look_up(along.reshape(len(along), -1, 3)[..., :2], frame_poses, config),
@@ -72,6 +71,20 @@ def encode_inputs(
         torch.from_numpy(encode_history(flat)),
         torch.from_numpy(motion.astype(np.float32)),
     )
+
+
+def cells_along(history: Array, routes: Array) -> Array:
+    """Cells (n, stations, offsets, 3) of the route grids of histories (n, 16, 3) and routes (n, points, 2)."""
+    _, curvature = _speed_and_curvature(history)
+    return np.stack([route_cells(*row) for row in zip(routes, curvature.tolist(), strict=True)])
+
+
+def _speed_and_curvature(history: Array) -> tuple[Array, Array]:
+    """Speed now (n,) in m/s and mean curvature of the last three steps (n,) in 1/m."""
+    rates = np.diff(history, axis=-2) / STEP_SECONDS
+    speed = np.linalg.norm(rates[..., :2], axis=-1)
+    curvature = rates[..., -3:, 2] / np.maximum(speed[..., -3:], LEAST_SPEED)
+    return speed[..., -1], curvature.mean(axis=-1)
 
 
 def _motion(speed: Array, curvature: Array) -> Array:
@@ -87,6 +100,14 @@ def _route_numbers(along: Array, routes: Array) -> Array:
     x, y, yaw = np.moveaxis(middle, -1, 0)
     numbers = np.stack([x / 20.0 - 1.0, y / 5.0, 2.0 * np.sin(yaw), np.cos(yaw)], axis=-1)
     return np.concatenate([known[:, None], numbers.reshape(len(numbers), -1)], axis=-1)
+
+
+def pad_route(route_xy: Array | None) -> Array:
+    """A route (n, 2) filled up with NaN to (ROUTE_POINTS, 2), which is what a route that is not known is all of."""
+    padded = np.full((ROUTE_POINTS, 2), np.nan)
+    if route_xy is not None:
+        padded[: len(route_xy)] = route_xy[:ROUTE_POINTS]
+    return padded
 
 
 def planar_poses(xyz: Array, rotation: Array) -> Array:

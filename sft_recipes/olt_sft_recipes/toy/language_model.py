@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from olt_sft_recipes.toy.config import ToyPolicyConfig
-from olt_sft_recipes.toy.image_encoder import IMAGE_TOKENS, ImageEncoder, Sight
+from olt_sft_recipes.toy.image_encoder import IMAGE_TOKENS, WAY_FEATURES, ImageEncoder, Sight
 from olt_sft_recipes.toy.inputs import MOTION_FEATURES, PolicyInputs
 from olt_sft_recipes.toy.tokens import FUTURE_BINS, FUTURE_TOKENS, HISTORY_BINS, HISTORY_TOKENS, VOCABULARY_SIZE
 
@@ -57,7 +57,9 @@ class VisionLanguageModel(nn.Module):
         self.token_embedding = nn.Embedding(VOCABULARY_SIZE, width)
         self.future_start = nn.Parameter(0.02 * torch.randn(width))
         self.prefix_projection = nn.Sequential(
-            nn.Linear(IMAGE_TOKENS * width + MOTION_FEATURES, 2 * width), nn.GELU(), nn.Linear(2 * width, width)
+            nn.Linear(IMAGE_TOKENS * width + WAY_FEATURES + MOTION_FEATURES, 2 * width),
+            nn.GELU(),
+            nn.Linear(2 * width, width),
         )
         self.positions = nn.Parameter(0.02 * torch.randn(HISTORY_TOKENS + 1 + FUTURE_TOKENS, width))
         self.blocks = nn.ModuleList([CausalBlock(config) for _ in range(config.layers)])
@@ -95,17 +97,17 @@ class VisionLanguageModel(nn.Module):
         return self._regress(start), sight
 
     @torch.no_grad()
-    def prefix_cache(self, inputs: PolicyInputs) -> list[KeysValues]:
-        """What the expert sees: keys and values of every layer up to future-start, without gradient."""
+    def prefix_cache(self, inputs: PolicyInputs) -> tuple[list[KeysValues], Sight]:
+        """What the expert sees, keys and values of every layer up to future-start, and the sight; without gradient."""
         sight, history, start = self._embed_prefix(inputs)
         sequence = torch.cat([history, start], dim=1) + self.positions[: HISTORY_TOKENS + 1]
         _, cache = self._run(torch.cat([sight.tokens, sequence], dim=1))
-        return cache
+        return cache, sight
 
     def _embed_prefix(self, inputs: PolicyInputs) -> tuple[Sight, Tensor, Tensor]:
         """Sight, history tokens and future-start, (batch, tokens, width) and still without positions."""
         sight = self.image_encoder(inputs.images, inputs.route, inputs.world)
-        projected = self.prefix_projection(torch.cat([sight.tokens.flatten(1), inputs.motion], dim=1))
+        projected = self.prefix_projection(torch.cat([sight.tokens.flatten(1), sight.way(), inputs.motion], dim=1))
         return sight, self.token_embedding(inputs.history_tokens), (self.future_start + projected)[:, None]
 
     def _regress(self, start: Tensor) -> Tensor:

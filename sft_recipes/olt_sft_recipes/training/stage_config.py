@@ -44,6 +44,7 @@ class StageConfig(BaseModel):
             one that a camera saw. A sample counts in the loss by the mean over its pixels (`DrivingSamples.weights`),
             and the weights of an optimizer step are divided by their sum. 1, the default: all samples alike, as in the
             real recipe. Toy only.
+        sight_weight: of the loss of what is where (`training.auxiliary`) in Stage 1. Toy only.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -64,6 +65,7 @@ class StageConfig(BaseModel):
     regression_warmup_epochs: NonNegativeInt = 0
     hidden_token_probability: float = Field(default=0.0, ge=0.0, le=1.0)
     invented_pixel_weight: float = Field(default=1.0, ge=0.0, le=1.0)
+    sight_weight: NonNegativeFloat = 1.0
 
     @model_validator(mode="after")
     def _consistent(self) -> "StageConfig":
