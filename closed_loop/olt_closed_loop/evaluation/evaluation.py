@@ -29,6 +29,8 @@ from olt_closed_loop.simulation.policy_process import PolicyNotStarted, host_pol
 from olt_closed_loop.simulation.running_rollout import RolloutRequest
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_closed_loop.suite.scenes import PREFIX, scene_of
+from olt_closed_loop.suite.training import PREFIX as TRAINING_PREFIX
+from olt_closed_loop.suite.training import training_scene_of
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
 from olt_generator.progress import Progress, silent
@@ -336,11 +338,13 @@ def _read_scene(source: str) -> Scene:
         return read_recording(Path(source))
     if source.startswith(PREFIX):
         return scene_of(source)
+    if source.startswith(TRAINING_PREFIX):
+        return training_scene_of(source)
     category, colon, number = source.rpartition(":")
     if not colon or not number.isdecimal():
         raise InputError(
             f"scene {source!r}: give the path of a scene file or a recorded drive, CATEGORY:SEED such as cyclists:0, "
-            f"or {PREFIX}NAME of the long-tail suite"
+            f"{PREFIX}NAME of the long-tail suite, or {TRAINING_PREFIX}NAME:SEED of the drives to learn from"
         )
     from olt_closed_loop.scenes.procedural import generate_scene
 

@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from olt_closed_loop.privileged.truth import Truth
 from olt_closed_loop.scenes.actors import corners
-from olt_closed_loop.scenes.polylines import arc_lengths, without_repeats
+from olt_closed_loop.scenes.polylines import arc_lengths, without_repeats, wrap
 from olt_generator.poses import Array
 
 STATION_STEP, OFFSET_STEP, FARTHEST = 2.0, 0.25, 6.0
@@ -29,6 +29,7 @@ STEEPEST = 2
 
 _SMOOTHING, _ROUTE_SMOOTHING = 2.0, 1.5
 _RETURN = 6.0
+_TURNS_BACK, _TURNED = 5.0, 0.6
 _BLOCKED, _TIGHT, _ASIDE, _SLOPE, _BEND = 1e4, 60.0, 0.5, 0.3, 1.5
 _FINE = 0.25
 
@@ -65,14 +66,28 @@ class _Frame:
     offset: float
 
 
-def plan_path(truth: Truth, x: float, y: float, length: float, obstacles: Sequence[shapely.Geometry]) -> Path:
-    """The path from the place beside (x, y) along the route, `length` metres, past obstacles that keep their places."""
+def plan_path(
+    truth: Truth,
+    x: float,
+    y: float,
+    length: float,
+    obstacles: Sequence[shapely.Geometry],
+    yaw: float | None = None,
+) -> Path:
+    """The path from (x, y) along the route, `length` metres, past obstacles that keep their places.
+
+    It starts along the route, or in the direction `yaw`, radians, where that is given.
+    """
     frame = _frame(truth.route, x, y, length)
     offsets = np.arange(-FARTHEST, FARTHEST + OFFSET_STEP / 2, OFFSET_STEP)
     costs = _costs(truth, frame, offsets, obstacles)
     chosen = _smooth_offsets(offsets[_cheapest(costs, offsets, frame.offset)])
     stations = STATION_STEP * np.arange(len(chosen))
     chosen = chosen + (frame.offset - chosen[0]) * np.exp(-stations / _RETURN)
+    if yaw is not None:
+        slope = np.tan(np.clip(wrap(np.array(yaw - frame.headings[0])), -_TURNED, _TURNED))
+        slope -= CubicSpline(stations, chosen)(0.0, 1)
+        chosen = chosen + slope * stations * np.exp(-stations / _TURNS_BACK)
     normal = np.stack([-np.sin(frame.headings), np.cos(frame.headings)], axis=-1)
     points = without_repeats(frame.points + chosen[:, None] * normal)
     rough = CubicSpline(arc_lengths(points), points)

@@ -40,18 +40,22 @@ class Drive:
         return self.path.poses(asked + last * np.maximum(timestamps_us - known[-1], 0))
 
 
-def plan_drive(truth: Truth, now_us: int, x: float, y: float, speed: float) -> Drive:
-    """The best drive from (x, y), metres, at `speed` m/s: it gets far, and touches nobody."""
+def plan_drive(truth: Truth, now_us: int, x: float, y: float, speed: float, yaw: float | None = None) -> Drive:
+    """The best drive from (x, y), metres, at `speed` m/s: it gets far, and touches nobody.
+
+    It starts along the route, or in the direction `yaw`, radians, where that is given.
+    """
     parked = [agent for agent in truth.agents if stands(agent, now_us, truth.end_us)]
     moving = [agent for agent in truth.agents if not stands(agent, now_us, truth.end_us)]
     obstacles = [_outline(agent, agent.poses[:1]) for agent in parked]
     length = max(truth.cruise, speed) * 1e-6 * (truth.end_us - now_us) + _MORE_LENGTH
-    best = _drive(truth, now_us, x, y, speed, length, obstacles)
+    start = (x, y, speed, yaw)
+    best = _drive(truth, now_us, start, length, obstacles)
     slow = [agent for agent in moving if _may_be_passed(agent, best.path, truth, now_us)]
     driven = Drive(best.path, _at_cruise(truth, now_us))
     for _ in range(ROUNDS if slow else 0):
         passed = [shape for agent in slow for shape in _beside(agent, driven, truth)]
-        driven = _drive(truth, now_us, x, y, speed, length, [*obstacles, *passed])
+        driven = _drive(truth, now_us, start, length, [*obstacles, *passed])
         best = min(best, driven, key=lambda drive: _badness(drive, truth))
     return best
 
@@ -59,20 +63,23 @@ def plan_drive(truth: Truth, now_us: int, x: float, y: float, speed: float) -> D
 def _drive(
     truth: Truth,
     now_us: int,
-    x: float,
-    y: float,
-    speed: float,
+    start: tuple[float, float, float, float | None],
     length: float,
     obstacles: Sequence[shapely.Geometry],
 ) -> Drive:
-    path = plan_path(truth, x, y, length, obstacles)
+    x, y, speed, yaw = start
+    path = plan_path(truth, x, y, length, obstacles, yaw)
     return Drive(path, plan_speeds(truth, path, now_us, speed))
 
 
 def _badness(drive: Drive, truth: Truth) -> float:
     """What is wrong with a drive: it touches somebody or leaves the road, or does not get far."""
-    wrong = drive.progress.obstructed or _leaves_road(drive, truth)
-    return _OBSTRUCTED * wrong - float(drive.progress.arc[-1])
+    return _OBSTRUCTED * (not is_clean(drive, truth)) - float(drive.progress.arc[-1])
+
+
+def is_clean(drive: Drive, truth: Truth) -> bool:
+    """Whether a drive passes nobody too closely, no held line, and stays on the road."""
+    return not drive.progress.obstructed and not _leaves_road(drive, truth)
 
 
 def _leaves_road(drive: Drive, truth: Truth) -> bool:

@@ -97,8 +97,16 @@ def frame_times(scene: Scene, frame_rate: float) -> NDArray[np.int64]:
     Raises:
         InputError: the frame rate is not positive.
     """
+    return image_times(int(scene.ego.timestamps_us[-1] - scene.ego.timestamps_us[0]), frame_rate)
+
+
+def image_times(duration_us: int, frame_rate: float) -> NDArray[np.int64]:
+    """Times (n,) of the images of a drive of a duration, in microseconds from its start.
+
+    Raises:
+        InputError: the frame rate is not positive.
+    """
     if not frame_rate > 0.0:
         raise InputError(f"frame rate {frame_rate}: must be more than 0 images per second")
-    duration_us = int(scene.ego.timestamps_us[-1] - scene.ego.timestamps_us[0])
     count = int(np.floor(duration_us * 1e-6 * frame_rate + 1e-9)) + 1
     return np.round(np.arange(count) * (1e6 / frame_rate)).astype(np.int64)

@@ -16,12 +16,14 @@ from olt_closed_loop.scenes.maps.road_map import RoadMap
 from olt_closed_loop.scenes.maps.roundabouts import roundabout
 from olt_closed_loop.scenes.polylines import arc_lengths, points_along
 from olt_closed_loop.suite.courses import Course
+from olt_closed_loop.suite.training_roads import SUITE_WIDTHS, bend_of, draw_lane_width, draw_wider, given_width
 from olt_generator.poses import Array
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 ARM_LENGTH = 190.0
 _PLACES = 4000.0
 _SPREAD = 4.0
+_OTHER_SPEEDS = 0.6
 _CENTER = DEFAULT_VEHICLE.rear_axle_to_bbox_center
 FRONT = _CENTER + DEFAULT_VEHICLE.length / 2
 
@@ -91,8 +93,8 @@ def place(
 def _approach(
     road_map: RoadMap, lanes: tuple[str, ...], crux: float, generator: np.random.Generator, lead: float | None
 ) -> Ground:
-    cruise = float(generator.uniform(8.0, 10.5))
-    seconds = float(generator.uniform(5.5, 7.0)) if lead is None else lead
+    cruise = draw_wider(generator, 8.0, 10.5, _OTHER_SPEEDS)
+    seconds = draw_wider(generator, 5.5, 7.0, _OTHER_SPEEDS) if lead is None else lead
     return Ground(road_map, lanes, crux, cruise, crux - FRONT - cruise * seconds)
 
 
@@ -110,9 +112,11 @@ def crossroads(
     bend: float = 0.0,
 ) -> RoadMap:
     """A junction of arms at headings in degrees, each up to 4 degrees off."""
-    section = CrossSection(lane_width=float(generator.uniform(3.3, 3.8)), shoulder=0.8, wear=wear)
+    width = draw_lane_width(generator, *SUITE_WIDTHS)
+    section = CrossSection(lane_width=width, shoulder=given_width(generator, 0.8), wear=wear)
     off = generator.uniform(-_SPREAD, _SPREAD, size=len(headings))
     lengths = generator.uniform(0.0, 15.0, size=len(headings))
+    bend = bend_of(generator, bend)
     arms = [
         Arm(
             float(np.deg2rad(heading + turn)),
@@ -123,16 +127,17 @@ def crossroads(
         )
         for heading, turn, more, control in zip(headings, off, lengths, controls, strict=True)
     ]
-    return junction(arms, turn_radius=float(generator.uniform(7.0, 10.0)), left_hand=left_hand)
+    return junction(arms, turn_radius=draw_wider(generator, 7.0, 10.0), left_hand=left_hand)
 
 
 def circle(generator: np.random.Generator, headings: Sequence[float]) -> RoadMap:
     """A roundabout with arms at headings in degrees."""
-    section = CrossSection(lane_width=float(generator.uniform(3.5, 3.8)), shoulder=1.2)
+    section = CrossSection(lane_width=draw_lane_width(generator, 3.5, 3.8), shoulder=given_width(generator, 1.2))
     arms = [
         Arm(float(np.deg2rad(heading)), length=ARM_LENGTH, section=section, control="yield") for heading in headings
     ]
-    return roundabout(arms, radius=float(generator.uniform(16.0, 20.0)), turn_radius=10.0)
+    radius, ring_width = draw_wider(generator, 16.0, 20.0), given_width(generator, 5.0)
+    return roundabout(arms, radius=radius, ring_width=ring_width, turn_radius=10.0)
 
 
 def road(
@@ -141,10 +146,12 @@ def road(
     curve: float = 0.0,
     shoulder: float = 1.0,
     wear: float = 0.0,
+    left_hand: bool = False,
 ) -> Ground:
     """A road between junctions, bent by `curve` (1/m) about the event; the crux is 90 m from its start."""
-    section = CrossSection(lane_width=float(generator.uniform(3.3, 3.7)), shoulder=shoulder, wear=wear)
-    crux = 90.0
+    width = draw_lane_width(generator, 3.3, 3.7)
+    section = CrossSection(lane_width=width, shoulder=given_width(generator, shoulder), wear=wear)
+    crux, curve = 90.0, bend_of(generator, curve)
     knots = ((0.0, 0.0), (crux - 60.0, 0.0), (crux - 30.0, curve), (crux + 60.0, curve), (crux + 90.0, 0.0))
     length = float(generator.uniform(360.0, 400.0))
     road_map = carriageway(
@@ -152,6 +159,7 @@ def road(
         forward=forward,
         section=section,
         bends=knots,
+        left_hand=left_hand,
     )
     road_map = _somewhere(road_map, generator)
     return _approach(road_map, (f"forward_{forward - 1}",), crux, generator, None)

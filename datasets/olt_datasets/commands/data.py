@@ -45,6 +45,7 @@ def index(
     frames: Annotated[int, typer.Option(min=2, help="Front images in a window.")] = PAPER_FRAMES,
     stride: Annotated[int, typer.Option(min=1, help="Images from one window to the next.")] = PAPER_STRIDE,
     seconds: Annotated[float | None, typer.Option(help="Windows of this duration, in place of frames.")] = None,
+    whole: Annotated[bool, typer.Option("--whole", help="Each drive is one window, however long.")] = False,
     samples: Annotated[
         SampleChoice, typer.Option("--t0", help="Every 0.1 s, the moment nearest to 5.1 s, or the data set's events.")
     ] = SampleChoice.EVERY,
@@ -77,10 +78,12 @@ def index(
     from olt_toolkit.runtime.console import print_json, print_line, show_progress
     from olt_toolkit.runtime.workers import default_workers
 
+    given = {"--frames": frames != PAPER_FRAMES, "--stride": stride != PAPER_STRIDE}
     if seconds is not None:
-        given = {"--frames": frames != PAPER_FRAMES, "--stride": stride != PAPER_STRIDE}
         refuse_unused(given, "windows are cut by --seconds")
-    cutting = Cutting(frames, stride, seconds, samples, find_contract(rig.value))
+    if whole:
+        refuse_unused(given | {"--seconds": seconds is not None}, "drives are not cut with --whole")
+    cutting = Cutting(frames, stride, seconds, whole, samples, find_contract(rig.value))
     place = DatasetPlace(root, cache.expanduser(), source)
     with show_progress("drives") as (on_progress, _):
         summary = index_dataset(
@@ -230,6 +233,9 @@ def build(
     engine: EngineOption = Engine.LOCAL,
     keep_going: Annotated[bool, typer.Option("--keep-going", help="Go on after a window that fails.")] = False,
     no_verify: NoVerifyOption = False,
+    no_pictures: Annotated[
+        bool, typer.Option("--no-pictures", help="Draw no previews, which take longer than small clips.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Build the clips of an indexed table and add them to a store, with split, category and origin of their rows.
@@ -264,6 +270,7 @@ def build(
         estimators=building.estimators(),
         keep_going=keep_going,
         verify=not no_verify,
+        pictures=not no_pictures,
     )
     rows = find_buildable(read_clip_table(table), kind)
     make_folder(out)

@@ -2,10 +2,10 @@
 
 The folder holds one file, `synthetic.yaml`:
 
-    categories: [nominal, work_zone]    # of `olt_closed_loop.scenes.procedural.CATEGORIES`
+    categories: [nominal, work_zone]    # of `synthetic_drives.NAMES`
     seed: 0                             # scene seed of the first drive of each category
-    count: 4                            # drives of each category
-    duration: 14.0                      # seconds of each drive, up to 14; may be left out
+    count: 4                            # scene seeds of each category
+    duration: 14.0                      # seconds of each drive at most; may be left out
     frame_rate: 10.0                    # images per second; may be left out
     split: train                        # train, val or test; may be left out
     conditions:                         # light and weather; may be left out, as may each value
@@ -24,30 +24,43 @@ The folder holds one file, `synthetic.yaml`:
         wiper_seconds: 1.5
         streaks: 0.6
 
+Categories are those of `olt_closed_loop.scenes.procedural`, whose drives last 14 s, and drives to learn from, which
+last 20 s on roads that no scene of the long-tail suite has: `training/nominal`, `training/work_zone` and so on, whose
+events take turns by seed, `training/longtail` for the events of the suite, or one event as `training/wye_merge`. These
+may be disturbed, and come in legs then, each a drive of its own whose history shows the push and whose future does not:
+
+    disturbance:
+        every: 4.0                      # seconds from one push to the next, on average, 4 or more
+        offset: 1.0                     # metres aside at most
+        angle: 6.0                      # degrees turned at most
+        speed: 2.0                      # m/s too fast or too slow at most
+
 What the values mean: `olt_closed_loop.scenes.conditions`, `olt_closed_loop.sensors.shutter`, `imager`, `windscreen`.
 Equal files give equal images. Category, scene factors, motion and all views are known exactly.
 """
 
 import json
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions, Light
-from olt_closed_loop.scenes.procedural import CATEGORIES, DURATION_US, generate_scene
-from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.scenes.procedural import DURATION_US as PROCEDURAL_US
 from olt_closed_loop.sensors.camera_effects import CameraEffects
 from olt_closed_loop.sensors.imager import Imager
-from olt_closed_loop.sensors.recorder import frame_times, record_drive
+from olt_closed_loop.sensors.recorder import image_times, record_drive
 from olt_closed_loop.sensors.shutter import Shutter
 from olt_closed_loop.sensors.windscreen import Windscreen
+from olt_closed_loop.suite.courses import DURATION_US
+from olt_closed_loop.suite.disturbances import SHORTEST_US, Disturbance
+from olt_closed_loop.suite.training import PREFIX
+from olt_datasets.sources.synthetic_drives import NAMES, SceneDrive, find_drives
 from olt_datasets.sources.times import nearest_images
-from olt_generator import InputError, Trajectory
+from olt_generator import InputError
 from olt_toolkit import DatasetReader, Drive, Licence, OpenOptions, Recording
 from olt_toolkit.clips.clip import Split
 from olt_toolkit.policy.window import Span
@@ -62,7 +75,6 @@ LICENCE = Licence("Apache-2.0", "Made by the toolkit itself.", "None but those o
 _ASPECT = 9 / 16
 _MOST_DRIVES = 1_000_000
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
-_generate_scene = lru_cache(maxsize=8)(generate_scene)
 
 
 class _Conditions(BaseModel):
@@ -113,6 +125,21 @@ class _Camera(BaseModel):
         return {**dict.fromkeys(names, common), FRONT_WIDE: behind_glass}
 
 
+class _Disturbance(BaseModel):
+    """How much drives are disturbed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    every: Annotated[float, Field(ge=1e-6 * SHORTEST_US, le=20.0)] = 1e-6 * SHORTEST_US
+    offset: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
+    angle: Annotated[float, Field(ge=0.0, le=20.0)] = 6.0
+    speed: Annotated[float, Field(ge=0.0, le=5.0)] = 2.0
+
+    def build(self) -> Disturbance:
+        """The disturbance of the drives."""
+        return Disturbance(round(1e6 * self.every), self.offset, float(np.radians(self.angle)), self.speed)
+
+
 class _Specification(BaseModel):
     """The content of `synthetic.yaml`."""
 
@@ -121,25 +148,47 @@ class _Specification(BaseModel):
     categories: Annotated[tuple[str, ...], Field(min_length=1)]
     seed: Annotated[int, Field(ge=0)]
     count: Annotated[int, Field(ge=1, le=_MOST_DRIVES)]
-    duration: Annotated[float, Field(gt=0.0, le=DURATION_US * 1e-6)] = DURATION_US * 1e-6
+    duration: Annotated[float, Field(gt=0.0, le=DURATION_US * 1e-6)] | None = None
     frame_rate: Annotated[float, Field(gt=0.0, le=120.0)] = 10.0
     split: Split | None = None
     conditions: _Conditions = _Conditions()
     camera: _Camera = _Camera()
+    disturbance: _Disturbance | None = None
 
-    def take(self) -> str:
-        """Tells drives of one scene apart that are filmed in other ways; empty for a clear day at the usual rate."""
-        told = self.model_dump(include={"frame_rate", "conditions", "camera"}, exclude_defaults=True)
-        told = {name: value for name, value in told.items() if value != {}}
+    def drives(self) -> dict[str, SceneDrive]:
+        """All drives by key."""
+        until_us = None if self.duration is None else round(1e6 * self.duration)
+        disturbance = None if self.disturbance is None else self.disturbance.build()
+        return {
+            drive.key: drive
+            for name in self.categories
+            for seed in range(self.seed, self.seed + self.count)
+            for drive in find_drives(name, seed, until_us, disturbance)
+        }
+
+    def take(self, leg: int | None) -> str:
+        """Tells drives of one scene apart that are driven or filmed in other ways; empty for the usual ones."""
+        told = self.model_dump(include={"frame_rate", "conditions", "camera", "disturbance"}, exclude_defaults=True)
+        told = {name: value for name, value in told.items() if value != {}} | ({} if leg is None else {"leg": leg})
         return json.dumps(told, sort_keys=True) if told else ""
 
     @field_validator("categories")
     @classmethod
     def _check_categories(cls, categories: tuple[str, ...]) -> tuple[str, ...]:
-        unknown = [name for name in categories if name not in CATEGORIES]
+        unknown = [name for name in categories if name not in NAMES]
         if unknown or len(set(categories)) < len(categories):
-            raise ValueError(f"give each category once, of {', '.join(CATEGORIES)}")
+            raise ValueError(f"give each category once, of {', '.join(NAMES)}")
         return categories
+
+    @model_validator(mode="after")
+    def _check_together(self) -> Self:
+        procedural = [name for name in self.categories if not name.startswith(PREFIX)]
+        if procedural and self.disturbance is not None:
+            raise ValueError(f"disturbance: drives of {', '.join(procedural)} cannot be disturbed, only {PREFIX}...")
+        longest = PROCEDURAL_US * 1e-6
+        if procedural and self.duration is not None and self.duration > longest:
+            raise ValueError(f"duration: drives of {', '.join(procedural)} last {longest:g} s; give at most that")
+        return self
 
 
 class Synthetic:
@@ -157,41 +206,41 @@ class Synthetic:
             first = error.errors()[0]
             place = ".".join(str(part) for part in first["loc"])
             raise InputError(f"{self._file}: {place}: {first['msg']}") from error
-        seeds = range(self._asked.seed, self._asked.seed + self._asked.count)
-        self._drives = {f"{name}_{seed:06d}": (name, seed) for name in self._asked.categories for seed in seeds}
+        self._drives = self._asked.drives()
 
     def keys(self) -> list[str]:
-        """See `Dataset.keys`: category and scene seed, `work_zone_000003`."""
+        """See `Dataset.keys`: category or event, scene seed, and leg, as in `work_zone_000003`."""
         return sorted(self._drives)
 
     def drive(self, key: str) -> Drive:
-        """See `Dataset.drive`; the scene is invented and nothing is rendered."""
-        scene = self._scene(key)
-        times_us = frame_times(scene, self._asked.frame_rate)
+        """See `Dataset.drive`; nothing is rendered."""
+        found = self._find(key)
+        times_us, asked = found.image_times(self._asked.frame_rate), self._asked
+        motion_us = image_times(found.motion_us, asked.frame_rate)[-1]
         return Drive(
             source=NAME,
-            scene_id=f"{NAME}/{key}",
+            scene_id=f"{NAME}/{found.world}",
             key=key,
-            front_us=times_us,
+            front_us=times_us - times_us[0],
             cameras=tuple(pav_rig().cameras),
-            ego_span_us=(0, int(times_us[-1])),
+            ego_span_us=(-int(times_us[0]), int(motion_us - times_us[0])),
             true_views=tuple(CAMERA_INDEX),
-            category=scene.category,
-            factors=scene.factors,
-            split=self._asked.split,
+            category=found.category,
+            factors=found.factors,
+            split=asked.split,
             notes=(
                 "The world is invented and its images are rendered, not filmed.",
-                *self._asked.conditions.notes(),
+                *asked.conditions.notes(),
             ),
-            take=self._asked.take(),
+            take=asked.take(found.leg.number if found.disturbance and found.leg else None),
         )
 
     def peek(
         self, key: str, times_us: NDArray[np.int64], width: int, reach_us: NDArray[np.int64]
     ) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
         """See `Dataset.peek`; renders just these images, without the loss of an encoder."""
-        scene = self._scene(key)
-        front_us = frame_times(scene, self._asked.frame_rate)
+        shown_us = self._find(key).image_times(self._asked.frame_rate)
+        front_us = shown_us - shown_us[0]
         numbers = nearest_images(front_us, times_us)
         distinct, places = np.unique(numbers, return_inverse=True)
         effects = {
@@ -199,10 +248,10 @@ class Synthetic:
             for name, each in self._asked.camera.build((FRONT_WIDE,)).items()
         }
         recording = record_drive(
-            scene,
+            self._find(key).scene(),
             *(width, round(width * _ASPECT)),
             self._asked.frame_rate,
-            images_us=front_us[distinct],
+            images_us=shown_us[distinct],
             conditions=self._asked.conditions.build(),
             effects=effects,
         )
@@ -211,23 +260,24 @@ class Synthetic:
     def open(self, key: str, window_us: Span, options: OpenOptions) -> Recording:
         """See `Dataset.open`; lens and mounting are those of the nominal rig."""
         options.refuse_camera(f"{self._file}: drive {key}")
-        size, scene = (options.width, round(options.width * _ASPECT)), self._scene(key)
+        found = self._find(key)
+        times_us = found.image_times(self._asked.frame_rate)
+        first_us, last_us = (int(times_us[0]) + each for each in window_us)
         return record_drive(
-            scene,
-            *size,
+            found.scene(),
+            options.width,
+            options.height or round(options.width * _ASPECT),
             self._asked.frame_rate,
             cameras=options.views,
-            window_us=window_us,
+            window_us=(max(first_us, int(times_us[0])), min(last_us, int(times_us[-1]))),
             conditions=self._asked.conditions.build(),
             effects=self._asked.camera.build(options.views),
         )
 
-    def _scene(self, key: str) -> Scene:
+    def _find(self, key: str) -> SceneDrive:
         if key not in self._drives:
             raise InputError(f"{self._file}: asks for no drive {key!r}")
-        scene = _generate_scene(*self._drives[key])
-        shown = scene.ego.timestamps_us <= round(self._asked.duration * 1e6)
-        return replace(scene, ego=Trajectory(scene.ego.timestamps_us[shown], scene.ego.T_world_rig[shown]))
+        return self._drives[key]
 
 
 DATASET = DatasetReader(NAME, LICENCE, lambda path: (path / FILE).is_file(), Synthetic)

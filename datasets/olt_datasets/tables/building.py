@@ -38,7 +38,10 @@ def build_row(row: ClipInfo, kind: BuiltKind, job: BuildJob) -> BuildJob:
     """
     assert row.split is not None  # find_buildable refuses other rows
     opening, real_views = job.opening, kind is BuiltKind.GT
-    if real_views:
+    if real_views and row.source in _RENDERED_SOURCES:
+        # As they are rendered for a policy that drives there.
+        opening = replace(opening, width=job.options.width, height=job.options.height)
+    elif real_views:
         # True views are only fitted to the clip's size: they are opened as large as that needs, and little larger.
         needed = max(job.options.width, _WIDEST_SHAPE * job.options.height, _SMALLEST_WIDTH)
         opening = replace(opening, width=-(-needed // _WIDTH_STEP) * _WIDTH_STEP)

@@ -30,6 +30,7 @@ class Cutting:
         frames: front images in a window.
         stride: images from the start of a window to the start of the next.
         seconds: duration of windows that follow one another, in place of `frames` and `stride`; None for those.
+        whole: whether each drive is one window, in place of all of these.
         samples: every t0 on the 0.1 s grid, the one nearest to 5.1 s, or the events that the data set marks.
         contract: the cameras of which a drive must have true images for its clips to be of kind GT.
 
@@ -40,6 +41,7 @@ class Cutting:
     frames: int = PAPER_FRAMES
     stride: int = PAPER_STRIDE
     seconds: float | None = None
+    whole: bool = False
     samples: SampleChoice = SampleChoice.EVERY
     contract: CameraContract = DEFAULT_CONTRACT
 
@@ -96,7 +98,10 @@ def cut_drive(drive: Drive, cutting: Cutting, licence: str | None, name: str | N
 def find_windows(drive: Drive, cutting: Cutting) -> Iterator[Span]:
     """Times of the first and the last front image of each window; a window that the drive does not fill is left out."""
     times = drive.front_us
-    if cutting.seconds is None:
+    if cutting.whole:
+        if len(times) > 1:
+            yield int(times[0]), int(times[-1])
+    elif cutting.seconds is None:
         starts = np.arange(0, len(times) - cutting.frames + 1, cutting.stride)
         yield from zip(times[starts].tolist(), times[starts + cutting.frames - 1].tolist(), strict=True)
     elif len(times) > 1:

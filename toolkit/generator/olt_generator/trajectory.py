@@ -68,10 +68,16 @@ class Trajectory:
             )
         if len(self) == 1:
             return np.repeat(self.T_world_rig, len(query), axis=0)
+        # Only the poses around the times are looked at: a camera asks for one time after another.
+        start = max(int(np.searchsorted(self.timestamps_us, query.min(), side="right")) - 1, 0)
+        end = max(int(np.searchsorted(self.timestamps_us, query.max())), start + 1) + 1
+        around, poses = self.timestamps_us[start:end], self.T_world_rig[start:end]
+        if len(around) == 1:
+            return np.repeat(poses, len(query), axis=0)
         # Offsets from the first time keep microseconds exact in float64.
-        offsets, known = (query - first).astype(np.float64), (self.timestamps_us - first).astype(np.float64)
-        rotation = Slerp(known, Rotation.from_matrix(self.T_world_rig[:, :3, :3]))(offsets).as_matrix()
-        position = np.stack([np.interp(offsets, known, axis) for axis in self.positions.T], axis=-1)
+        offsets, known = (query - first).astype(np.float64), (around - first).astype(np.float64)
+        rotation = Slerp(known, Rotation.from_matrix(poses[:, :3, :3]))(offsets).as_matrix()
+        position = np.stack([np.interp(offsets, known, axis) for axis in poses[:, :3, 3].T], axis=-1)
         return make_pose(rotation, position)
 
     def in_first_frame(self) -> "Trajectory":

@@ -15,7 +15,7 @@ from olt_generator.errors import InputError
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.build_options import describe_build, find_differences
 from olt_toolkit.clips.builder import build_clip, clip_kind
-from olt_toolkit.clips.clip import ClipInfo, ClipOrigin
+from olt_toolkit.clips.clip import Clip, ClipInfo, ClipOrigin
 from olt_toolkit.clips.estimators import Estimators, PoseEstimator
 from olt_toolkit.clips.identity import clip_id_of
 from olt_toolkit.clips.pictures import animation_path, picture_name, write_clip_pictures
@@ -83,6 +83,7 @@ class BuildJob:
         keep_going: whether input that cannot be used is a result instead of an error.
         subject: what the clip shows; None where the data set is asked each time (`identify` keeps its answer).
         verify: whether the clip is looked at before it may be committed; one that fails is not kept.
+        pictures: whether previews are drawn.
     """
 
     place: DatasetPlace
@@ -96,6 +97,7 @@ class BuildJob:
     source: str | None = None
     keep_going: bool = False
     verify: bool = True
+    pictures: bool = True
     subject: Subject | None = None
 
     @property
@@ -163,10 +165,7 @@ class BuildJob:
         start = time.perf_counter()
         info = ClipStore(self.store).prepare(built.clip)
         prepared = time.perf_counter()
-        images, origins = built.clip.images, built.clip.origins
-        times_us = next(iter(built.clip.streams.values())).timestamps_us
-        called = picture_name(self.name, self.clip_id)
-        pictures = write_clip_pictures(self.store / PREVIEWS, called, images, origins, times_us)
+        pictures = self._draw(built.clip) if self.pictures else {}
         drawn = time.perf_counter()
         verified = verify_before_commit(ClipStore(self.store), info.clip_id) if self.verify else None
         seconds = {"prepare": prepared - start, "pictures": drawn - prepared, "verify": time.perf_counter() - drawn}
@@ -177,6 +176,11 @@ class BuildJob:
             "verification": verified,
             "store_seconds": seconds,
         }
+
+    def _draw(self, clip: Clip) -> dict[str, str]:
+        times_us = next(iter(clip.streams.values())).timestamps_us
+        called = picture_name(self.name, self.clip_id)
+        return write_clip_pictures(self.store / PREVIEWS, called, clip.images, clip.origins, times_us)
 
     def run(self) -> BuildResult:
         """Build and prepare the clip on one thread, unless an earlier run did; an error unless the job keeps going."""
@@ -244,7 +248,8 @@ class BuildJob:
             self.check_options(found)
             return found
         # Of the pictures of a prepared clip the animation is written last.
-        if not animation_path(self.store / PREVIEWS, picture_name(self.name, self.clip_id)).is_file():
+        drawn = animation_path(self.store / PREVIEWS, picture_name(self.name, self.clip_id)).is_file()
+        if self.pictures and not drawn:
             return None
         prepared = store.prepared(self.clip_id)
         differs = prepared is None or find_differences(prepared, self._options, self.build_options)
@@ -265,7 +270,10 @@ def build_clips(
     for job in identified:
         if isinstance(job, BuildJob):
             first.setdefault(job.clip_id, job)
-    ran = dict(zip(first, map_parallel(BuildJob.run, list(first.values()), workers, on_progress, engine), strict=True))
+    # Drives of one scene follow each other, so that a reader which invents it need not do so again.
+    ordered = sorted(first, key=lambda clip_id: first[clip_id].key)
+    built = map_parallel(BuildJob.run, [first[clip_id] for clip_id in ordered], workers, on_progress, engine)
+    ran = dict(zip(ordered, built, strict=True))
     results = [job if isinstance(job, BuildResult) else _result_of(job, first, ran) for job in identified]
     ClipStore(jobs[0].store).commit([result.clip_id for result in results if result.clip_id is not None])
     return results

@@ -81,6 +81,8 @@ class OpenOptions:
 
     Attributes:
         width: working width of the frames in pixels; height follows the aspect ratio.
+        height: of the frames in pixels, for a world that is rendered in any shape; None for its usual one, as for all
+            other recordings.
         duration: at most this many seconds from the start, where no window is asked for.
         horizontal_fov: field of view in radians to assume where no calibration exists; None for the reader's default.
         camera_height: height in metres above ground to assume where no mounting is known; None for the default.
@@ -91,6 +93,7 @@ class OpenOptions:
     """
 
     width: int = 832
+    height: int | None = None
     duration: float = 20.0
     horizontal_fov: float | None = None
     camera_height: float | None = None
