@@ -55,6 +55,7 @@ class ImageEncoder(nn.Module):
         self.image_positions = nn.Parameter(0.02 * torch.randn(cameras, *config.feature_size, channels))
         self.image_blocks = nn.ModuleList([_Residual(channels) for _ in range(2)])
         self.by_height = nn.Linear(channels, len(HEIGHTS) * channels)
+        self.by_camera = nn.Parameter(torch.randn(cameras, channels, 2 * channels) / channels**0.5)
         self.route_net = _GridNet(frames * channels, channels, len(STATIONS), len(OFFSETS), len(SECONDS_AHEAD) + 1)
         self.world_net = _GridNet(frames * channels, channels, len(WORLD_X), len(WORLD_Y), len(SECONDS_AHEAD))
         self.route_tokens = nn.Linear(2 * len(OFFSETS) * channels, config.width)
@@ -85,6 +86,10 @@ class ImageEncoder(nn.Module):
         features = (named + self.image_positions.to(named.dtype)).flatten(0, 1).permute(0, 3, 1, 2)
         for block in self.image_blocks:
             features = block(features)
+        import os
+        if "C" in os.environ.get("V", ""):
+            f = features.permute(0, 2, 3, 1).flatten(1, 2).unflatten(0, (-1, cameras))
+            return torch.einsum("bcpi,cio->bcpo", f, self.by_camera).float().reshape(-1, features.shape[1])
         return self.by_height(features.permute(0, 2, 3, 1)).float().reshape(-1, features.shape[1])
 
 
@@ -93,10 +98,12 @@ class _Residual(nn.Module):
 
     def __init__(self, channels: int) -> None:
         super().__init__()
+        import os
+        self.norm = nn.GroupNorm(1, channels) if "N" in os.environ.get("V", "") else nn.Identity()
         self.convolution = nn.Conv2d(channels, channels, kernel_size=3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
-        return x + self.convolution(functional.relu(x))
+        return x + self.convolution(functional.relu(self.norm(x)))
 
 
 class _GridNet(nn.Module):
@@ -122,6 +129,8 @@ class _GridNet(nn.Module):
 def _gather(table: Tensor, lookup: csr_array, batch: int, rows: int, columns: int) -> Tensor:
     """Cells (batch, frames * channels, rows, columns) of a grid from features (places, channels)."""
     cells: Tensor = _Sparse.apply(table, lookup)  # pyright: ignore[reportAssignmentType]
+    import os
+    if "G" in os.environ.get("V", ""): cells = functional.layer_norm(cells, cells.shape[-1:])
     return cells.view(batch, rows, columns, -1).permute(0, 3, 1, 2)
 
 
