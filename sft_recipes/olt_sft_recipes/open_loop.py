@@ -33,7 +33,7 @@ def evaluate_open_loop(
             camera_indices=sample.camera_indices,
             history_xyz=sample.ego_history_xyz[0].astype(np.float64),
             history_rotation=sample.ego_history_rot[0].astype(np.float64),
-            route_xy=np.zeros((0, 2)),
+            route_xy=np.zeros((0, 2)) if sample.route_xy is None else sample.route_xy.astype(np.float64),
             time_us=sample.t0_us,
             seed=seed,
         )

@@ -35,7 +35,6 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from olt_closed_loop.rollouts.progress import PathTracker
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord, record_rollout
 from olt_closed_loop.scenes.polylines import arc_lengths
@@ -56,6 +55,7 @@ from olt_closed_loop.scoring.driving_metrics import measure_driving
 from olt_closed_loop.scoring.moving_boxes import agent_box, ego_box, stretches
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission
+from olt_toolkit.policy.route import PathTracker
 
 Definition = Literal["strict", "alpasim@3032e0c", "alpasim@challenge-2026-09"]
 DEFINITIONS: tuple[Definition, ...] = get_args(Definition)

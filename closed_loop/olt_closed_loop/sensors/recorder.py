@@ -10,6 +10,7 @@ from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.sensors.camera_effects import NO_EFFECTS, CameraEffects, Film
 from olt_closed_loop.sensors.ray_casting import SceneRenderer
 from olt_generator.errors import InputError
+from olt_generator.poses import Array, invert, planar_pose, transform, yaw_of
 from olt_generator.progress import Progress, silent
 from olt_generator.seeds import derive_seed
 from olt_generator.trajectory import Trajectory
@@ -31,6 +32,7 @@ def record_drive(
     images_us: NDArray[np.int64] | None = None,
     conditions: Conditions = CLEAR_DAY,
     effects: Mapping[str, CameraEffects] | None = None,
+    renderer: SceneRenderer | None = None,
 ) -> Recording:
     """Drive the recorded ego's way through a scene and film it.
 
@@ -46,6 +48,7 @@ def record_drive(
         images_us: keep only the images at these times of those that the frame rate gives.
         conditions: light and weather.
         effects: of the cameras, by name; those that are not named have none.
+        renderer: of the same road, agents and conditions, where there is one already.
 
     Raises:
         InputError: the frame rate is not positive, the rig has no such camera, or no image lies in the window.
@@ -61,7 +64,7 @@ def record_drive(
     if not filmed.any():
         raise InputError(f"{scene.name}: no image lies between {first_us} and {last_us} us of the drive")
     timestamps_us = drive_us[filmed]
-    renderer = SceneRenderer(scene, conditions)
+    renderer = renderer or SceneRenderer(scene, conditions)
     ego = Trajectory(scene.ego.timestamps_us - scene.ego.timestamps_us[0], scene.ego.T_world_rig)
     seed = derive_seed("camera effects", scene.name)
     films = {name: Film(renderer, rig[name], (effects or {}).get(name, NO_EFFECTS), seed) for name in names}
@@ -88,7 +91,16 @@ def record_drive(
         distance=distance,
         views=images,
         mounted={name: rig[name] for name in images},
+        route=_route_from(scene, T_world_rig[filmed][0]),
     )
+
+
+def _route_from(scene: Scene, T_world_rig: Array) -> Array | None:
+    """The route (n, 2) seen from a pose without its roll and pitch; None where the scene has none."""
+    if len(scene.route) < 2:
+        return None
+    T_anchor_world = invert(planar_pose(T_world_rig[0, 3], T_world_rig[1, 3], float(yaw_of(T_world_rig))))
+    return transform(T_anchor_world, scene.route)[:, :2]
 
 
 def frame_times(scene: Scene, frame_rate: float) -> NDArray[np.int64]:

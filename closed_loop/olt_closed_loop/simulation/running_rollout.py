@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.control.plans import PlanRefused, WorldPlan, place_plan
 from olt_closed_loop.control.tracking import TrackingController
-from olt_closed_loop.rollouts.progress import PathTracker
 from olt_closed_loop.rollouts.rollout import Incidents, Rollout
 from olt_closed_loop.scenes.conditions import CLEAR_DAY
 from olt_closed_loop.scenes.scene import Scene
@@ -34,12 +33,9 @@ from olt_toolkit.policy.contract import (
     IMAGE_FRAMES,
     STEP_SECONDS,
 )
+from olt_toolkit.policy.route import PathTracker, route_ahead
 from olt_toolkit.rigs.rig import CAMERA_INDEX
 
-ROUTE_POINTS = 20
-ROUTE_LENGTH = 80.0
-"""Number of points and metres of the route that a policy is shown (docs/formats/alpasim.md)."""
-_ROUTE_DISTANCES: Array = np.linspace(0.0, ROUTE_LENGTH, ROUTE_POINTS)
 _BEFORE = HISTORY_STEPS - 1
 
 
@@ -144,16 +140,8 @@ class RunningRollout:
 
     def route_ahead(self, step: int) -> Array:
         """Route (20, 2) ahead in the rig frame, metres, filled up with NaN where it ends earlier or is not known."""
-        route = np.full((ROUTE_POINTS, 2), np.nan)
-        if self._route is None:
-            return route
-        x, y, yaw = self._states[step, : STATE.speed]
-        self._route.advance(np.array([x, y]))
-        ahead = self._route.points_ahead(_ROUTE_DISTANCES) - (x, y)
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        route[: len(ahead), 0] = cos * ahead[:, 0] + sin * ahead[:, 1]
-        route[: len(ahead), 1] = cos * ahead[:, 1] - sin * ahead[:, 0]
-        return route
+        x, y, yaw = self._states[step, : STATE.speed].tolist()
+        return route_ahead(self._route, x, y, yaw)
 
     def take_pictures(self, step: int) -> None:
         """Render the policy's cameras once, if it has any; the picture serves this step and the next three."""

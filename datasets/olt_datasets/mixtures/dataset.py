@@ -31,6 +31,7 @@ class MixtureDataset(Dataset[dict[str, Any]]):
         image_size: height and width of the images that the policy takes; None for those of the clips.
         contract: the cameras that it takes.
         with_origin: whether samples tell where the pixels of their images come from (`PolicySample.image_origin`).
+        with_truth: whether samples tell what is known of obstacles and holds.
         open_store: opens the clip store in a folder.
     """
 
@@ -41,9 +42,10 @@ class MixtureDataset(Dataset[dict[str, Any]]):
         open_store: Callable[[Path], ClipStore] = ClipStore,
         contract: CameraContract = DEFAULT_CONTRACT,
         with_origin: bool = False,
+        with_truth: bool = False,
     ) -> None:
         self.image_size = image_size
-        self._contract, self._with_origin = contract, with_origin
+        self._contract, self._with_origin, self._with_truth = contract, with_origin, with_truth
         # Arrow, not polars, whose threads do not live in forked workers; and no objects, whose counts would unshare it.
         samples = mixture.samples
         self._store_names = samples["store"].unique().sort().to_list()
@@ -79,7 +81,9 @@ class MixtureDataset(Dataset[dict[str, Any]]):
             if store not in self._stores:
                 self._stores[store] = self._open_store(Path(store))
             wanted = [key for key in keys if key.store == store]
-            samples = self._stores[store].load_samples(wanted, self.image_size, self._contract, self._with_origin)
+            samples = self._stores[store].load_samples(
+                wanted, self.image_size, self._contract, self._with_origin, self._with_truth
+            )
             loaded |= zip(wanted, samples, strict=True)
         return [loaded[key] for key in keys]
 

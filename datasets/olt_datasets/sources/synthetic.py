@@ -48,6 +48,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
+from olt_closed_loop.privileged.labels import label_holds, label_obstacles
 from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions, Light
 from olt_closed_loop.scenes.procedural import DURATION_US as PROCEDURAL_US
 from olt_closed_loop.sensors.camera_effects import CameraEffects
@@ -252,8 +253,8 @@ class Synthetic:
             *(width, round(width * _ASPECT)),
             self._asked.frame_rate,
             images_us=shown_us[distinct],
-            conditions=self._asked.conditions.build(),
             effects=effects,
+            renderer=self._find(key).renderer(self._asked.conditions.build()),
         )
         return recording.frames[places], front_us[numbers]
 
@@ -263,16 +264,20 @@ class Synthetic:
         found = self._find(key)
         times_us = found.image_times(self._asked.frame_rate)
         first_us, last_us = (int(times_us[0]) + each for each in window_us)
-        return record_drive(
-            found.scene(),
+        scene = found.scene()
+        recording = record_drive(
+            scene,
             options.width,
             options.height or round(options.width * _ASPECT),
             self._asked.frame_rate,
             cameras=options.views,
             window_us=(max(first_us, int(times_us[0])), min(last_us, int(times_us[-1]))),
-            conditions=self._asked.conditions.build(),
             effects=self._asked.camera.build(options.views),
+            renderer=found.renderer(self._asked.conditions.build()),
         )
+        shown_us = times_us[times_us >= first_us]
+        labels = {"obstacles": label_obstacles, "holds": label_holds}
+        return replace(recording, **{name: label(scene, int(shown_us[0])) for name, label in labels.items()})
 
     def _find(self, key: str) -> SceneDrive:
         if key not in self._drives:

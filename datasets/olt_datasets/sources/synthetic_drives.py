@@ -12,9 +12,11 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from olt_closed_loop.scenes.conditions import Conditions
 from olt_closed_loop.scenes.driving import SAMPLE_US
 from olt_closed_loop.scenes.procedural import CATEGORIES, DURATION_US, generate_scene
 from olt_closed_loop.scenes.scene import Scene
+from olt_closed_loop.sensors.ray_casting import SceneRenderer
 from olt_closed_loop.sensors.recorder import image_times
 from olt_closed_loop.suite.disturbances import Disturbance
 from olt_closed_loop.suite.training import (
@@ -73,6 +75,10 @@ class SceneDrive:
         """Scene factors."""
         return self.scene().factors if self.leg is None else factors_of_leg(self.name, self.leg)
 
+    def renderer(self, conditions: Conditions) -> SceneRenderer:
+        """What takes its pictures: the same for all legs of a scene, since who films is not to be seen."""
+        return _renderer(self.name, self.seed, self.leg is not None, conditions)
+
     def scene(self) -> Scene:
         """The scene with the drive as its recording."""
         if self.leg is None:
@@ -81,6 +87,11 @@ class SceneDrive:
             scene = _make_training_scene(self.name, self.seed, self.disturbance, self.leg.number)
         shown = scene.ego.timestamps_us <= self.motion_us
         return replace(scene, ego=Trajectory(scene.ego.timestamps_us[shown], scene.ego.T_world_rig[shown]))
+
+
+@lru_cache(maxsize=2)
+def _renderer(name: str, seed: int, trains: bool, conditions: Conditions) -> SceneRenderer:
+    return SceneRenderer(_make_training_scene(name, seed) if trains else _generate_scene(name, seed), conditions)
 
 
 def find_drives(

@@ -226,6 +226,9 @@ def _assemble(
         provenance={camera: view.provenance for camera, view in wanted.items()},
         sample_t0_us=options.sample_t0_us,
         build_options=options.build_options,
+        route=recording.route,
+        obstacles=recording.obstacles,
+        holds=recording.holds,
     )
 
 

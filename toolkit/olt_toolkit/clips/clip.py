@@ -23,6 +23,7 @@ from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.policy.contract import HISTORY_STEPS
 from olt_toolkit.policy.window import FUTURE_OFFSETS_US, HISTORY_OFFSETS_US
 from olt_toolkit.recordings.labels import Split
+from olt_toolkit.recordings.truth import Holds, ObstacleTracks
 from olt_toolkit.rigs.rig import VehicleDimensions
 
 ClipKind = Literal["GT", "Syn", "front_only"]
@@ -243,7 +244,8 @@ class Clip(ClipDescription):
     """One clip, ready to be stored; its streams, and where they came from, by camera name.
 
     `sample_t0_us` are the only times t0 at which it may be sampled, such as those before a crash; None for all times
-    that it covers. `build_options` are those of `ClipInfo`.
+    that it covers. `build_options` are those of `ClipInfo`. The `route` (n, 2) is in the anchor frame, times of
+    `obstacles` and `holds` are clip times; None where the source does not know them (`Recording`).
     """
 
     streams: dict[str, CameraStream]
@@ -252,6 +254,9 @@ class Clip(ClipDescription):
     provenance: dict[str, ViewProvenance]
     sample_t0_us: tuple[int, ...] | None = None
     build_options: str | None = None
+    route: Array | None = None
+    obstacles: ObstacleTracks | None = None
+    holds: Holds | None = None
 
     @property
     def images(self) -> dict[str, NDArray[np.uint8]]:

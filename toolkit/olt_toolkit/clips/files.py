@@ -20,8 +20,9 @@ from olt_toolkit.clips.clip import CameraStream, Clip, ClipDescription, ClipInfo
 from olt_toolkit.clips.fingerprint import fingerprint_images, fingerprint_times
 from olt_toolkit.clips.images import largest_rectangle
 from olt_toolkit.clips.origin_files import encode_origin
-from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES, PIXEL_ORIGIN, PIXEL_ORIGINS, STORED, Feature
+from olt_toolkit.clips.pai_layout import CALIBRATIONS, FEATURES, PIXEL_ORIGIN, PIXEL_ORIGINS, STORED, TRUTHS, Feature
 from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
+from olt_toolkit.clips.truth_tables import truth_tables
 from olt_toolkit.policy.window import Coverage, frames_per_step, sample_times
 from olt_toolkit.rigs.contracts import widest_contract
 from olt_toolkit.rigs.rig import FRONT_WIDE
@@ -54,6 +55,8 @@ def write_clip_files(folder: Path, clip: Clip) -> ClipInfo:
         if stream.origin is not None and not clip.provenance[camera].is_seen_whole:
             masks = folder / PIXEL_ORIGINS[camera].member(PIXEL_ORIGIN, clip_id)
             masks.write_bytes(encode_origin(stream.timestamps_us, stream.origin))
+    for name, table in truth_tables(clip).items():
+        table.to_parquet(folder / TRUTHS[name].member(name, clip_id))
     checksums = {name: checksum_rows(table) for name, table in calibration.items()}
     for feature in STORED.values():
         for alias in feature.members:
@@ -201,7 +204,9 @@ def write_metadata(root: Path, clips: Sequence[ClipInfo], chunks: Sequence[int])
 
 
 def has_feature(info: ClipInfo, feature: Feature) -> bool:
-    """Whether a clip has this feature: every clip has all but some cameras, and masks of views not seen whole."""
+    """Whether a clip has this feature: all but some cameras, masks of views that were seen whole, and what few know."""
     if feature.directory == PIXEL_ORIGIN:
         return any(PIXEL_ORIGINS[camera] == feature and not view.is_seen_whole for camera, view in info.views.items())
+    if feature.name in TRUTHS:
+        return member_key(feature.name, feature.name) in (info.file_checksums or ())
     return feature.directory != "camera" or feature.name in info.views

@@ -16,6 +16,9 @@ VIDEO = "video"
 FRAME_TIMESTAMPS = "frame_timestamps"
 EGOMOTION = "egomotion"
 PIXEL_ORIGIN = "pixel_origin"
+ROUTE = "route"
+OBSTACLES = "obstacle.offline"
+HOLDS = "hold"
 CAMERA_INTRINSICS = "camera_intrinsics"
 SENSOR_EXTRINSICS = "sensor_extrinsics"
 VEHICLE_DIMENSIONS = "vehicle_dimensions"
@@ -71,7 +74,11 @@ PIXEL_ORIGINS: dict[str, Feature] = {
     )
     for camera in CAMERA_INDEX
 }
-STORED: dict[str, Feature] = FEATURES | {feature.name: feature for feature in PIXEL_ORIGINS.values()}
+# And what a source knows beyond images and motion; boxes in the columns of the public table.
+TRUTHS: dict[str, Feature] = {
+    name: Feature(name, "labels", {name: f"{{clip_id}}.{name}.parquet"}) for name in (ROUTE, OBSTACLES, HOLDS)
+}
+STORED: dict[str, Feature] = FEATURES | {feature.name: feature for feature in PIXEL_ORIGINS.values()} | TRUTHS
 """Everything that a store holds in chunks, by name."""
 
 

@@ -8,11 +8,12 @@ clips of held-out scenes belong in a store of their own.
 
 import fcntl
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import pandas as pd
@@ -20,12 +21,13 @@ from numpy.typing import NDArray
 
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, naming, write_whole_folder
+from olt_generator.poses import Array
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
 from olt_toolkit.clips.chunk_archive import ByteRange, ChunkArchive
 from olt_toolkit.clips.clip import Clip, ClipInfo, EgoMotion, check_clip_id
-from olt_toolkit.clips.files import pack_chunk, write_clip_files, write_metadata
+from olt_toolkit.clips.files import has_feature, pack_chunk, write_clip_files, write_metadata
 from olt_toolkit.clips.images import resize_masks
 from olt_toolkit.clips.origin_files import OriginRuns, decode_origin
 from olt_toolkit.clips.pai_layout import (
@@ -33,20 +35,27 @@ from olt_toolkit.clips.pai_layout import (
     CLIP_INDEX,
     EGOMOTION,
     FRAME_TIMESTAMPS,
+    HOLDS,
+    OBSTACLES,
     PIXEL_ORIGIN,
     PIXEL_ORIGINS,
+    ROUTE,
     STORED,
+    TRUTHS,
     VIDEO,
 )
 from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
+from olt_toolkit.clips.truth_tables import read_holds, read_obstacles, read_route, sample_routes, sample_truth
 from olt_toolkit.clips.video import check_video, decode_frames, decode_images
 from olt_toolkit.policy.sample import PolicySample, SampleKey
 from olt_toolkit.policy.window import IMAGE_OFFSETS_US, Coverage, check_sample_window, newest_frames
+from olt_toolkit.recordings.truth import Holds, ObstacleTracks
 from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
 from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 from olt_toolkit.runtime.version import code_version
 
 CLIPS_PER_CHUNK = 100
+Known = TypeVar("Known")
 
 
 class ClipStore:
@@ -266,6 +275,23 @@ class ClipStore:
             return np.full((len(indices), lens.height, lens.width), PixelOrigin.SAME_FRAME, np.uint8)
         return runs.masks(indices)
 
+    def read_route(self, clip_id: str) -> Array | None:
+        """The route (n, 2) in the anchor frame; None where it is not known."""
+        return self._truth(clip_id, ROUTE, read_route)
+
+    def read_obstacles(self, clip_id: str) -> ObstacleTracks | None:
+        """Boxes of others; None where they are not known."""
+        return self._truth(clip_id, OBSTACLES, read_obstacles)
+
+    def read_holds(self, clip_id: str) -> Holds | None:
+        """When the way is held; None where it is not known."""
+        return self._truth(clip_id, HOLDS, read_holds)
+
+    def _truth(self, clip_id: str, name: str, read: Callable[[bytes, str], Known]) -> Known | None:
+        if not has_feature(self.info(clip_id), TRUTHS[name]):
+            return None
+        return read(*self._member(clip_id, name, name))
+
     def read_origin_runs(self, clip_id: str, camera: str) -> OriginRuns | None:
         """The masks of one camera, held against the rest of the clip; None where a camera saw the view whole.
 
@@ -294,13 +320,14 @@ class ClipStore:
         image_size: tuple[int, int] | None = None,
         contract: CameraContract = DEFAULT_CONTRACT,
         with_origin: bool = False,
+        with_truth: bool = False,
     ) -> PolicySample:
         """Load what the public loader gives for a clip and t0, by the same rules; see `load_samples`.
 
         Raises:
             InputError: the clip does not cover the sample, or its files are damaged.
         """
-        return self.load_samples([key], image_size, contract, with_origin)[0]
+        return self.load_samples([key], image_size, contract, with_origin, with_truth)[0]
 
     def load_samples(
         self,
@@ -308,11 +335,12 @@ class ClipStore:
         image_size: tuple[int, int] | None = None,
         contract: CameraContract = DEFAULT_CONTRACT,
         with_origin: bool = False,
+        with_truth: bool = False,
     ) -> list[PolicySample]:
         """Load samples in the order of `keys`; every clip is opened and decoded once, whatever their order.
 
         The stores of the keys are not looked at. Images are scaled to a height and width where these are given, their
-        masks (`with_origin`) to the nearest pixel.
+        masks (`with_origin`) to the nearest pixel. `with_truth` asks for what is known of obstacles and holds.
 
         Raises:
             InputError: see `load_sample`.
@@ -323,7 +351,9 @@ class ClipStore:
         loaded = {
             (sample.clip_id, sample.t0_us): sample
             for clip_id, t0s_us in times.items()
-            for sample in self._load_clip_samples(clip_id, sorted(set(t0s_us)), image_size, contract, with_origin)
+            for sample in self._load_clip_samples(
+                clip_id, sorted(set(t0s_us)), image_size, contract, with_origin, with_truth
+            )
         }
         return [loaded[key.clip_id, key.t0_us] for key in keys]
 
@@ -334,6 +364,7 @@ class ClipStore:
         image_size: tuple[int, int] | None,
         contract: CameraContract,
         with_origin: bool,
+        with_truth: bool,
     ) -> list[PolicySample]:
         where = f"{self.root}: clip {clip_id}"
         present = [name for name in contract.cameras if name in self.info(clip_id).views]
@@ -355,6 +386,11 @@ class ClipStore:
             raise InputError(f"{where}: its cameras have different image sizes; give an image size to scale them to")
         taken_us = np.stack([timestamps[name][indices[name]] for name in contract.cameras])
         history, future = (poses.astype(np.float32) for poses in motion.around(np.array(t0s_us)))
+        routes = sample_routes(self.read_route(clip_id), motion, np.array(t0s_us))
+        truth = None
+        if with_truth:
+            known = self.read_obstacles(clip_id), self.read_holds(clip_id)
+            truth = sample_truth(*known, motion, np.array(t0s_us))
         return [
             PolicySample(
                 image_frames=_pick(views, place),
@@ -368,6 +404,8 @@ class ClipStore:
                 t0_us=t0_us,
                 clip_id=clip_id,
                 image_origin=_pick(origins, place) if with_origin else None,
+                route_xy=routes[sample],
+                **({} if truth is None else truth.of(sample)),
             )
             for sample, (t0_us, place) in enumerate(zip(t0s_us, places.reshape(asked.shape), strict=True))
         ]

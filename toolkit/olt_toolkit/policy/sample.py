@@ -8,6 +8,11 @@ from numpy.typing import NDArray
 KEYFRAME_US = 5_100_000
 """The time t0 at which the public loader samples a clip that has no events (docs/formats/physicalai_av.md)."""
 
+TRUTH_OFFSETS_US = (0, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+"""Times after t0 at which samples tell where obstacles are."""
+MOST_OBSTACLES = 32
+"""Obstacles that a sample tells of: those nearest at t0."""
+
 
 @dataclass(frozen=True, order=True)
 class SampleKey:
@@ -31,7 +36,14 @@ class PolicySample:
         absolute_timestamps: (cameras, 4) int64 microseconds of the frames.
         t0_us, clip_id: which sample it is.
         image_origin: (cameras, 4, H, W) uint8, a `PixelOrigin` for each pixel; None where it was not asked for. The
-            public loader has no such field.
+            public loader has no such field, nor the following.
+        route_xy: (20, 2) float32 points ahead on the route, as `Observation.route_xy` of the closed loop gives them;
+            NaN where the route ends earlier or is not known.
+        obstacle_boxes: (5, 32, 5) float32 x, y of the centre in metres, yaw, length and width of the nearest obstacles
+            at TRUTH_OFFSETS_US, each in its place at all times; NaN where nobody is or nothing is known.
+        obstacle_classes: (32,) int64 numbers of `recordings.truth.OBSTACLE_CLASSES`, -1 where there is none.
+        hold: (2,) float32: whether the way is held (1 or 0), and metres to the line that is or will be held; NaN where
+            there is none, or nothing is known. These three are None where they were not asked for.
     """
 
     image_frames: NDArray[np.uint8]
@@ -45,3 +57,7 @@ class PolicySample:
     t0_us: int
     clip_id: str
     image_origin: NDArray[np.uint8] | None = None
+    route_xy: NDArray[np.float32] | None = None
+    obstacle_boxes: NDArray[np.float32] | None = None
+    obstacle_classes: NDArray[np.int64] | None = None
+    hold: NDArray[np.float32] | None = None

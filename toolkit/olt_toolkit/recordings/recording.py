@@ -12,6 +12,7 @@ from olt_generator.doubts import Doubt
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
+from olt_toolkit.recordings.truth import Holds, ObstacleTracks
 from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT
 from olt_toolkit.rigs.rig import MountedCamera, VehicleDimensions
 
@@ -48,6 +49,9 @@ class Recording:
         observed: pixels (h, w) that some camera saw, of those of `views` that are mosaics of several cameras.
         spread: how well height and focal length of the front camera are known.
         doubts: what the reader has reason to doubt, such as where the camera looks.
+        route: (n, 2) metres, n >= 2, the line that the vehicle was meant to follow, seen from the rig at time 0 without
+            its roll and pitch; None where it is not known.
+        obstacles, holds: what is known of others and of the right to go on (`recordings.truth`).
     """
 
     name: str
@@ -66,6 +70,9 @@ class Recording:
     observed: dict[str, NDArray[np.bool_]] = field(default_factory=dict)
     spread: CameraSpread = field(default_factory=CameraSpread)
     doubts: tuple[Doubt, ...] = ()
+    route: Array | None = None
+    obstacles: ObstacleTracks | None = None
+    holds: Holds | None = None
 
 
 def refuse_unused(given: Mapping[str, bool], why: str) -> None:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_closed_loop.rollouts.progress import LOOK_AHEAD, PathTracker
+from olt_toolkit.policy.route import LOOK_AHEAD, PathTracker
 
 
 def test_progress_does_not_jump_where_a_path_passes_twice():

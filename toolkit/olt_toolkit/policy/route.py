@@ -1,4 +1,7 @@
-"""Position along a path, as an arc length that only grows and cannot jump to another passage of the same place."""
+"""Position along a path, as an arc length that only grows and cannot jump to another passage of the same place.
+
+And the route ahead, as policies are shown it.
+"""
 
 import math
 from bisect import bisect_left, bisect_right
@@ -7,6 +10,10 @@ import numpy as np
 
 from olt_generator.poses import Array
 
+ROUTE_POINTS = 20
+ROUTE_LENGTH = 80.0
+"""Number of points and metres of the route that a policy is shown (docs/formats/alpasim.md)."""
+_ROUTE_DISTANCES: Array = np.linspace(0.0, ROUTE_LENGTH, ROUTE_POINTS)
 LOOK_AHEAD = 4.0
 """Metres that are searched beyond twice the distance moved: a point up to so far inside a corner still gets around."""
 
@@ -81,3 +88,31 @@ class PathTracker:
             end_x, end_y = self._vertices[index]
             farther = math.hypot(x - end_x, y - end_y) - nearest
             index = max(bisect_right(self._arc_lengths, end + farther, index) - 1, index)
+
+
+def route_ahead(tracker: PathTracker | None, x: float, y: float, yaw: float) -> Array:
+    """Move a tracker of the route on to a pose of the rig, and tell the route ahead in the rig frame.
+
+    Returns:
+        Points (20, 2) every 80 / 19 metres, NaN where the route ends earlier or is not known.
+    """
+    route = np.full((ROUTE_POINTS, 2), np.nan)
+    if tracker is None:
+        return route
+    tracker.advance(np.array([x, y]))
+    ahead = tracker.points_ahead(_ROUTE_DISTANCES) - (x, y)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    route[: len(ahead), 0] = cos * ahead[:, 0] + sin * ahead[:, 1]
+    route[: len(ahead), 1] = cos * ahead[:, 1] - sin * ahead[:, 0]
+    return route
+
+
+def routes_ahead(route: Array, poses: Array) -> Array:
+    """The route ahead (n, 20, 2) at poses (n, 3) x, y, yaw of the rig, each 0.1 s after the one before.
+
+    As the closed loop shows it to a policy that takes over at the first of them (`route_ahead`); the route (m, 2) has
+    one point or more.
+    """
+    tracker = PathTracker(route)
+    tracker.start_at(poses[0, :2])
+    return np.stack([route_ahead(tracker, *pose) for pose in poses.tolist()])
