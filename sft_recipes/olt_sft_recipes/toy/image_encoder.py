@@ -20,8 +20,6 @@ from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
 SECONDS_AHEAD = tuple(0.5 * step for step in range(9))
 """Seconds from t0 on at which the heads tell which cells are taken."""
 ROUTE_TOKENS, WORLD_TOKENS = len(STATIONS) // 2, len(WORLD_X) * len(WORLD_Y) // 16
-_WAY = slice(len(OFFSETS) // 2 - 2, len(OFFSETS) // 2 + 2)
-WAY_FEATURES = (len(SECONDS_AHEAD) + 1) * len(STATIONS)
 IMAGE_TOKENS = ROUTE_TOKENS + WORLD_TOKENS
 
 
@@ -39,10 +37,6 @@ class Sight:
     route: Tensor
     world: Tensor
 
-    def way(self) -> Tensor:
-        """How likely the way along the route is taken or held at each time and station, (batch, WAY_FEATURES)."""
-        return self.route[..., _WAY].amax(dim=-1).sigmoid().flatten(1)
-
 
 class ImageEncoder(nn.Module):
     """See the module."""
@@ -54,8 +48,7 @@ class ImageEncoder(nn.Module):
         self.patches = nn.Conv2d(3, channels, kernel_size=PATCH, stride=PATCH)
         self.image_positions = nn.Parameter(0.02 * torch.randn(cameras, *config.feature_size, channels))
         self.image_blocks = nn.ModuleList([_Residual(channels) for _ in range(2)])
-        self.by_height = nn.Linear(channels, len(HEIGHTS) * channels)
-        self.by_camera = nn.Parameter(torch.randn(cameras, channels, 2 * channels) / channels**0.5)
+        self.by_camera = nn.Parameter(torch.randn(cameras, channels, len(HEIGHTS) * channels) / channels**0.5)
         self.route_net = _GridNet(frames * channels, channels, len(STATIONS), len(OFFSETS), len(SECONDS_AHEAD) + 1)
         self.world_net = _GridNet(frames * channels, channels, len(WORLD_X), len(WORLD_Y), len(SECONDS_AHEAD))
         self.route_tokens = nn.Linear(2 * len(OFFSETS) * channels, config.width)
@@ -86,20 +79,17 @@ class ImageEncoder(nn.Module):
         features = (named + self.image_positions.to(named.dtype)).flatten(0, 1).permute(0, 3, 1, 2)
         for block in self.image_blocks:
             features = block(features)
-        import os
-        if "C" in os.environ.get("V", ""):
-            f = features.permute(0, 2, 3, 1).flatten(1, 2).unflatten(0, (-1, cameras))
-            return torch.einsum("bcpi,cio->bcpo", f, self.by_camera).float().reshape(-1, features.shape[1])
-        return self.by_height(features.permute(0, 2, 3, 1)).float().reshape(-1, features.shape[1])
+        images = features.permute(0, 2, 3, 1).flatten(1, 2).unflatten(0, (-1, cameras))
+        table = torch.einsum("bcpi,cio->bcpo", images, self.by_camera)
+        return table.float().reshape(-1, features.shape[1])
 
 
 class _Residual(nn.Module):
-    """3 x 3 convolution of what is positive, added to what came in."""
+    """Norm, 3 x 3 convolution of what is positive, added to what came in."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
-        import os
-        self.norm = nn.GroupNorm(1, channels) if "N" in os.environ.get("V", "") else nn.Identity()
+        self.norm = nn.GroupNorm(1, channels)
         self.convolution = nn.Conv2d(channels, channels, kernel_size=3, padding=1)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -129,8 +119,7 @@ class _GridNet(nn.Module):
 def _gather(table: Tensor, lookup: csr_array, batch: int, rows: int, columns: int) -> Tensor:
     """Cells (batch, frames * channels, rows, columns) of a grid from features (places, channels)."""
     cells: Tensor = _Sparse.apply(table, lookup)  # pyright: ignore[reportAssignmentType]
-    import os
-    if "G" in os.environ.get("V", ""): cells = functional.layer_norm(cells, cells.shape[-1:])
+    cells = functional.layer_norm(cells, cells.shape[-1:])
     return cells.view(batch, rows, columns, -1).permute(0, 3, 1, 2)
 
 

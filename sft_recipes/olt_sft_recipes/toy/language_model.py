@@ -12,18 +12,39 @@ trained on the whole future at once, which teaches the image encoder faster than
 """
 
 import math
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from olt_sft_recipes.toy.config import ToyPolicyConfig
-from olt_sft_recipes.toy.image_encoder import IMAGE_TOKENS, WAY_FEATURES, ImageEncoder, Sight
+from olt_sft_recipes.toy.image_encoder import IMAGE_TOKENS, ImageEncoder, Sight
 from olt_sft_recipes.toy.inputs import MOTION_FEATURES, PolicyInputs
 from olt_sft_recipes.toy.tokens import FUTURE_BINS, FUTURE_TOKENS, HISTORY_BINS, HISTORY_TOKENS, VOCABULARY_SIZE
 
 KeysValues = tuple[Tensor, Tensor]
 """Keys and values of one layer, each (batch, heads, tokens, head width)."""
+
+
+@dataclass(frozen=True)
+class Prefix:
+    """What the model makes of the prefix, for the action expert.
+
+    Attributes:
+        cache: keys and values of every layer up to future-start.
+        regressed: (batch, 64, 2) normalised actions of the regression head. Toy only.
+        sight: of the image encoder. Toy only.
+    """
+
+    cache: list[KeysValues]
+    regressed: Tensor
+    sight: Sight
+
+    def repeated(self, count: int) -> "Prefix":
+        """That of one observation, for as many plans."""
+        cache = [(keys.expand(count, -1, -1, -1), values.expand(count, -1, -1, -1)) for keys, values in self.cache]
+        return replace(self, cache=cache, regressed=self.regressed.expand(count, -1, -1))
 
 
 class CausalBlock(nn.Module):
@@ -57,7 +78,7 @@ class VisionLanguageModel(nn.Module):
         self.token_embedding = nn.Embedding(VOCABULARY_SIZE, width)
         self.future_start = nn.Parameter(0.02 * torch.randn(width))
         self.prefix_projection = nn.Sequential(
-            nn.Linear(IMAGE_TOKENS * width + WAY_FEATURES + MOTION_FEATURES, 2 * width),
+            nn.Linear(IMAGE_TOKENS * width + MOTION_FEATURES, 2 * width),
             nn.GELU(),
             nn.Linear(2 * width, width),
         )
@@ -97,17 +118,17 @@ class VisionLanguageModel(nn.Module):
         return self._regress(start), sight
 
     @torch.no_grad()
-    def prefix_cache(self, inputs: PolicyInputs) -> tuple[list[KeysValues], Sight]:
-        """What the expert sees, keys and values of every layer up to future-start, and the sight; without gradient."""
+    def read_prefix(self, inputs: PolicyInputs) -> Prefix:
+        """What the expert sees, without gradient."""
         sight, history, start = self._embed_prefix(inputs)
         sequence = torch.cat([history, start], dim=1) + self.positions[: HISTORY_TOKENS + 1]
         _, cache = self._run(torch.cat([sight.tokens, sequence], dim=1))
-        return cache, sight
+        return Prefix(cache, self._regress(start), sight)
 
     def _embed_prefix(self, inputs: PolicyInputs) -> tuple[Sight, Tensor, Tensor]:
         """Sight, history tokens and future-start, (batch, tokens, width) and still without positions."""
         sight = self.image_encoder(inputs.images, inputs.route, inputs.world)
-        projected = self.prefix_projection(torch.cat([sight.tokens.flatten(1), sight.way(), inputs.motion], dim=1))
+        projected = self.prefix_projection(torch.cat([sight.tokens.flatten(1), inputs.motion], dim=1))
         return sight, self.token_embedding(inputs.history_tokens), (self.future_start + projected)[:, None]
 
     def _regress(self, start: Tensor) -> Tensor:

@@ -72,7 +72,7 @@ class Outlook:
 
 
 def choose_plan(plans: Array, speed: float, outlook: Outlook) -> Array:
-    """The best (64, 3) of plans (k, 64, 3) of x, y, yaw, and of those that brake along their paths from a speed, m/s."""
+    """The best (64, 3) of plans (k, 64, 3) of x, y, yaw and of those that brake along them from a speed, m/s."""
     tried = np.concatenate([slower_plans(plan, speed) for plan in plans])
     ways = np.cumsum(np.linalg.norm(np.diff(tried[..., :2], axis=1, prepend=0.0), axis=-1), axis=1)
     farthest = max(float(ways[:, -1].max()), _LEAST_WAY)

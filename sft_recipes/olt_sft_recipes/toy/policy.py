@@ -43,12 +43,9 @@ class ToyPolicy:
         noise = torch.randn(config.plans_drawn, FUTURE_STEPS, ACTION_SIZE, generator=generator)
         noise[0] = 0.0  # leads to the middle of what it would do
         with torch.inference_mode():
-            cache, sight = self.model.vlm.prefix_cache(encode_inputs(images, history, routes, config))
-            same = [
-                (keys.expand(len(noise), -1, -1, -1), values.expand(len(noise), -1, -1, -1)) for keys, values in cache
-            ]
-            actions = self.model.expert.sample(noise, same).double().numpy()
-            route, world = sight.route[0].sigmoid().numpy(), sight.world[0].sigmoid().numpy()
+            prefix = self.model.vlm.read_prefix(encode_inputs(images, history, routes, config))
+            actions = self.model.expert.sample(noise, prefix.repeated(len(noise))).double().numpy()
+            route, world = (each[0].sigmoid().numpy() for each in (prefix.sight.route, prefix.sight.world))
         speed = float(estimate_initial_speed(observation.history_xyz, observation.history_rotation))
         xyz, rotation = actions_to_trajectory(actions, speed)
         if not config.chooses_plan:

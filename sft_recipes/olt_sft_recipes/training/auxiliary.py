@@ -6,7 +6,7 @@ in the seconds to come, and where a red light or somebody's hand holds the way; 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -40,37 +40,35 @@ class SightTruth:
         world: (n, seconds, rows, columns) uint8 as `Sight.world`.
     """
 
-    known: NDArray[np.bool_]
-    route: NDArray[np.uint8]
-    world: NDArray[np.uint8]
+    known: Tensor
+    route: Tensor
+    world: Tensor
 
-    @classmethod
-    def gather(cls, samples: Sequence[PolicySample], along: Array) -> "SightTruth | None":
-        """What samples know, with the cells (n, stations, offsets, 3) of their route grids; None if none knows it."""
-        known = np.array([sample.obstacle_boxes is not None for sample in samples])
-        if not known.any():
-            return None
-        seconds, world = len(SECONDS_AHEAD), world_cells()
-        route_truth = np.zeros((len(samples), seconds + 1, *along.shape[1:3]), np.uint8)
-        world_truth = np.zeros((len(samples), seconds, *world.shape[:2]), np.uint8)
-        for row, sample in enumerate(samples):
-            if sample.obstacle_boxes is None or sample.hold is None:
-                continue
-            boxes = _boxes_at_heads(sample.obstacle_boxes.astype(np.float64))
-            route_truth[row, :-1] = _taken(along[row], boxes, ROUTE_ROOM)
-            world_truth[row] = _taken(world, boxes, WORLD_ROOM)
-            held, metres = sample.hold
-            if held == 1.0:
-                route_truth[row, -1] = (np.abs(STATIONS - metres) < HELD_ROOM)[:, None]
-        return cls(known, route_truth, world_truth)
 
-    def take(self, rows: Sequence[int]) -> "SightTruth":
-        """Some of the samples."""
-        return SightTruth(self.known[rows], self.route[rows], self.world[rows])
+def gather_truth(
+    samples: Sequence[PolicySample], along: Array
+) -> tuple[NDArray[np.bool_], NDArray[np.uint8], NDArray[np.uint8]]:
+    """Whether samples know what is where, and what, as `SightTruth` has it.
 
-    def mirrored(self) -> "SightTruth":
-        """With left and right changed over; both grids are symmetric."""
-        return replace(self, route=self.route[..., ::-1].copy(), world=self.world[..., ::-1].copy())
+    Args:
+        samples: n samples.
+        along: (n, stations, offsets, 3) cells of their route grids.
+    """
+    seconds, world = len(SECONDS_AHEAD), world_cells()
+    known = np.zeros(len(samples), bool)
+    route_truth = np.zeros((len(samples), seconds + 1, *along.shape[1:3]), np.uint8)
+    world_truth = np.zeros((len(samples), seconds, *world.shape[:2]), np.uint8)
+    for row, sample in enumerate(samples):
+        if sample.obstacle_boxes is None or sample.hold is None:
+            continue
+        known[row] = True
+        boxes = _boxes_at_heads(sample.obstacle_boxes.astype(np.float64))
+        route_truth[row, :-1] = _taken(along[row], boxes, ROUTE_ROOM)
+        world_truth[row] = _taken(world, boxes, WORLD_ROOM)
+        held, metres = sample.hold
+        if held == 1.0:
+            route_truth[row, -1] = (np.abs(STATIONS - metres) < HELD_ROOM)[:, None]
+    return known, route_truth, world_truth
 
 
 def _boxes_at_heads(boxes: Array) -> Array:
@@ -98,20 +96,16 @@ def _taken(cells: Array, boxes: Array, room: float) -> NDArray[np.bool_]:
     return taken
 
 
-def sight_errors(sight: Sight, truth: SightTruth | None) -> Tensor:
+def sight_errors(sight: Sight, truth: SightTruth) -> Tensor:
     """Cross-entropy (n,) of both grids; 0 where the truth is not known."""
-    if truth is None:
-        return torch.zeros(len(sight.tokens))
     errors = _cross_entropy(sight.route, truth.route) + _cross_entropy(sight.world, truth.world)
-    return _SIGHT_SCALE * errors * torch.from_numpy(truth.known)
+    return _SIGHT_SCALE * errors * truth.known
 
 
-def _cross_entropy(logits: Tensor, truth: NDArray[np.uint8]) -> Tensor:
-    wanted = torch.from_numpy(truth).float()
+def _cross_entropy(logits: Tensor, truth: Tensor) -> Tensor:
     weight = torch.tensor(_TAKEN_WEIGHT)
-    return functional.binary_cross_entropy_with_logits(logits, wanted, pos_weight=weight, reduction="none").mean(
-        (1, 2, 3)
-    )
+    errors = functional.binary_cross_entropy_with_logits(logits, truth.float(), pos_weight=weight, reduction="none")
+    return errors.mean((1, 2, 3))
 
 
 def plan_errors(planned: Tensor, wanted: Tensor, speeds: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ A policy that has seen a few hundred moments of driving learns them by heart. Mi
 a perturbed sample shows what the road looks like from a little off the path, and how to get back.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import cv2
@@ -16,7 +16,7 @@ from olt_generator.poses import Array, invert, planar_pose, transform
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.toy.inputs import cells_along, pad_route, planar_poses, select_images
-from olt_sft_recipes.training.auxiliary import SightTruth
+from olt_sft_recipes.training.auxiliary import gather_truth
 from olt_toolkit.policy.action_space import estimate_initial_speed, trajectory_to_actions
 from olt_toolkit.policy.sample import PolicySample
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, REAR_LEFT, REAR_RIGHT
@@ -40,8 +40,9 @@ class DrivingSamples:
         history, future: (n, 16, 3) and (n, 64, 3) of x, y in metres and yaw in radians, in the rig frame at t0.
         routes: (n, 20, 2) route ahead in metres in the rig frame at t0, filled up with NaN.
         config: of the model that they are for.
-        invented: (n,) share of the pixels of the images that is invented, at the size of the clip; None for nothing.
-        truth: what is where; None for not known.
+        invented: (n,) share of the pixels of the images that is invented, at the size of the clip.
+        truth_known: (n,) bool, whether it is known what is where.
+        truth_route, truth_world: (n, ...) uint8 of what is where (`auxiliary.SightTruth`).
     """
 
     images: NDArray[np.uint8]
@@ -49,8 +50,10 @@ class DrivingSamples:
     future: Array
     routes: Array
     config: ToyPolicyConfig
-    invented: Array | None = None
-    truth: SightTruth | None = None
+    invented: Array
+    truth_known: NDArray[np.bool_]
+    truth_route: NDArray[np.uint8]
+    truth_world: NDArray[np.uint8]
 
     @classmethod
     def gather(cls, samples: list[PolicySample], config: ToyPolicyConfig) -> "DrivingSamples":
@@ -72,7 +75,7 @@ class DrivingSamples:
             routes,
             config,
             np.array(invented),
-            SightTruth.gather(samples, cells_along(history, routes)),
+            *gather_truth(samples, cells_along(history, routes)),
         )
 
     def __len__(self) -> int:
@@ -80,18 +83,15 @@ class DrivingSamples:
 
     def take(self, rows: list[int]) -> "DrivingSamples":
         """Some of the samples."""
-        invented = None if self.invented is None else self.invented[rows]
-        truth = None if self.truth is None else self.truth.take(rows)
-        parts = {name: getattr(self, name)[rows] for name in ("images", "history", "future", "routes")}
-        return replace(self, invented=invented, truth=truth, **parts)
+        arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "config"}
+        return replace(self, **{name: values[rows] for name, values in arrays.items()})
 
     def weights(self, invented_pixel_weight: float) -> Array:
         """Weights (n,) of the samples where an invented pixel counts for so much of a seen one.
 
         w = 1 - (1 - `invented_pixel_weight`) * share of invented pixels.
         """
-        invented = np.zeros(len(self)) if self.invented is None else self.invented
-        return 1.0 - (1.0 - invented_pixel_weight) * invented
+        return 1.0 - (1.0 - invented_pixel_weight) * self.invented
 
     def mirrored(self) -> "DrivingSamples":
         """The same drives in a world where left is right."""
@@ -104,7 +104,8 @@ class DrivingSamples:
             history=self.history * flip,
             future=self.future * flip,
             routes=self.routes * flip[:2],
-            truth=None if self.truth is None else self.truth.mirrored(),
+            truth_route=self.truth_route[..., ::-1],
+            truth_world=self.truth_world[..., ::-1],
         )
 
     def perturbed(self, offsets: Array, angles: Array) -> "DrivingSamples":
@@ -132,7 +133,7 @@ class DrivingSamples:
         )
         future = np.stack([x, y, yaw + heading - angles[:, None]], axis=-1)
         routes = np.stack(_seen_from(self.routes[..., 0], self.routes[..., 1], offsets, angles), axis=-1)
-        return replace(self, images=images, future=future, routes=routes, truth=None)
+        return replace(self, images=images, future=future, routes=routes, truth_known=np.zeros(len(self), bool))
 
     def speeds(self) -> Array:
         """Speeds (n,) at t0 in m/s, from which `actions` are driven."""

@@ -39,7 +39,7 @@ class TrainingBatch:
         actions: (n, 64, 2) normalised actions that drive the futures.
         tokens: (n, 128) of them.
         speeds: (n,) at t0, m/s, from which the actions are driven.
-        truth: what is where, for the heads of the image encoder; None where no sample knows it.
+        truth: what is where, for the heads of the image encoder.
         draws: rows of the draws of the step, as tensors.
     """
 
@@ -47,7 +47,7 @@ class TrainingBatch:
     actions: Tensor
     tokens: Tensor
     speeds: Tensor
-    truth: SightTruth | None
+    truth: SightTruth
     draws: dict[str, Tensor]
 
 
@@ -93,7 +93,11 @@ def prepare_batch(samples: DrivingSamples, draws: StepDraws) -> TrainingBatch:
         torch.from_numpy(actions.astype(np.float32)),
         torch.from_numpy(encode_actions(actions)[0]),
         torch.from_numpy(samples.speeds().astype(np.float32)),
-        samples.truth,
+        SightTruth(
+            torch.from_numpy(samples.truth_known.copy()),
+            torch.from_numpy(samples.truth_route.copy()),
+            torch.from_numpy(samples.truth_world.copy()),
+        ),
         {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in draws.items()},
     )
 
@@ -105,8 +109,8 @@ def sample_losses(model: ToyModel, stage: StageConfig, batch: TrainingBatch, war
     (Stage 2).
     """
     if stage.stage == 2:
-        cache, _ = model.vlm.prefix_cache(batch.inputs)
-        return model.expert.loss(batch.actions, batch.draws["time"], batch.draws["noise"], cache)
+        prefix = model.vlm.read_prefix(batch.inputs)
+        return model.expert.loss(batch.actions, batch.draws["time"], batch.draws["noise"], prefix)
     if warmup:
         regressed, sight = model.vlm.regress(batch.inputs)
         return plan_errors(regressed, batch.actions, batch.speeds) + stage.sight_weight * sight_errors(
