@@ -1,11 +1,13 @@
 """`olt sft`: two-stage training of the toy policy, and its open-loop errors."""
 
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from olt_datasets.commands.comparing import AllowUncomparedOption
+from olt_generator.progress import silent
 from olt_toolkit.rigs.names import ContractName
 
 if TYPE_CHECKING:
@@ -14,10 +16,28 @@ if TYPE_CHECKING:
 app = typer.Typer(add_completion=False, no_args_is_help=True, help="Train the toy policy, and judge it in open loop.")
 
 Stores = Annotated[list[Path], typer.Option(help="Clip store; may be given several times.")]
+
+
+class StageName(StrEnum):
+    """Which stage is trained."""
+
+    FIRST = "1"
+    SECOND = "2"
+    BOTH = "both"
+
+
+class TrackerName(StrEnum):
+    """Who is told of losses and errors while they come."""
+
+    NONE = "none"
+    TENSORBOARD = "tensorboard"
+    WANDB = "wandb"
+
+
 JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
-@app.command(help="Train both stages on a mixture; a stage that this code finished with equal settings is kept.")
+@app.command(help="Train on a mixture; the same command goes on exactly with what was interrupted.")
 def train(
     out: Annotated[Path, typer.Option(help="Folder of the training; OUT/policy is what drives.")],
     mixture: Annotated[Path | None, typer.Option(help="A mixture that `olt mix compose` wrote.")] = None,
@@ -27,38 +47,94 @@ def train(
     stage2: Annotated[Path | None, typer.Option(help="YAML of Stage 2; that of the toy by default.")] = None,
     rig: Annotated[ContractName, typer.Option(help="Whose cameras the policy takes.")] = ContractName.ALPAMAYO_R1,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the mixture and of both stages.")] = 0,
+    stage: Annotated[StageName, typer.Option(help="Which stage; 2 goes on from the finished Stage 1 in OUT.")] = (
+        StageName.BOTH
+    ),
+    judge_on: Annotated[
+        list[Path], typer.Option(help="Clip store whose split val judges the stages while they train; several times.")
+    ] = [],  # noqa: B006 - typer reads the default, nobody changes it
+    judge_scene: Annotated[
+        list[str], typer.Option(help="Scene that Stage 2 drives at each evaluation; the best goes on. Several times.")
+    ] = [],  # noqa: B006 - typer reads the default, nobody changes it
+    report_to: Annotated[TrackerName, typer.Option(help="Who is told of losses and errors.")] = TrackerName.NONE,
     allow_uncompared: AllowUncomparedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Train, and print the losses."""
+    from olt_sft_recipes.launch.toy import describe_evaluation, read_stages, validation_of
     from olt_sft_recipes.toy.config import ToyPolicyConfig
-    from olt_sft_recipes.training.stage_config import builtin_stage_config, read_stage_config
+    from olt_sft_recipes.training.processes import check_tracker, is_main_process
     from olt_sft_recipes.training.two_stages import train_on_mixture
-    from olt_toolkit.runtime.console import make_progress, print_json, print_line, print_table
+    from olt_toolkit.runtime.console import print_json, print_line, print_table, show_progress
     from olt_toolkit.runtime.threads import use_one_thread
 
     use_one_thread()
+    check_tracker(report_to.value)
     chosen = _choose_mixture(mixture, recipe, stores, seed, allow_uncompared)
-    stages = (
-        read_stage_config(stage1) if stage1 else builtin_stage_config(1),
-        read_stage_config(stage2) if stage2 else builtin_stage_config(2),
-    )
-    with make_progress() as progress:
-        task = progress.add_task("training", total=100)
+    stages, config = read_stages(stage1, stage2, report_to.value), ToyPolicyConfig(rig=rig.value)
+    validation = validation_of(judge_on, config.contract, judge_scene)
+    with show_progress("training") as (on_progress, _):
         results = train_on_mixture(
             chosen,
             stages,
             seed,
             out,
-            lambda share: progress.update(task, completed=round(100 * share)),
-            ToyPolicyConfig(rig=rig.value),
+            on_progress if is_main_process() else silent,
+            config,
+            validation,
+            stage.value,
         )
-    if as_json:
-        print_json({"policy": str(out / "policy"), "stages": [vars(result) for result in results]})
+    if not is_main_process():
         return
-    rows = [(result.stage, result.steps, result.samples, result.losses[0], result.final_loss) for result in results]
-    print_table("Two-stage training", ("stage", "steps", "samples", "first loss", "last loss"), rows)
-    print_line(f"policy: {out / 'policy'}")
+    policy = out / "policy" if stage is not StageName.FIRST else None
+    if as_json:
+        print_json({"policy": policy and str(policy), "stages": [vars(result) for result in results]})
+        return
+    columns = ("stage", "steps", "samples", "first loss", "last loss", "goes on", "seconds", "of them waiting for data")
+    rows = [
+        (
+            *(result.stage, result.steps, result.samples, result.losses[0], result.final_loss, result.checkpoint),
+            *(result.seconds, result.seconds_of.get("waiting for data", 0.0)),
+        )
+        for result in results
+    ]
+    print_table("Two-stage training", columns, rows)
+    for result in results:
+        for evaluation in result.evaluations:
+            print_line(f"stage {result.stage}, {describe_evaluation(evaluation)}")
+    if policy:
+        print_line(f"policy: {policy}")
+
+
+@app.command(help="How far a training is, how good, and whether it still runs.")
+def status(
+    folder: Annotated[Path, typer.Argument(help="The --out of a training, or the folder of one stage.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Print the status of each stage that was begun."""
+    from olt_sft_recipes.launch.toy import describe_evaluation
+    from olt_sft_recipes.training.status import read_statuses
+    from olt_toolkit.runtime.console import print_json, print_line, print_table
+
+    statuses = read_statuses(folder)
+    if as_json:
+        print_json({"stages": [{**vars(stage), "alive": stage.is_alive()} for stage in statuses]})
+        return
+    rows = [
+        (
+            *(stage.stage, f"{stage.step} of {stage.steps}", stage.loss, _words(stage.seconds_left)),
+            *(None if stage.waiting_share is None else f"{stage.waiting_share:.0%}", stage.describe()),
+        )
+        for stage in statuses
+    ]
+    print_table(f"{folder}", ("stage", "step", "loss", "time left", "waiting for data", "state"), rows)
+    for stage in statuses:
+        if stage.best:
+            print_line(f"stage {stage.stage}, best: {describe_evaluation(stage.best)}")
+
+
+def _words(seconds: float | None) -> str | None:
+    return None if seconds is None else f"{int(seconds) // 60} min {int(seconds) % 60} s"
 
 
 @app.command(help="Open-loop errors of a policy on the samples of a clip store's validation split.")

@@ -413,4 +413,4 @@ def list_left_out(clips: dict[str, Any], closed_loop: dict[str, Any]) -> list[di
 
 def without_seconds(result: dict[str, Any]) -> dict[str, Any]:
     """A result without its run times."""
-    return {name: value for name, value in result.items() if name != "seconds"}
+    return {name: value for name, value in result.items() if not name.startswith("seconds")}

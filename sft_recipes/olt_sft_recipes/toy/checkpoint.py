@@ -1,6 +1,11 @@
-"""The toy VLA as one network, and its checkpoint: a folder with `config.json` and `model.safetensors`."""
+"""The toy VLA as one network, and its checkpoint: a folder with `config.json`, shards of weights and their index.
+
+Weights stand in `model-00001-of-0000n.safetensors`, and `model.safetensors.index.json` says which tensor is in which:
+the form that the public recipes read, also where one shard holds all (docs/formats/sft_recipes.md).
+"""
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -13,9 +18,15 @@ from olt_generator.files import find_whole_folder, write_whole_folder
 from olt_sft_recipes.toy.action_expert import ActionExpert
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.toy.language_model import VisionLanguageModel
+from olt_toolkit.runtime.json_files import read_json
 
 CONFIG_FILE = "config.json"
-WEIGHTS_FILE = "model.safetensors"
+INDEX_FILE = "model.safetensors.index.json"
+SHARD_BYTES = 5_000_000_000
+"""A shard is full at so many bytes, as transformers has it."""
+
+_SINGLE_FILE = "model.safetensors"  # of releases before there were shards
+_MOST_INDEX_BYTES = 1 << 26
 
 
 class ToyModel(nn.Module):
@@ -28,11 +39,41 @@ class ToyModel(nn.Module):
         self.expert = ActionExpert(config)
 
 
-def save_model(folder: Path, model: ToyModel) -> None:
+def save_model(folder: Path, model: ToyModel, shard_bytes: int = SHARD_BYTES) -> None:
     """Write a checkpoint; the folder appears whole and replaces an older one."""
     with write_whole_folder(folder) as temporary:
-        save_file({name: tensor.contiguous() for name, tensor in model.state_dict().items()}, temporary / WEIGHTS_FILE)
-        (temporary / CONFIG_FILE).write_text(json.dumps(model.config.model_dump(), indent=2) + "\n")
+        write_model(temporary, model, shard_bytes)
+
+
+def write_model(folder: Path, model: ToyModel, shard_bytes: int = SHARD_BYTES) -> None:
+    """Write the files of a model into a folder that is being made."""
+    shards = _divide({name: tensor.contiguous() for name, tensor in model.state_dict().items()}, shard_bytes)
+    where = {}
+    for number, shard in enumerate(shards, 1):
+        file = f"model-{number:05d}-of-{len(shards):05d}.safetensors"
+        save_file(shard, folder / file, metadata={"format": "pt"})
+        where |= dict.fromkeys(shard, file)
+    size = sum(_size(tensor) for shard in shards for tensor in shard.values())
+    index = {"metadata": {"total_size": size}, "weight_map": where}
+    (folder / INDEX_FILE).write_text(json.dumps(index, indent=2) + "\n")
+    (folder / CONFIG_FILE).write_text(json.dumps(model.config.model_dump(), indent=2) + "\n")
+
+
+def _divide(tensors: dict[str, Tensor], shard_bytes: int) -> list[dict[str, Tensor]]:
+    """Shards in the order of the tensors, each as full as it may be."""
+    shards: list[dict[str, Tensor]] = [{}]
+    room = shard_bytes
+    for name, tensor in tensors.items():
+        if shards[-1] and _size(tensor) > room:
+            shards.append({})
+            room = shard_bytes
+        shards[-1][name] = tensor
+        room -= _size(tensor)
+    return shards
+
+
+def _size(tensor: Tensor) -> int:
+    return tensor.numel() * tensor.element_size()
 
 
 def read_model(folder: Path) -> ToyModel:
@@ -65,9 +106,36 @@ def read_tensors(folder: Path) -> dict[str, Tensor]:
     """All tensors of a checkpoint.
 
     Raises:
-        InputError: the weights are absent or damaged.
+        InputError: the weights are absent or damaged, or are not what their index says.
     """
-    path = find_whole_folder(folder) / WEIGHTS_FILE
+    folder = find_whole_folder(folder)
+    if not (folder / INDEX_FILE).exists() and (folder / _SINGLE_FILE).exists():
+        return _read_shard(folder / _SINGLE_FILE)
+    where = _read_index(folder / INDEX_FILE)
+    tensors: dict[str, Tensor] = {}
+    for file in sorted(set(where.values())):
+        shard = _read_shard(folder / file)
+        if shard.keys() != {name for name, place in where.items() if place == file}:
+            raise InputError(
+                f"{folder / file}: does not hold the tensors that {INDEX_FILE} says; copy the folder again"
+            )
+        tensors |= shard
+    return tensors
+
+
+def _read_index(path: Path) -> Mapping[str, str]:
+    """Name of the shard by name of the tensor."""
+    index = read_json(path, "index of weights", _MOST_INDEX_BYTES)
+    where = index.get("weight_map") if isinstance(index, dict) else None
+    if not isinstance(where, dict) or not where:
+        raise InputError(f"{path}: weight_map: names no tensors; copy the folder again")
+    for file in where.values():
+        if not isinstance(file, str) or Path(file).name != file or not file.endswith(".safetensors"):
+            raise InputError(f"{path}: weight_map: {file!r:.60} is no file of this folder; copy the folder again")
+    return where
+
+
+def _read_shard(path: Path) -> dict[str, Tensor]:
     try:
         return load_file(path)
     except (OSError, SafetensorError) as error:

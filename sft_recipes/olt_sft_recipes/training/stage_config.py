@@ -20,6 +20,11 @@ from pydantic import (
 from olt_generator.errors import InputError
 from olt_toolkit.runtime.yaml_files import read_yaml_mapping
 
+Tracker = Literal["none", "tensorboard", "wandb"]
+
+# What does not change the weights that a training ends with.
+_BOOKKEEPING = {"save_steps", "save_total_limit", "eval_steps", "report_to"}
+
 
 class StageConfig(BaseModel):
     """One stage of training the toy policy.
@@ -45,6 +50,12 @@ class StageConfig(BaseModel):
             and the weights of an optimizer step are divided by their sum. 1, the default: all samples alike, as in the
             real recipe. Toy only.
         sight_weight: of the loss of what is where (`training.auxiliary`) in Stage 1. Toy only.
+        save_steps: a checkpoint is written after every so many optimizer steps, and at the end; also before each
+            evaluation.
+        save_total_limit: so many of the newest checkpoints are kept, and the best besides.
+        eval_steps: where there is something to judge by, the model is judged after every so many steps and at the end;
+            below 1 a share of all steps, so that 0.25 judges it four times.
+        report_to: who is told of losses and errors while they come: "none", "tensorboard" or "wandb".
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -66,9 +77,15 @@ class StageConfig(BaseModel):
     hidden_token_probability: float = Field(default=0.0, ge=0.0, le=1.0)
     invented_pixel_weight: float = Field(default=1.0, ge=0.0, le=1.0)
     sight_weight: NonNegativeFloat = 1.0
+    save_steps: PositiveInt = 500
+    save_total_limit: PositiveInt = 2
+    eval_steps: PositiveFloat = 0.25
+    report_to: Tracker = "none"
 
     @model_validator(mode="after")
     def _consistent(self) -> "StageConfig":
+        if self.eval_steps > 1.0 and self.eval_steps % 1.0:
+            raise ValueError(f"eval_steps {self.eval_steps} is neither a share below 1 nor a number of steps")
         if self.min_lr > self.learning_rate:
             raise ValueError(f"min_lr {self.min_lr} is above learning_rate {self.learning_rate}")
         if self.stage == 2 and (self.hidden_token_probability or self.regression_warmup_epochs):
@@ -90,6 +107,15 @@ class StageConfig(BaseModel):
             return self.learning_rate * (step + 1) / self.warmup_steps
         done = (step - self.warmup_steps + 1) / (total_steps - self.warmup_steps)
         return self.min_lr + (self.learning_rate - self.min_lr) * 0.5 * (1.0 + math.cos(math.pi * done))
+
+    def evaluation_interval(self, total_steps: int) -> int:
+        """Optimizer steps from one evaluation to the next."""
+        steps = self.eval_steps if self.eval_steps >= 1.0 else self.eval_steps * total_steps
+        return max(1, math.ceil(steps))
+
+    def decides_weights(self) -> str:
+        """Every setting on which the trained weights depend, as one line of JSON."""
+        return self.model_dump_json(exclude=_BOOKKEEPING)
 
     @property
     def samples_per_step(self) -> int:

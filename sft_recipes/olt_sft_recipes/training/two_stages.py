@@ -4,41 +4,56 @@ Stage 1 trains the vision-language model on trajectory tokens. Its loss is the m
 tokens; the real recipe adds a second mean over the other labelled tokens (reasoning, end of message), which the toy
 does not have, and the toy adds the squared error of its regression head. Stage 2 takes that model, freezes it, and
 trains the action expert alone by flow matching (docs/formats/alpamayo.md, docs/formats/sft_recipes.md).
+
+`OUT/stage1` and `OUT/stage2` hold checkpoints, a status and curves; `OUT/policy` is what drives.
 """
 
 import json
-import math
-import time
+import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
-from torch import nn
 
 from olt_datasets import Mixture, MixtureDataset
 from olt_generator.errors import InputError
-from olt_generator.files import write_whole
+from olt_generator.files import find_whole_folder, make_folder, write_whole_folder
 from olt_generator.progress import Progress, silent
 from olt_generator.seeds import derive_seed
-from olt_sft_recipes.toy.checkpoint import ToyModel, load_tensors, read_config, read_tensors, save_model
+from olt_sft_recipes.toy.checkpoint import ToyModel, load_tensors, read_config, read_model, read_tensors, write_model
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.toy.tokens import encode_actions
+from olt_sft_recipes.training.checkpoints import (
+    TrainerState,
+    checkpoint_name,
+    hash_tensors,
+    list_checkpoints,
+    read_state,
+)
 from olt_sft_recipes.training.driving_samples import DrivingSamples
-from olt_sft_recipes.training.objectives import StepDraws, draw_step, prepare_batch, sample_losses
+from olt_sft_recipes.training.optimization import StageTraining
+from olt_sft_recipes.training.processes import join_processes, tracking
+from olt_sft_recipes.training.sample_arrays import LoadSamples, gather_samples, name_samples
 from olt_sft_recipes.training.stage_config import StageConfig
-from olt_toolkit import PolicySample, SampleKey
+from olt_sft_recipes.training.status import StageStatus, refuse_second_training, write_status
+from olt_sft_recipes.training.validation import Validation
+from olt_toolkit import SampleKey
 from olt_toolkit.runtime.json_files import read_json
 from olt_toolkit.runtime.version import code_version
 
 Batches = Callable[[int, int], Sequence[Sequence[SampleKey]]]
 """The batches of an epoch, given its number and the samples of an optimizer step (`Mixture.epoch`)."""
 
-LoadSamples = Callable[[Sequence[SampleKey]], Sequence[PolicySample]]
-LOG_FILE = "training_log.json"
+StageChoice = Literal["1", "2", "both"]
+SAMPLES_FOLDER = "samples"
+POLICY_FOLDER = "policy"
 VLM_PREFIX = "vlm."
+# Samples whose tokens are counted at once.
+_AT_ONCE = 1024
 
 
 @dataclass(frozen=True)
@@ -47,23 +62,32 @@ class StageResult:
 
     Attributes:
         stage: 1 or 2.
+        checkpoint: name of the checkpoint that goes on: into Stage 2, or as the policy. The best where the stage was
+            judged, else the last.
         steps: optimizer steps after the regression warm-up.
         samples: distinct samples.
         losses: loss of each of the steps.
         final_loss: mean loss of the last tenth of the steps.
         regression_warmup_losses: before them, the loss of every step of the regression warm-up.
         saturated_tokens: future tokens of the samples as they are that stand for the end of the range.
-        seconds: run time; the only part that differs between equal trainings.
+        evaluations: step and errors of every evaluation (`validation.evaluate`), without its run time.
+        vlm_sha256: hash of the vision-language model, which Stage 2 ends with as it began; None in Stage 1.
+        seconds: run time, over all starts, with what was lost at a kill left out.
+        seconds_of: of them were spent waiting for data, saving and evaluating; equal trainings differ in these two.
     """
 
     stage: int
+    checkpoint: str
     steps: int
     samples: int
     losses: list[float]
     final_loss: float
     regression_warmup_losses: list[float]
     saturated_tokens: int
+    evaluations: list[dict[str, Any]]
+    vlm_sha256: str | None
     seconds: float
+    seconds_of: dict[str, float]
 
 
 def train_on_mixture(
@@ -73,8 +97,10 @@ def train_on_mixture(
     out: Path,
     on_progress: Progress = silent,
     model_config: ToyPolicyConfig | None = None,
+    validation: Validation = Validation(),  # noqa: B008 - frozen
+    only: StageChoice = "both",
 ) -> list[StageResult]:
-    """Train both stages on a mixture, as `train_two_stages` does; `seed` replaces that of the stages.
+    """Train on a mixture, as `train_two_stages` does; `seed` replaces that of the stages.
 
     The samples have the cameras of the model's contract.
 
@@ -84,8 +110,11 @@ def train_on_mixture(
     first, second = (stage.model_copy(update={"seed": seed}) for stage in stages)
     config = model_config or ToyPolicyConfig()
     weighted = any(stage.invented_pixel_weight < 1.0 for stage in stages)
-    dataset = MixtureDataset(mixture, image_size=None, contract=config.contract, with_origin=weighted)
-    return train_two_stages((first, second), mixture.epoch, dataset.load_batch, out, config, on_progress)
+    told = any(stage.stage == 1 and stage.sight_weight > 0.0 for stage in stages)
+    dataset = MixtureDataset(mixture, image_size=None, contract=config.contract, with_origin=weighted, with_truth=told)
+    return train_two_stages(
+        (first, second), mixture.epoch, dataset.load_batch, out, config, on_progress, validation, only
+    )
 
 
 def train_two_stages(
@@ -95,33 +124,49 @@ def train_two_stages(
     out: Path,
     model_config: ToyPolicyConfig | None = None,
     on_progress: Progress = silent,
+    validation: Validation = Validation(),  # noqa: B008 - frozen
+    only: StageChoice = "both",
 ) -> list[StageResult]:
-    """Train both stages; `out/stage1` holds the first, `out/policy` what drives.
+    """Train both stages, or one; `out/policy` is what drives once Stage 2 is finished.
 
-    A stage that the same code finished with the same configuration, samples and Stage 1 is taken as it is; any other,
-    and one that was interrupted, is trained anew.
+    A stage that the same code began with the same configuration, samples and Stage 1 goes on at its last checkpoint,
+    and is taken as it is where it was finished; any other is trained anew. It goes on exactly: the losses are those of
+    a training that was never interrupted.
 
-    The other arguments are those of `train_stage`.
+    Args:
+        stages: how to train.
+        batches: the batches of each epoch.
+        load_samples: loads samples by key; each distinct sample is loaded once and kept in files while it trains.
+        out: folder of the training.
+        model_config: sizes of a new model; None for the usual ones.
+        on_progress: told the share of the work that is done.
+        validation: what the stages are judged by while they train.
+        only: which stage to train; "2" goes on from the finished Stage 1 in `out`.
 
     Raises:
-        InputError: the stages are not 1 and 2, or a stage's weights do not match the model.
+        InputError: the stages are not 1 and 2, Stage 1 is missing or unfinished, another process trains there, a loss
+            is not finite, or a stage's weights do not match the model.
     """
     first, second = (stage.stage for stage in stages)
     if (first, second) != (1, 2):
         raise InputError(f"training: stages {first} and {second} were given; give stage 1, then stage 2")
-    folders = (None, out / "stage1", out / "policy")
-    return [
-        train_stage(
-            stage,
-            batches,
-            load_samples,
-            folders[index],
-            out_stage,
-            model_config,
-            lambda share, index=index: on_progress((index + share) / 2),
-        )
-        for index, (stage, out_stage) in enumerate(zip(stages, folders[1:], strict=True))
-    ]
+    config = model_config or ToyPolicyConfig()
+    steps = [_list_steps(stage, batches) for stage in stages]
+    chosen = [0, 1] if only == "both" else [int(only) - 1]
+    keys = sorted({key for index in chosen for epoch in steps[index] for batch in epoch for key in batch})
+    gather = _gathering(keys, load_samples, config, out / SAMPLES_FOLDER)
+    results: list[StageResult] = []
+    for index in chosen:
+        folder = out / f"stage{index + 1}"
+        before = None if index == 0 else _finished_stage1(out / "stage1")
+        share = lambda done, index=index: on_progress((chosen.index(index) + done) / len(chosen))  # noqa: E731
+        plan = _StagePlan(stages[index], steps[index], keys, before, folder, config, validation)
+        results.append(_train(plan, gather, share))
+    if 1 in chosen:
+        _publish(out / "stage2" / results[-1].checkpoint, out / POLICY_FOLDER)
+    if join_processes().is_main_process:
+        shutil.rmtree(out / SAMPLES_FOLDER, ignore_errors=True)
+    return results
 
 
 def train_stage(
@@ -132,129 +177,224 @@ def train_stage(
     out: Path,
     model_config: ToyPolicyConfig | None = None,
     on_progress: Progress = silent,
+    validation: Validation = Validation(),  # noqa: B008 - frozen
 ) -> StageResult:
-    """Train one stage and write its checkpoint with the log of the losses.
+    """Train one stage into a folder of its own, as `train_two_stages` does.
 
     Args:
         stage: how to train.
-        batches: the batches of each epoch.
-        load_samples: loads samples by key; each distinct sample is loaded once and kept in memory.
+        batches, load_samples, on_progress, validation: as there.
         checkpoint_in: the Stage 1 checkpoint that Stage 2 starts from; None for Stage 1.
-        out: folder to write.
+        out: folder of the stage.
         model_config: sizes of a new model; None for the usual ones, or those of the checkpoint.
-        on_progress: told the share of the work that is done.
 
     Raises:
-        InputError: Stage 2 has no checkpoint, or its weights do not match the model.
+        InputError: as there, or Stage 2 has no checkpoint.
     """
-    epochs = [
-        [list(batch) for batch in batches(epoch, stage.samples_per_step)] for epoch in range(stage.num_train_epochs)
-    ]
-    keys = sorted({key for epoch in epochs for batch in epoch for key in batch})
-    samples_seed = derive_seed(*(f"{key.clip_id} {key.t0_us}" for key in keys))
-    before = "" if checkpoint_in is None else _read_log(checkpoint_in)["identity"]
-    sizes = "" if model_config is None else model_config.model_dump_json()
-    identity = f"{derive_seed(code_version(), stage.model_dump_json(), sizes, samples_seed, before):x}"
-    if (out / LOG_FILE).exists():
-        log = _read_log(out)
-        if log.pop("identity") == identity:
-            on_progress(1.0)
-            return StageResult(**log)
-    start = time.perf_counter()
-    model = _make_model(stage, checkpoint_in, model_config)
-    samples = DrivingSamples.gather(list(load_samples(keys)), model.config)
-    rows = {key: row for row, key in enumerate(keys)}
-    steps = [[rows[key] for key in batch] for epoch in epochs for batch in epoch]
-    warmup = sum(len(epoch) for epoch in epochs[: stage.regression_warmup_epochs])
-    losses = [round(loss, 6) for loss in _optimize(model, stage, samples, steps, warmup, on_progress)]
-    result = StageResult(
-        stage=stage.stage,
-        steps=len(losses[warmup:]),
-        samples=len(keys),
-        losses=losses[warmup:],
-        final_loss=round(float(np.mean(losses[-max(1, len(losses[warmup:]) // 10) :])), 6),
-        regression_warmup_losses=losses[:warmup],
-        saturated_tokens=encode_actions(samples.actions())[1],
-        seconds=time.perf_counter() - start,
-    )
-    save_model(out, model)
-    with write_whole(out / LOG_FILE) as path:
-        path.write_text(json.dumps({"identity": identity, **asdict(result)}) + "\n")
+    steps = _list_steps(stage, batches)
+    keys = sorted({key for epoch in steps for batch in epoch for key in batch})
+    if stage.stage == 2 and checkpoint_in is None:
+        raise InputError("stage 2 starts from a Stage 1 folder; give one")
+    config = read_config(checkpoint_in) if checkpoint_in is not None else model_config or ToyPolicyConfig()
+    plan = _StagePlan(stage, steps, keys, checkpoint_in, out, config, validation)
+    result = _train(plan, _gathering(keys, load_samples, config, out / SAMPLES_FOLDER), on_progress)
+    if join_processes().is_main_process:
+        shutil.rmtree(out / SAMPLES_FOLDER, ignore_errors=True)
     return result
 
 
-def _read_log(folder: Path) -> dict[str, Any]:
-    path = folder / LOG_FILE
-    log = read_json(path, "log of a training")
-    if not isinstance(log, dict) or log.keys() != {"identity", *(field.name for field in fields(StageResult))}:
-        raise InputError(f"{path}: not the log of a training by this release; train again, into another folder")
-    return log
+def read_results(out: Path, only: StageChoice = "both") -> list[StageResult]:
+    """What the finished stages of a training gave.
+
+    Raises:
+        InputError: one of them has no checkpoint.
+    """
+    folders = [out / f"stage{number}" for number in ((1, 2) if only == "both" else (int(only),))]
+    for folder in folders:
+        if not list_checkpoints(folder):
+            raise InputError(f"{folder}: holds no checkpoint; train this stage")
+    return [_result(read_state(list_checkpoints(folder)[-1])) for folder in folders]
 
 
-def _make_model(stage: StageConfig, checkpoint_in: Path | None, config: ToyPolicyConfig | None) -> ToyModel:
+@dataclass(frozen=True)
+class _StagePlan:
+    """What a stage is to be trained from, before anything is loaded."""
+
+    stage: StageConfig
+    epochs: list[list[list[SampleKey]]]
+    keys: list[SampleKey]
+    checkpoint_in: Path | None
+    folder: Path
+    config: ToyPolicyConfig
+    validation: Validation
+
+    def identity(self) -> str:
+        """What decides the result, as a hash."""
+        before = "" if self.checkpoint_in is None else read_state(self.checkpoint_in).identity
+        judged = self.validation.identity(self.stage.stage)
+        order = derive_seed(*(f"{key.clip_id} {key.t0_us}" for epoch in self.epochs for step in epoch for key in step))
+        samples = name_samples(self.keys, self.config)
+        return f"{derive_seed(code_version(), self.stage.decides_weights(), samples, order, before, judged):x}"
+
+    def max_steps(self) -> int:
+        return sum(map(len, self.epochs))
+
+
+def _list_steps(stage: StageConfig, batches: Batches) -> list[list[list[SampleKey]]]:
+    """The keys of each optimizer step of each epoch."""
+    sizes = stage.samples_per_step
+    return [[list(batch) for batch in batches(epoch, sizes)] for epoch in range(stage.num_train_epochs)]
+
+
+def _gathering(
+    keys: list[SampleKey], load_samples: LoadSamples, config: ToyPolicyConfig, folder: Path
+) -> Callable[[], DrivingSamples]:
+    """Gathers the samples once, when they are first asked for: a finished training needs none."""
+
+    @cache
+    def gather() -> DrivingSamples:
+        accelerator = join_processes()
+        with accelerator.main_process_first():
+            return gather_samples(keys, load_samples, config, folder)
+
+    return gather
+
+
+def _finished_stage1(folder: Path) -> Path:
+    """The checkpoint of Stage 1 that goes on into Stage 2.
+
+    Raises:
+        InputError: there is none, or Stage 1 is not finished.
+    """
+    found = list_checkpoints(folder)
+    if not found:
+        raise InputError(f"{folder}: holds no Stage 1 for Stage 2 to start from; train stage 1 there first")
+    state = read_state(found[-1])
+    if state.global_step < state.max_steps:
+        raise InputError(
+            f"{folder}: Stage 1 is at step {state.global_step} of {state.max_steps}; finish it first, with --stage 1"
+        )
+    return folder / (state.best_model_checkpoint or found[-1].name)
+
+
+def _train(plan: _StagePlan, gather: Callable[[], DrivingSamples], on_progress: Progress) -> StageResult:
+    """Train what is left of a stage."""
+    accelerator = join_processes(plan.stage.report_to, plan.folder)
+    identity, resumed = plan.identity(), None
+    if accelerator.is_main_process:
+        refuse_second_training(make_folder(plan.folder))
+    checkpoints = list_checkpoints(plan.folder)
+    if checkpoints and read_state(checkpoints[-1]).identity == identity:
+        resumed = checkpoints[-1]
+    state = None if resumed is None else read_state(resumed)
+    accelerator.wait_for_everyone()  # before one of them changes what all have read
+    if state is not None and state.global_step == state.max_steps and not _is_to_be_judged(plan, state):
+        on_progress(1.0)
+        return _result(state)
+    if accelerator.is_main_process:
+        if resumed is None:
+            _clear(plan.folder)
+        reading = StageStatus(
+            plan.stage.stage, "reading samples", 0 if state is None else state.global_step, plan.max_steps()
+        )
+        write_status(plan.folder, reading)
+    samples = gather()
+    model = _make_model(plan) if resumed is None else _freeze(plan.stage, read_model(resumed))
+    state = state or _new_state(plan, identity, samples, model)
+    rows = {key: row for row, key in enumerate(plan.keys)}
+    steps = [[rows[key] for key in step] for epoch in plan.epochs for step in epoch]
+    with tracking(accelerator, f"stage{plan.stage.stage}", plan.stage.model_dump()):
+        StageTraining(
+            plan.stage,
+            plan.folder,
+            model,
+            samples,
+            plan.keys,
+            steps,
+            state,
+            resumed,
+            plan.validation,
+            accelerator,
+            on_progress,
+        ).run()
+    accelerator.wait_for_everyone()
+    return _result(read_state(list_checkpoints(plan.folder)[-1]))
+
+
+def _is_to_be_judged(plan: _StagePlan, state: TrainerState) -> bool:
+    """Whether the training was killed while its last checkpoint was judged."""
+    judged = [evaluation["step"] for evaluation in state.evaluations]
+    return plan.validation.judges(plan.stage.stage) and state.global_step not in judged
+
+
+def _clear(folder: Path) -> None:
+    """Remove what another training left in the folder of a stage."""
+    for path in [*folder.glob("checkpoint-*"), *folder.glob("not-finite-*"), *folder.glob(".checkpoint-*")]:
+        shutil.rmtree(path)
+
+
+def _new_state(plan: _StagePlan, identity: str, samples: DrivingSamples, model: ToyModel) -> TrainerState:
+    stage = plan.stage
+    parts = [range(start, min(start + _AT_ONCE, len(samples))) for start in range(0, len(samples), _AT_ONCE)]
+    return TrainerState(
+        identity=identity,
+        stage=stage.stage,
+        seed=stage.seed,
+        max_steps=plan.max_steps(),
+        warmup_steps=sum(map(len, plan.epochs[: stage.regression_warmup_epochs])),
+        samples=len({key for epoch in plan.epochs for step in epoch for key in step}),
+        samples_per_step=stage.samples_per_step,
+        num_train_epochs=stage.num_train_epochs,
+        saturated_tokens=sum(encode_actions(samples.take(list(part)).actions())[1] for part in parts),
+        vlm_sha256=hash_tensors(model.vlm) if stage.stage == 2 else None,
+    )
+
+
+def _make_model(plan: _StagePlan) -> ToyModel:
     """A new model for Stage 1; for Stage 2 that of the checkpoint, frozen, with a new action expert."""
-    if stage.stage == 1:
-        with torch.random.fork_rng():
-            torch.manual_seed(derive_seed("weights", stage.seed))
-            return ToyModel(config or ToyPolicyConfig())
-    if checkpoint_in is None:
-        raise InputError("stage 2 starts from a Stage 1 folder; give one")
     with torch.random.fork_rng():
-        torch.manual_seed(derive_seed("weights", stage.seed, 2))
-        model = ToyModel(read_config(checkpoint_in))
-    tensors = read_tensors(checkpoint_in)
+        if plan.checkpoint_in is None:
+            torch.manual_seed(derive_seed("weights", plan.stage.seed))
+            return ToyModel(plan.config)
+        torch.manual_seed(derive_seed("weights", plan.stage.seed, 2))
+        model = ToyModel(read_config(plan.checkpoint_in))
+    tensors = read_tensors(plan.checkpoint_in)
     vlm = {name.removeprefix(VLM_PREFIX): tensor for name, tensor in tensors.items() if name.startswith(VLM_PREFIX)}
-    load_tensors(model.vlm, vlm, checkpoint_in)
-    model.vlm.requires_grad_(False)
+    load_tensors(model.vlm, vlm, plan.checkpoint_in)
+    return _freeze(plan.stage, model)
+
+
+def _freeze(stage: StageConfig, model: ToyModel) -> ToyModel:
+    if stage.stage == 2:
+        model.vlm.requires_grad_(False)
     return model
 
 
-def _optimize(
-    model: ToyModel,
-    stage: StageConfig,
-    samples: DrivingSamples,
-    steps: list[list[int]],
-    warmup: int,
-    on_progress: Progress,
-) -> list[float]:
-    """Run every step; returns the losses. One thread and own generators make equal runs equal byte for byte."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    torch.use_deterministic_algorithms(True)
-    try:
-        trained = model.vlm if stage.stage == 1 else model.expert
-        frozen = [tensor.clone() for tensor in model.vlm.state_dict().values()] if stage.stage == 2 else []
-        optimizer = torch.optim.AdamW(trained.parameters(), lr=stage.learning_rate, weight_decay=stage.weight_decay)
-        losses = []
-        for step, rows in enumerate(steps):
-            for group in optimizer.param_groups:
-                group["lr"] = stage.learning_rate_at(step, len(steps))
-            draws = draw_step(stage, len(rows), step)
-            losses.append(_accumulate_gradient(model, stage, samples.take(rows), draws, step < warmup))
-            nn.utils.clip_grad_norm_(trained.parameters(), stage.max_grad_norm)
-            optimizer.step()
-            optimizer.zero_grad()
-            on_progress((step + 1) / len(steps))
-        if not all(map(torch.equal, frozen, model.vlm.state_dict().values())):
-            raise RuntimeError("stage 2 changed the frozen vision-language model")
-        return losses
-    finally:
-        torch.set_num_threads(threads)
-        torch.use_deterministic_algorithms(False)
+def _result(state: TrainerState) -> StageResult:
+    losses, warmup = [row["loss"] for row in state.log_history], state.warmup_steps
+    last = losses[-max(1, len(losses[warmup:]) // 10) :]
+    return StageResult(
+        stage=state.stage,
+        checkpoint=state.best_model_checkpoint or checkpoint_name(state.global_step),
+        steps=len(losses[warmup:]),
+        samples=state.samples,
+        losses=losses[warmup:],
+        final_loss=round(float(np.mean(last)), 6),
+        regression_warmup_losses=losses[:warmup],
+        saturated_tokens=state.saturated_tokens,
+        evaluations=[{name: of for name, of in row.items() if name != "seconds"} for row in state.evaluations],
+        vlm_sha256=state.vlm_sha256,
+        seconds=state.seconds["all"],
+        seconds_of={name: seconds for name, seconds in state.seconds.items() if name != "all"},
+    )
 
 
-def _accumulate_gradient(
-    model: ToyModel, stage: StageConfig, samples: DrivingSamples, draws: StepDraws, warmup: bool
-) -> float:
-    """Add the gradient of the samples, part by part; returns the loss: their weighted mean."""
-    total, weights = 0.0, samples.weights(stage.invented_pixel_weight)
-    weights /= weights.sum()
-    for rows in np.array_split(np.arange(len(samples)), min(stage.gradient_accumulation_steps, len(samples))):
-        part = {name: values[rows] for name, values in draws.items()}
-        losses = sample_losses(model, stage, prepare_batch(samples.take(rows.tolist()), part), warmup)
-        loss = losses @ torch.from_numpy(weights[rows].astype(np.float32))
-        loss.backward()
-        total += loss.item()
-    if not math.isfinite(total):
-        raise RuntimeError(f"stage {stage.stage}: the loss is not finite")
-    return total
+def _publish(checkpoint: Path, policy: Path) -> None:
+    """Make the policy folder from a checkpoint, unless it is that already."""
+    about = {"identity": read_state(checkpoint).identity, "checkpoint": checkpoint.name}
+    said = find_whole_folder(policy) / "trained.json"
+    if join_processes().is_main_process and not (said.exists() and read_json(said, "origin of a policy") == about):
+        with write_whole_folder(policy) as temporary:
+            write_model(temporary, read_model(checkpoint))
+            (temporary / "trained.json").write_text(json.dumps(about, indent=2) + "\n")
+    join_processes().wait_for_everyone()

@@ -93,7 +93,7 @@ def test_a_damaged_folder_is_told(model, tmp_path, damage):
     if damage != "no folder":
         save_model(folder, model)
     if damage == "no weights":
-        (folder / "model.safetensors").unlink()
+        (folder / "model-00001-of-00001.safetensors").unlink()
     if damage == "broken config":
         (folder / "config.json").write_text("{")
     if damage == "unknown size":
@@ -105,14 +105,14 @@ def test_a_damaged_folder_is_told(model, tmp_path, damage):
         load_toy(str(folder))
 
 
-@pytest.mark.parametrize("name", ["config.json", "model.safetensors"])
+@pytest.mark.parametrize("name", ["config.json", "model-00001-of-00001.safetensors"])
 def test_a_checkpoint_with_a_damaged_file(fuzzer, model, tmp_path, name):
     save_model(tmp_path / "policy", model)
     fuzzer.run("checkpoint", tmp_path / "policy" / name, tmp_path / "policy")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["config.json", "model.safetensors"])
+@pytest.mark.parametrize("name", ["config.json", "model-00001-of-00001.safetensors"])
 def test_a_checkpoint_with_a_damaged_file_for_long(fuzzer, model, tmp_path, name):
     save_model(tmp_path / "policy", model)
     fuzzer.run("checkpoint", tmp_path / "policy" / name, tmp_path / "policy", seconds=SECONDS)

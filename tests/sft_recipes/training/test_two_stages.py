@@ -13,6 +13,7 @@ from olt_sft_recipes.training.stage_config import StageConfig
 from olt_sft_recipes.training.two_stages import train_stage, train_two_stages
 from olt_toolkit.rigs.contracts import find_contract
 
+WEIGHTS = "model-00001-of-00001.safetensors"
 STAGE_1 = StageConfig(
     stage=1, num_train_epochs=4, per_device_train_batch_size=4, learning_rate=3e-3, warmup_steps=2, seed=5
 )
@@ -44,13 +45,13 @@ def test_equal_trainings_give_equal_bytes(train):
         STAGE_2.model_copy(update=augmented),
     ]
     (_, one), (_, two) = train(*stages, name="one"), train(*stages, name="two")
-    for part in ("stage1", "policy"):
-        assert (one / part / "model.safetensors").read_bytes() == (two / part / "model.safetensors").read_bytes()
+    for part in ("stage1/checkpoint-12", "stage2/checkpoint-12", "policy"):
+        assert (one / part / WEIGHTS).read_bytes() == (two / part / WEIGHTS).read_bytes()
 
 
 def test_stage_2_trains_the_expert_and_nothing_else(train):
     _, out = train()
-    before, after = read_tensors(out / "stage1"), read_tensors(out / "policy")
+    before, after = read_tensors(out / "stage1/checkpoint-12"), read_tensors(out / "policy")
     vlm = [name for name in before if name.startswith("vlm.")]
     assert vlm and all(torch.equal(before[name], after[name]) for name in vlm)
     expert = [name for name in before if name.startswith("expert.")]
@@ -132,7 +133,7 @@ def test_training_overfits_a_handful_of_drives(train, drives):
 
 def test_a_finished_stage_is_kept_and_a_changed_one_is_trained_again(train):
     _, out = train()
-    weights = out / "policy" / "model.safetensors"
+    weights = out / "policy" / WEIGHTS
     written = weights.stat().st_mtime_ns
     results, _ = train()
     assert weights.stat().st_mtime_ns == written
@@ -143,7 +144,7 @@ def test_a_finished_stage_is_kept_and_a_changed_one_is_trained_again(train):
 
 def test_what_other_code_trained_is_trained_again(train, monkeypatch):
     _, out = train()
-    weights = out / "policy" / "model.safetensors"
+    weights = out / "policy" / WEIGHTS
     written = weights.stat().st_mtime_ns
     monkeypatch.setattr("olt_sft_recipes.training.two_stages.code_version", lambda: "another")
     train()
@@ -152,7 +153,7 @@ def test_what_other_code_trained_is_trained_again(train, monkeypatch):
 
 def test_stage_2_refuses_a_checkpoint_whose_names_do_not_match(train, drives, tmp_path):
     _, out = train()
-    folder = out / "stage1"
+    folder = out / "stage1/checkpoint-12"
     config = json.loads((folder / "config.json").read_text())
     config["layers"] = 1
     (folder / "config.json").write_text(json.dumps(config))
@@ -186,5 +187,5 @@ def test_a_model_survives_its_folder(train):
     _, out = train()
     model = read_model(out / "policy")
     save_model(out / "copy", model)
-    copy = (out / "copy" / "model.safetensors").read_bytes()
-    assert copy == (out / "policy" / "model.safetensors").read_bytes()
+    copy = (out / "copy" / WEIGHTS).read_bytes()
+    assert copy == (out / "policy" / WEIGHTS).read_bytes()
