@@ -6,6 +6,7 @@ import torch
 
 from olt_generator.errors import InputError
 from olt_sft_recipes.toy.checkpoint import ToyModel, read_model, save_model
+from olt_sft_recipes.toy.image_encoder import IMAGE_TOKENS
 from olt_sft_recipes.toy.inputs import encode_inputs
 from olt_sft_recipes.toy.policy import ToyPolicy, load_toy
 from olt_sft_recipes.training.driving_samples import DrivingSamples
@@ -23,7 +24,7 @@ def model(tiny_config):
 @pytest.fixture(scope="module")
 def inputs(drives, tiny_config):
     samples = DrivingSamples.gather(list(drives.values())[:2], tiny_config)
-    return encode_inputs(samples.images, samples.history)
+    return encode_inputs(samples.images, samples.history, samples.routes, tiny_config)
 
 
 def observe(sample, seed):
@@ -44,8 +45,8 @@ def test_a_token_depends_only_on_the_tokens_before_it(model, inputs):
     changed[:, 60] = 1234
     nothing_hidden = torch.zeros(2, 128, dtype=torch.bool)
     with torch.no_grad():
-        before, _ = model.vlm(inputs, tokens, nothing_hidden)
-        after, _ = model.vlm(inputs, changed, nothing_hidden)
+        before, *_ = model.vlm(inputs, tokens, nothing_hidden)
+        after, *_ = model.vlm(inputs, changed, nothing_hidden)
     assert torch.equal(before[:, :61], after[:, :61])
     assert not torch.allclose(before[:, 61:], after[:, 61:])
 
@@ -61,8 +62,8 @@ def test_a_hidden_token_is_not_seen(model, inputs):
 
 
 def test_the_expert_sees_the_prefix_and_nothing_after_it(model, inputs, tiny_config):
-    prefix_length = tiny_config.image_tokens + 48 + 1
-    for keys, values in model.vlm.prefix_cache(inputs):
+    prefix_length = IMAGE_TOKENS + 48 + 1
+    for keys, values in model.vlm.read_prefix(inputs).cache:
         assert keys.shape == values.shape == (2, tiny_config.heads, prefix_length, tiny_config.head_width)
         assert not keys.requires_grad
 
