@@ -1,25 +1,32 @@
 """Of several plans the one that the policy's own sight finds free. Toy only.
 
-Beside every plan that it is given, plans along the same path are tried that brake. A plan is worth the way that it
-makes in its 6.4 s, less what its sight thinks that it runs into: somebody, at the times and places where the vehicle
-would be, or a line that is held.
+With every plan that it is given, plans a little to its sides are tried, and such that brake along all of these paths. A
+plan is worth the way that it makes in its 6.4 s, less what its sight thinks that it runs into: somebody, at the times
+and places where the vehicle would be, or a line that is held.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from olt_generator.poses import Array
 from olt_sft_recipes.toy.birds_eye import STATIONS, WORLD_CELL, WORLD_X, WORLD_Y
-from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD
+from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, Sight
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
 
 BRAKING = (1.5, 3.0, 5.0, 7.0)
 """Decelerations that are tried, m/s2."""
-WAY_WORTH = 0.35
+ASIDE = (0.0, 0.6, -0.6, 1.2, -1.2)
+"""Metres to the left of a plan that are tried."""
+ASIDE_METRES = 12.0
+"""Way on which it gets there."""
+WAY_WORTH = 0.15
 """What the whole way is worth, against 1 for a contact that is certain and now."""
-FADES = 0.12
+ASIDE_COST = 0.03
+"""What a metre aside costs."""
+FADES = 0.15
 """By how much less a contact counts for every second until then: there is time to see better."""
 PROBES: Array = np.array([-0.2, 1.4, 3.0])
 """Metres ahead of the rig's origin of the points of the vehicle that are looked up."""
@@ -36,51 +43,62 @@ class Outlook:
     Attributes:
         route: (seconds, stations, offsets); held: (stations,) the way held now.
         world: (seconds, rows, columns).
-        along: (stations, offsets, 3) the cells of the route grid.
+        cells: of the route grid, their places in the rig frame.
     """
 
     route: Array
     held: Array
     world: Array
-    along: Array
+    cells: cKDTree
 
-    def contact(self, poses: Array) -> float:
-        """How likely it is that plans (steps, 3) of x, y, yaw meet somebody, contacts later counted less."""
-        steps = min(len(poses), round(SECONDS_AHEAD[-1] / STEP_SECONDS))
+    @classmethod
+    def of(cls, sight: Sight, along: Array) -> "Outlook":
+        """What the sight of one observation thinks, with the cells (stations, offsets, 3) of its route grid."""
+        route, world = (logits[0].sigmoid().double().numpy() for logits in (sight.route, sight.world))
+        return cls(route[:-1], route[-1].mean(axis=-1), world, cKDTree(along[..., :2].reshape(-1, 2)))
+
+    def contacts(self, plans: Array) -> Array:
+        """How likely plans (..., steps, 3) of x, y, yaw meet somebody (...), contacts later counted less."""
+        steps = min(plans.shape[-2], round(SECONDS_AHEAD[-1] / STEP_SECONDS))
         time = STEP_SECONDS * np.arange(1, steps + 1)
         second = np.rint(time / (SECONDS_AHEAD[1] - SECONDS_AHEAD[0])).astype(np.int64)[:, None]
-        x, y, yaw = (column[:steps, None] for column in poses.T)
+        x, y, yaw = (plans[..., :steps, axis, None] for axis in range(3))
         x, y = x + PROBES * np.cos(yaw), y + PROBES * np.sin(yaw)
-        cells = self.along[..., :2].reshape(-1, 2)
-        apart = np.hypot(x[..., None] - cells[:, 0], y[..., None] - cells[:, 1])
-        nearest = apart.argmin(axis=-1)
-        beside = np.take_along_axis(apart, nearest[..., None], axis=-1)[..., 0] < _BESIDE
+        away, nearest = self.cells.query(np.stack([x, y], axis=-1))
         on_route = self.route.reshape(len(self.route), -1)[second, nearest]
         row, column = (
             np.rint((at - begin[0]) / WORLD_CELL).astype(np.int64) for at, begin in ((x, WORLD_X), (y, WORLD_Y))
         )
         inside = (row >= 0) & (row < len(WORLD_X)) & (column >= 0) & (column < len(WORLD_Y)) & (x > FRONT)
         off_route = self.world[second, np.clip(row, 0, len(WORLD_X) - 1), np.clip(column, 0, len(WORLD_Y) - 1)]
-        taken = np.where(beside, on_route, np.where(inside, off_route, 0.0)).max(axis=1)
-        return float((taken * (1.0 - FADES * time)).max())
+        taken = np.where(away < _BESIDE, on_route, np.where(inside, off_route, 0.0)).max(axis=-1)
+        return np.asarray((taken * (1.0 - FADES * time)).max(axis=-1))
 
-    def crossing(self, way: Array) -> float:
-        """How likely a plan that makes a way (steps,) in metres passes a line that is held."""
-        front = FRONT + way[round(HOLD_SECONDS / STEP_SECONDS) - 1]
-        passed = (STATIONS > FRONT) & (front > STATIONS)
-        return float(self.held[passed].max(initial=0.0))
+    def crossings(self, ways: Array) -> Array:
+        """How likely plans that make ways (..., steps) in metres pass a line that is held (...)."""
+        front = FRONT + ways[..., round(HOLD_SECONDS / STEP_SECONDS) - 1, None]
+        return np.where((STATIONS > FRONT) & (front > STATIONS), self.held, 0.0).max(axis=-1)
 
 
 def choose_plan(plans: Array, speed: float, outlook: Outlook) -> Array:
-    """The best (64, 3) of plans (k, 64, 3) of x, y, yaw and of those that brake along them from a speed, m/s."""
-    tried = np.concatenate([slower_plans(plan, speed) for plan in plans])
-    ways = np.cumsum(np.linalg.norm(np.diff(tried[..., :2], axis=1, prepend=0.0), axis=-1), axis=1)
-    farthest = max(float(ways[:, -1].max()), _LEAST_WAY)
-    worth = [
-        WAY_WORTH * way[-1] / farthest - max(outlook.contact(plan), outlook.crossing(way))
-        for plan, way in zip(tried, ways, strict=True)
-    ]
-    return tried[int(np.argmax(worth))]
+    """The best (64, 3) of plans (k, 64, 3) of x, y, yaw, of those beside them, and of those that brake from a speed."""
+    tried = np.stack([slower_plans(plan_beside(plan, aside), speed) for plan in plans for aside in ASIDE])
+    ways = np.cumsum(np.linalg.norm(np.diff(tried[..., :2], axis=2, prepend=0.0), axis=-1), axis=2)
+    farthest = max(float(ways[..., -1].max()), _LEAST_WAY)
+    worth = WAY_WORTH * ways[..., -1] / farthest
+    worth -= ASIDE_COST * np.tile(np.abs(ASIDE), len(plans))[:, None]
+    worth -= np.maximum(outlook.contacts(tried), outlook.crossings(ways))
+    return tried[np.unravel_index(int(worth.argmax()), worth.shape)]
+
+
+def plan_beside(plan: Array, aside: float) -> Array:
+    """A plan (64, 3) that goes over to a path so many metres to the left."""
+    way = np.cumsum(np.linalg.norm(np.diff(plan[:, :2], axis=0, prepend=0.0), axis=1))
+    share = np.minimum(way / ASIDE_METRES, 1.0)
+    offset = aside * share**2 * (3.0 - 2.0 * share)
+    slope = aside * 6.0 * share * (1.0 - share) / ASIDE_METRES
+    x, y, yaw = plan.T
+    return np.stack([x - offset * np.sin(yaw), y + offset * np.cos(yaw), yaw + np.arctan(slope)], axis=-1)
 
 
 def slower_plans(plan: Array, speed: float) -> Array:

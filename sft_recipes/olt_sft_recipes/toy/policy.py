@@ -45,12 +45,11 @@ class ToyPolicy:
         with torch.inference_mode():
             prefix = self.model.vlm.read_prefix(encode_inputs(images, history, routes, config))
             actions = self.model.expert.sample(noise, prefix.repeated(len(noise))).double().numpy()
-            route, world = (each[0].sigmoid().numpy() for each in (prefix.sight.route, prefix.sight.world))
         speed = float(estimate_initial_speed(observation.history_xyz, observation.history_rotation))
         xyz, rotation = actions_to_trajectory(actions, speed)
         if not config.chooses_plan:
             return PlannedTrajectory(xyz[0], rotation[0])
-        outlook = Outlook(route[:-1], route[-1].mean(axis=-1), world, cells_along(history, routes)[0])
+        outlook = Outlook.of(prefix.sight, cells_along(history, routes)[0])
         x, y, yaw = choose_plan(planar_poses(xyz, rotation), max(speed, 0.0), outlook).T
         chosen = planar_pose(x, y, yaw)
         return PlannedTrajectory(chosen[:, :3, 3], chosen[:, :3, :3])
