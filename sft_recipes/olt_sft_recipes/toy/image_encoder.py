@@ -19,6 +19,8 @@ from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
 
 SECONDS_AHEAD = tuple(0.5 * step for step in range(9))
 """Seconds from t0 on at which the heads tell which cells are taken."""
+TAKEN_WEIGHT = 4.0
+"""How much a taken cell counts of one that is free when the heads are trained, since few are."""
 ROUTE_TOKENS, WORLD_TOKENS = len(STATIONS) // 2, len(WORLD_X) * len(WORLD_Y) // 16
 IMAGE_TOKENS = ROUTE_TOKENS + WORLD_TOKENS
 

@@ -5,6 +5,7 @@ plan is worth the way that it makes in its 6.4 s, less what its sight thinks tha
 and places where the vehicle would be, or a line that is held.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,20 +14,20 @@ from scipy.spatial import cKDTree
 
 from olt_generator.poses import Array
 from olt_sft_recipes.toy.birds_eye import STATIONS, WORLD_CELL, WORLD_X, WORLD_Y
-from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, Sight
+from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, TAKEN_WEIGHT, Sight
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
 
 BRAKING = (1.5, 3.0, 5.0, 7.0)
 """Decelerations that are tried, m/s2."""
-ASIDE = (0.0, 0.6, -0.6, 1.2, -1.2)
+ASIDE = (0.0, 0.6, -0.6)
 """Metres to the left of a plan that are tried."""
 ASIDE_METRES = 12.0
 """Way on which it gets there."""
-WAY_WORTH = 0.15
+WAY_WORTH = 0.1
 """What the whole way is worth, against 1 for a contact that is certain and now."""
 ASIDE_COST = 0.03
 """What a metre aside costs."""
-FADES = 0.15
+FADES = 0.2
 """By how much less a contact counts for every second until then: there is time to see better."""
 PROBES: Array = np.array([-0.2, 1.4, 3.0])
 """Metres ahead of the rig's origin of the points of the vehicle that are looked up."""
@@ -54,7 +55,9 @@ class Outlook:
     @classmethod
     def of(cls, sight: Sight, along: Array) -> "Outlook":
         """What the sight of one observation thinks, with the cells (stations, offsets, 3) of its route grid."""
-        route, world = (logits[0].sigmoid().double().numpy() for logits in (sight.route, sight.world))
+        # Taken back is by how much taken cells count more in training, so that these are probabilities.
+        odds = math.log(TAKEN_WEIGHT)
+        route, world = ((logits[0] - odds).sigmoid().double().numpy() for logits in (sight.route, sight.world))
         return cls(route[:-1], route[-1].mean(axis=-1), world, cKDTree(along[..., :2].reshape(-1, 2)))
 
     def contacts(self, plans: Array) -> Array:

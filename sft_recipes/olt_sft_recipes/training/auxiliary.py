@@ -16,7 +16,7 @@ from torch.nn import functional
 
 from olt_generator.poses import Array
 from olt_sft_recipes.toy.birds_eye import STATIONS, world_cells
-from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, Sight
+from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, TAKEN_WEIGHT, Sight
 from olt_toolkit.policy.action_space import ACTION_MEAN, ACTION_STD
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
 from olt_toolkit.policy.sample import TRUTH_OFFSETS_US, PolicySample
@@ -24,8 +24,6 @@ from olt_toolkit.policy.sample import TRUTH_OFFSETS_US, PolicySample
 ROUTE_ROOM, WORLD_ROOM = 0.8, 1.0
 """A cell is taken where its centre is nearer to somebody than so many metres."""
 HELD_ROOM = 1.5
-_TAKEN_WEIGHT = 4.0
-"""How much a taken cell counts of one that is free, since few are."""
 _SIGHT_SCALE = 6.0
 _FADES_SECONDS = 3.0
 
@@ -103,7 +101,7 @@ def sight_errors(sight: Sight, truth: SightTruth) -> Tensor:
 
 
 def _cross_entropy(logits: Tensor, truth: Tensor) -> Tensor:
-    weight = torch.tensor(_TAKEN_WEIGHT)
+    weight = torch.tensor(TAKEN_WEIGHT)
     errors = functional.binary_cross_entropy_with_logits(logits, truth.float(), pos_weight=weight, reduction="none")
     return errors.mean((1, 2, 3))
 
