@@ -25,6 +25,7 @@ WORLD_CELL = 2.5
 WORLD_X: Array = -6.0 + WORLD_CELL * np.arange(24)
 WORLD_Y: Array = WORLD_CELL * (np.arange(24) - 11.5)
 """Metres ahead and to the left of the rig."""
+Indices = NDArray[np.int64]
 HEIGHTS = (0.0, 1.2)
 """Metres above the ground at which a cell looks into the images: its foot, and what stands on it."""
 
@@ -100,18 +101,21 @@ def _ground_table(config: ToyPolicyConfig) -> csr_array:
     shape = len(config.camera_rows), rows, columns, len(HEIGHTS)
     x, y = (np.arange(size) * _TABLE_STEP + begin for size, begin in zip(_TABLE_SIZE, _TABLE_BEGIN, strict=True))
     ground = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
-    places, features, weights = list[Array](), list[Array](), list[Array]()
+    places, features, weights = list[Indices](), list[Indices](), list[Array]()
     for camera, name in enumerate(config.camera_names):
         for index, height in enumerate(HEIGHTS):
             row, column, seen = _project(rig[name], ground, height, config)
             place = np.flatnonzero(seen)
             top, left = np.floor(row[place]), np.floor(column[place])
             for down, right in ((0, 0), (0, 1), (1, 0), (1, 1)):
-                at = np.clip(top + down, 0, rows - 1).astype(int), np.clip(left + right, 0, columns - 1).astype(int)
+                at = (
+                    np.clip(top + down, 0, rows - 1).astype(np.int64),
+                    np.clip(left + right, 0, columns - 1).astype(np.int64),
+                )
                 places.append(1 + place)
-                features.append(np.ravel_multi_index((np.full_like(place, camera), *at, index), shape))
+                features.append(np.ravel_multi_index((camera, *at, index), shape))
                 weights.append(np.abs(1 - down - row[place] + top) * np.abs(1 - right - column[place] + left))
-    place, feature, weight = (np.concatenate(parts) for parts in (places, features, weights))
+    place, feature, weight = np.concatenate(places), np.concatenate(features), np.concatenate(weights)
     images = np.maximum(np.bincount(place, minlength=len(ground) + 1) / 4.0, 1.0)
     weight = (weight / images[place]).astype(np.float32)
     return csr_array((weight, (place, feature)), shape=(len(ground) + 1, int(np.prod(shape))))

@@ -46,8 +46,10 @@ class ImageEncoder(nn.Module):
     def __init__(self, config: ToyPolicyConfig) -> None:
         super().__init__()
         channels, cameras, frames = config.image_channels, len(config.camera_rows), len(config.frames)
-        self.top, self.bfloat16 = config.image_top, config.precision == "bfloat16"
-        self.patches = nn.Conv2d(3, channels, kernel_size=PATCH, stride=PATCH)
+        self.top, self.in_bfloat16 = config.image_top, config.precision == "bfloat16"
+        inputs = 3 * PATCH**2
+        self.patches = nn.Parameter(torch.empty(channels, 3, PATCH, PATCH).uniform_(-1.0, 1.0) / inputs**0.5)
+        self.patch_bias = nn.Parameter(torch.zeros(channels))
         self.image_positions = nn.Parameter(0.02 * torch.randn(cameras, *config.feature_size, channels))
         self.image_blocks = nn.ModuleList([_Residual(channels) for _ in range(2)])
         self.by_camera = nn.Parameter(torch.randn(cameras, channels, len(HEIGHTS) * channels) / channels**0.5)
@@ -60,7 +62,7 @@ class ImageEncoder(nn.Module):
         """Encode images (batch, cameras, frames, 3, H, W) uint8 RGB, with where the cells of the grids are in them."""
         batch, cameras = images.shape[:2]
         pixels = images[..., self.top :, :].transpose(1, 2).flatten(0, 2).contiguous(memory_format=torch.channels_last)
-        with torch.autocast("cpu", torch.bfloat16, enabled=self.bfloat16):
+        with torch.autocast("cpu", torch.bfloat16, enabled=self.in_bfloat16):
             table = self._features(pixels, cameras)
             along, route_logits = self.route_net(_gather(table, route, batch, len(STATIONS), len(OFFSETS)))
             around, world_logits = self.world_net(_gather(table, world, batch, len(WORLD_X), len(WORLD_Y)))
@@ -74,8 +76,8 @@ class ImageEncoder(nn.Module):
     def _features(self, pixels: Tensor, cameras: int) -> Tensor:
         """Features (places, channels) of the pixels of all images, in the order that `birds_eye.look_up` tells."""
         # The weights take grey levels to about unit size, which is cheaper than to change the pixels.
-        bias = self.patches.bias - 2.0 * self.patches.weight.sum((1, 2, 3))
-        features = functional.conv2d(pixels.float(), self.patches.weight / 64.0, bias, stride=PATCH)
+        bias = self.patch_bias - 2.0 * self.patches.sum((1, 2, 3))
+        features = functional.conv2d(pixels.float(), self.patches / 64.0, bias, stride=PATCH)
         # The layout of channels_last, in which cells find their features side by side.
         named = features.permute(0, 2, 3, 1).unflatten(0, (-1, cameras))
         features = (named + self.image_positions.to(named.dtype)).flatten(0, 1).permute(0, 3, 1, 2)
@@ -106,8 +108,8 @@ class _GridNet(nn.Module):
         self.first = nn.Conv2d(inputs, channels, kernel_size=3, padding=1)
         self.positions = nn.Parameter(0.02 * torch.randn(rows, columns, channels))
         self.blocks = nn.ModuleList([_Residual(channels) for _ in range(2)])
-        self.heads = nn.Conv2d(channels, heads, kernel_size=1)
-        nn.init.constant_(self.heads.bias, -3.0)  # few cells are taken
+        self.heads = nn.Conv2d(channels, heads, kernel_size=1, bias=False)
+        self.rarity = nn.Parameter(torch.full((heads, 1, 1), -3.0))  # few cells are taken
 
     def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
         x = self.first(x)
@@ -115,7 +117,7 @@ class _GridNet(nn.Module):
         for block in self.blocks:
             x = block(x)
         x = functional.relu(x)
-        return x, self.heads(x)
+        return x, self.heads(x) + self.rarity
 
 
 def _gather(table: Tensor, lookup: csr_array, batch: int, rows: int, columns: int) -> Tensor:

@@ -95,14 +95,14 @@ def _motion(speed: Array, curvature: Array) -> Array:
 
 def _route_numbers(along: Array, routes: Array) -> Array:
     """Whether the route is known, and place and heading at some stations, in (n, 1 + 4 * stations)."""
-    known = 1.0 - np.isnan(routes[:, :2, 0]).any(axis=1)
+    known = np.where(np.isnan(routes[:, :2, 0]).any(axis=1), 0.0, 1.0)
     middle = along[:, ROUTE_STATIONS, :].mean(axis=2)
     x, y, yaw = np.moveaxis(middle, -1, 0)
     numbers = np.stack([x / 20.0 - 1.0, y / 5.0, 2.0 * np.sin(yaw), np.cos(yaw)], axis=-1)
     return np.concatenate([known[:, None], numbers.reshape(len(numbers), -1)], axis=-1)
 
 
-def pad_route(route_xy: Array | None) -> Array:
+def pad_route(route_xy: NDArray[np.floating] | None) -> Array:
     """A route (n, 2) filled up with NaN to (ROUTE_POINTS, 2), which is what a route that is not known is all of."""
     padded = np.full((ROUTE_POINTS, 2), np.nan)
     if route_xy is not None:

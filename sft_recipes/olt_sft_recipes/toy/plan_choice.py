@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from olt_generator.poses import Array
 from olt_sft_recipes.toy.birds_eye import STATIONS, WORLD_CELL, WORLD_X, WORLD_Y
@@ -23,11 +23,11 @@ ASIDE = (0.0, 0.6, -0.6)
 """Metres to the left of a plan that are tried."""
 ASIDE_METRES = 12.0
 """Way on which it gets there."""
-WAY_WORTH = 0.1
+WAY_WORTH = 0.06
 """What the whole way is worth, against 1 for a contact that is certain and now."""
-ASIDE_COST = 0.03
+ASIDE_COST = 0.02
 """What a metre aside costs."""
-FADES = 0.2
+FADES = 0.15
 """By how much less a contact counts for every second until then: there is time to see better."""
 PROBES: Array = np.array([-0.2, 1.4, 3.0])
 """Metres ahead of the rig's origin of the points of the vehicle that are looked up."""
@@ -38,7 +38,7 @@ _LEAST_WAY = 1.0
 
 
 @dataclass(frozen=True)
-class Outlook:
+class Occupancy:
     """What is thought to be taken, as shares of 1.
 
     Attributes:
@@ -50,15 +50,15 @@ class Outlook:
     route: Array
     held: Array
     world: Array
-    cells: cKDTree
+    cells: KDTree
 
     @classmethod
-    def of(cls, sight: Sight, along: Array) -> "Outlook":
+    def of(cls, sight: Sight, along: Array) -> "Occupancy":
         """What the sight of one observation thinks, with the cells (stations, offsets, 3) of its route grid."""
         # Taken back is by how much taken cells count more in training, so that these are probabilities.
         odds = math.log(TAKEN_WEIGHT)
         route, world = ((logits[0] - odds).sigmoid().double().numpy() for logits in (sight.route, sight.world))
-        return cls(route[:-1], route[-1].mean(axis=-1), world, cKDTree(along[..., :2].reshape(-1, 2)))
+        return cls(route[:-1], route[-1].mean(axis=-1), world, KDTree(along[..., :2].reshape(-1, 2)))
 
     def contacts(self, plans: Array) -> Array:
         """How likely plans (..., steps, 3) of x, y, yaw meet somebody (...), contacts later counted less."""
@@ -83,14 +83,14 @@ class Outlook:
         return np.where((STATIONS > FRONT) & (front > STATIONS), self.held, 0.0).max(axis=-1)
 
 
-def choose_plan(plans: Array, speed: float, outlook: Outlook) -> Array:
+def choose_plan(plans: Array, speed: float, occupancy: Occupancy) -> Array:
     """The best (64, 3) of plans (k, 64, 3) of x, y, yaw, of those beside them, and of those that brake from a speed."""
     tried = np.stack([slower_plans(plan_beside(plan, aside), speed) for plan in plans for aside in ASIDE])
     ways = np.cumsum(np.linalg.norm(np.diff(tried[..., :2], axis=2, prepend=0.0), axis=-1), axis=2)
     farthest = max(float(ways[..., -1].max()), _LEAST_WAY)
     worth = WAY_WORTH * ways[..., -1] / farthest
     worth -= ASIDE_COST * np.tile(np.abs(ASIDE), len(plans))[:, None]
-    worth -= np.maximum(outlook.contacts(tried), outlook.crossings(ways))
+    worth -= np.maximum(occupancy.contacts(tried), occupancy.crossings(ways))
     return tried[np.unravel_index(int(worth.argmax()), worth.shape)]
 
 

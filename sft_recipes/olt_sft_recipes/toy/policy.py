@@ -9,7 +9,7 @@ from olt_generator.poses import planar_pose
 from olt_sft_recipes.toy.action_expert import ACTION_SIZE
 from olt_sft_recipes.toy.checkpoint import ToyModel, read_model
 from olt_sft_recipes.toy.inputs import cells_along, encode_inputs, pad_route, planar_poses, select_images
-from olt_sft_recipes.toy.plan_choice import Outlook, choose_plan
+from olt_sft_recipes.toy.plan_choice import Occupancy, choose_plan
 from olt_toolkit.policy.action_space import actions_to_trajectory, estimate_initial_speed
 from olt_toolkit.policy.contract import FUTURE_STEPS, Observation, PlannedTrajectory
 
@@ -49,8 +49,8 @@ class ToyPolicy:
         xyz, rotation = actions_to_trajectory(actions, speed)
         if not config.chooses_plan:
             return PlannedTrajectory(xyz[0], rotation[0])
-        outlook = Outlook.of(prefix.sight, cells_along(history, routes)[0])
-        x, y, yaw = choose_plan(planar_poses(xyz, rotation), max(speed, 0.0), outlook).T
+        occupancy = Occupancy.of(prefix.sight, cells_along(history, routes)[0])
+        x, y, yaw = choose_plan(planar_poses(xyz, rotation), max(speed, 0.0), occupancy).T
         chosen = planar_pose(x, y, yaw)
         return PlannedTrajectory(chosen[:, :3, 3], chosen[:, :3, :3])
 
