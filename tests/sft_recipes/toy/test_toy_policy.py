@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from olt_generator.errors import InputError
+from olt_sft_recipes.toy.action_expert import SPREAD
 from olt_sft_recipes.toy.checkpoint import ToyModel, read_model, save_model
 from olt_sft_recipes.toy.image_encoder import IMAGE_TOKENS
 from olt_sft_recipes.toy.inputs import encode_inputs
@@ -122,3 +123,22 @@ def test_a_checkpoint_with_a_damaged_file_for_long(fuzzer, model, tmp_path, name
 def test_the_policy_needs_a_folder():
     with pytest.raises(InputError, match="toy:FOLDER"):
         load_toy(None)
+
+
+def test_before_stage_2_the_expert_plans_what_the_frozen_model_regresses(model, inputs):
+    prefix = model.vlm.read_prefix(inputs)
+    planned = model.expert.sample(torch.zeros(2, 64, 2), prefix)
+    assert torch.allclose(planned, prefix.regressed, atol=1e-5)
+
+
+def test_draws_of_an_untrained_expert_spread_around_the_regression(model, drives, tiny_config):
+    sample = DrivingSamples.gather(list(drives.values())[:1], tiny_config)
+    prefix = model.vlm.read_prefix(encode_inputs(sample.images, sample.history, sample.routes, tiny_config))
+    prefix = prefix.repeated(400)
+    fine = model.expert
+    fine.integration_steps, before = 50, fine.integration_steps
+    try:
+        drawn = fine.sample(torch.randn(400, 64, 2, generator=torch.Generator().manual_seed(0)), prefix)
+    finally:
+        fine.integration_steps = before
+    assert (drawn - prefix.regressed).std() == pytest.approx(SPREAD, rel=0.1)
