@@ -15,10 +15,8 @@ def see(taken=None, held=None):
     """The occupancy of a straight route with what is taken: a function of station, offset and seconds; and held."""
     route = torch.full((1, len(SECONDS_AHEAD) + 1, len(STATIONS), len(OFFSETS)), -9.0)
     if taken is not None:
-        seconds = np.array(SECONDS_AHEAD)[:, None, None]
-        route[0, :-1][torch.from_numpy(taken(STATIONS[:, None], OFFSETS, seconds) & np.full(route.shape[2:], True))] = (
-            9.0
-        )
+        mask = taken(STATIONS[:, None], OFFSETS, np.array(SECONDS_AHEAD)[:, None, None])
+        route[0, :-1][torch.from_numpy(np.broadcast_to(mask, route[0, :-1].shape).copy())] = 9.0
     if held is not None:
         route[0, -1][torch.from_numpy(np.abs(STATIONS - held) < 1.5)] = 9.0
     world = torch.full((1, len(SECONDS_AHEAD), len(WORLD_X), len(WORLD_Y)), -9.0)
