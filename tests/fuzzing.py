@@ -398,6 +398,17 @@ def _read_masks(path):
     runs.shares, runs.seen_frames  # noqa: B018
 
 
+def _read_bytes(name):
+    """Calls a reader of `clips.truth_tables` with the content of the file."""
+
+    def read(path):
+        from olt_toolkit.clips import truth_tables
+
+        getattr(truth_tables, name)(path.read_bytes(), name)
+
+    return read
+
+
 def _scan_tables(path):
     from olt_datasets.tables.clip_frame import scan_clip_tables
 
@@ -483,12 +494,15 @@ READERS = {
     "dataset": _read_dataset,
     "labels": _function("olt_datasets.tables.labels:read_labels"),
     "masks": _read_masks,
+    "holds": _read_bytes("read_holds"),
     "mixture": _read_mixture,
     "mp4 index": _read_mp4_index,
+    "obstacles": _read_bytes("read_obstacles"),
     "recipe": _check_recipe,
     "rig": _function("olt_toolkit.rigs.rig_files:read_rig"),
     "rollout": _function("olt_closed_loop.rollouts.rollout_files:read_rollout_file"),
     "rollouts": _function("olt_closed_loop.rollouts.rollout_tables:load_rollouts"),
+    "route": _read_bytes("read_route"),
     "scenario": _function("olt_closed_loop.scenes.sources:read_recording"),
     "scene": _read_scene,
     "stage config": _function("olt_sft_recipes.training.stage_config:read_stage_config"),

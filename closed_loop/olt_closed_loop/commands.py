@@ -1,5 +1,6 @@
 """`olt closed-loop`: drive scenes and score the drives."""
 
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -67,6 +68,16 @@ Light = Literal["day", "low_sun", "night"]  # scenes.conditions
 Isolation = Literal["auto", "none", "process"]  # simulation.policy_hosts
 HostOption = Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 for other machines.")]
 SessionsOption = Annotated[int, typer.Option(min=1, help="Most sessions at once.")]
+IdleOption = Annotated[float, typer.Option(min=0.1, help="Seconds without a call after which a session is dropped.")]
+IsolationOption = Annotated[
+    Isolation, typer.Option(help="Where the policy runs; auto: a process of its own for all but the toolkit's own.")
+]
+PolicyTimeoutOption = Annotated[
+    float | None, typer.Option(help="Seconds for one answer in a process of its own; 30 by default.")
+]
+PolicyMemoryOption = Annotated[
+    float | None, typer.Option(help="GiB that it may allocate there; 8 by default, 0 for any.")
+]
 
 
 @app.command()
@@ -116,16 +127,9 @@ def run(
         bool, typer.Option(help="Drive constant speed, go straight, stop and route beside the policy.")
     ] = True,
     skip: Annotated[bool, typer.Option(help="Leave out what cannot change the result.")] = True,
-    isolate: Annotated[
-        Isolation,
-        typer.Option(help="Where the policy runs; auto: a process of its own for all but the toolkit's own."),
-    ] = "auto",
-    policy_timeout: Annotated[
-        float | None, typer.Option(help="Seconds for one answer in a process of its own; 30 by default.")
-    ] = None,
-    policy_memory: Annotated[
-        float | None, typer.Option(help="GiB that it may allocate there; 8 by default, 0 for any.")
-    ] = None,
+    isolate: IsolationOption = "auto",
+    policy_timeout: PolicyTimeoutOption = None,
+    policy_memory: PolicyMemoryOption = None,
     workers: WorkersOption = None,
     engine: EngineOption = Engine.LOCAL,
     out: Annotated[
@@ -249,6 +253,10 @@ def serve(
     host: HostOption = "127.0.0.1",
     port: Annotated[int, typer.Option(help="0 for any free one.", envvar="ALPASIM_DRIVER_PORT")] = 6789,
     sessions: SessionsOption = 64,
+    idle_timeout: IdleOption = 600.0,
+    isolate: IsolationOption = "auto",
+    policy_timeout: PolicyTimeoutOption = None,
+    policy_memory: PolicyMemoryOption = None,
 ) -> None:
     """Serve a policy as a driver of AlpaSim (gRPC service egodriver), until told to end.
 
@@ -258,7 +266,8 @@ def serve(
     from olt_closed_loop.drivers.server import serving, wait_for_end
     from olt_toolkit.runtime.console import print_line
 
-    with serving(DriverService(policy, sessions), host, port) as bound:
+    service = DriverService(policy, sessions, _limits(isolate, policy_timeout, policy_memory), idle_timeout)
+    with closing(service), serving(service, host, port, sessions) as bound:
         print_line(f"{policy} serves egodriver.EgodriverService at {host}:{bound}")
         wait_for_end()
 
@@ -273,6 +282,7 @@ def serve_vehicle(
     host: HostOption = "127.0.0.1",
     port: Annotated[int, typer.Option(help="0 for any free one.")] = 6790,
     sessions: SessionsOption = 64,
+    idle_timeout: IdleOption = 600.0,
 ) -> None:
     """Serve the vehicle and its controller to AlpaSim (gRPC service VDCService), until told to end."""
     from olt_closed_loop import ControlSettings
@@ -286,8 +296,8 @@ def serve_vehicle(
     make = vehicle_with_tyres if vehicle == "tyres" else VehicleParameters.from_dimensions
     parameters, settings = make(DEFAULT_VEHICLE), ControlSettings(method=controller)
     name = f"{vehicle}-{controller}"
-    service = VehicleService(lambda: DrivenVehicle(parameters, settings, integrator), name, sessions)
-    with serving(service, host, port) as bound:
+    service = VehicleService(lambda: DrivenVehicle(parameters, settings, integrator), name, sessions, idle_timeout)
+    with closing(service), serving(service, host, port, sessions) as bound:
         print_line(f"{name} serves controller.VDCService at {host}:{bound}")
         wait_for_end()
 
@@ -432,6 +442,8 @@ def convert_scene(
         "metres": loaded.ego.path_length,
         "agents": len(loaded.agents),
         "lanes": len(loaded.lanes),
+        "lights": len(loaded.lights),
+        "lights_not_drawn": sum(light.position is None for light in loaded.lights),
     }
     if as_json:
         print_json(

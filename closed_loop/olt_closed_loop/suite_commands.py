@@ -57,13 +57,14 @@ def make(
     from olt_closed_loop.evaluation.evaluation import load_scene
     from olt_closed_loop.scenes.scene_file import write_scene
     from olt_closed_loop.suite.files import Suite, write_suite
+    from olt_closed_loop.suite.scenes import with_seed
     from olt_toolkit.runtime.console import make_progress, print_json, print_line
 
     found, written = _suite(suite, only), []
     out.mkdir(parents=True, exist_ok=True)
     with make_progress() as progress:
         for one in progress.track(found.scenes, description="scenes"):
-            source = f"{one.source}:{seed}" if seed is not None and one.source.startswith("longtail/") else one.source
+            source = one.source if seed is None else with_seed(one.source, seed)
             scene = load_scene(source)
             path = write_scene(scene, out / f"{scene.name}.usdc")
             factors = scene.factors if one.factors is None else one.factors
@@ -83,6 +84,7 @@ def check(
         list[str] | None,
         typer.Option(help="Scenes that may share no road with these; by default 20 of each category of the generator."),
     ] = None,
+    seeds: Annotated[int, typer.Option(min=1, help="How many seeds of each event to check: 0, 1, ...")] = 1,
     workers: WorkersOption = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
@@ -94,10 +96,12 @@ def check(
     from olt_closed_loop.evaluation.evaluation import find_scenes
     from olt_closed_loop.evaluation.suite_check import check_suite
     from olt_closed_loop.scenes.procedural import CATEGORIES
+    from olt_closed_loop.suite.scenes import with_seed
     from olt_toolkit.runtime.console import make_progress, print_json
     from olt_toolkit.runtime.workers import default_workers
 
-    sources = _suite(suite, only).sources
+    every = (with_seed(source, seed) for source in _suite(suite, only).sources for seed in range(seeds))
+    sources = list(dict.fromkeys(every))
     training = [f"{category}:{seed}" for category in CATEGORIES for seed in range(TRAINING_SEEDS)]
     others = [str(scene) for scene in find_scenes(apart_from)] if apart_from else training
     with make_progress() as progress:

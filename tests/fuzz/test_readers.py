@@ -21,6 +21,8 @@ from olt_generator.views.pixel_origin import PixelOrigin
 from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
 from olt_toolkit.clips.origin_files import encode_origin
 from olt_toolkit.clips.store import ClipStore
+from olt_toolkit.clips.truth_tables import truth_tables
+from olt_toolkit.recordings.truth import Holds, ObstacleTracks
 from olt_toolkit.rigs.rig import CROSS_LEFT, DEFAULT_VEHICLE, FRONT_WIDE, POLICY_CAMERAS
 from olt_toolkit.rigs.rig_files import pav_rig
 
@@ -96,6 +98,14 @@ def make_clip(name, category):
         ego_motion=motion,
         vehicle=DEFAULT_VEHICLE,
         provenance=views,
+        route=np.array([[0.0, 0.0], [50.0, 1.0]]),
+        obstacles=ObstacleTracks(
+            timestamps_us,
+            np.full(90, "car"),
+            np.full(90, "automobile"),
+            np.tile([9.0, 2.0, 0.8, 0.1, 4.6, 1.9, 1.5], (90, 1)),
+        ),
+        holds=Holds(timestamps_us, timestamps_us < 2_000_000, np.full(90, 12.0)),
         **described,
     )
 
@@ -125,6 +135,8 @@ def whole_files(tmp_path_factory):
     write_video(root / "film.mp4", clips[0].streams[FRONT_WIDE].frames[:12], 10.0, 2)
     stream = clips[0].streams[CROSS_LEFT]
     (root / "masks.parquet").write_bytes(encode_origin(stream.timestamps_us, stream.origin))
+    for name, table in truth_tables(clips[0]).items():
+        table.to_parquet(root / f"{name}.parquet")
     return root
 
 
@@ -141,6 +153,9 @@ SINGLE = {
     "mp4 index": "film.mp4",
     "video": "film.mp4",
     "masks": "masks.parquet",
+    "route": "route.parquet",
+    "obstacles": "obstacle.offline.parquet",
+    "holds": "hold.parquet",
     "recipe": "recipe.yaml",
     "rig": "rig.yaml",
     "stage config": "stage.yaml",

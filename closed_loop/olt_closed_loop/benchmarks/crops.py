@@ -9,11 +9,17 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.benchmarks.busy_junction import busy_junction
 from olt_closed_loop.scenes.actors import SIZES
+from olt_closed_loop.scenes.maps.lanes import Light
+from olt_closed_loop.scenes.maps.signals import LAMP_HEIGHT
 from olt_closed_loop.scenes.procedural import CATEGORIES, generate_scene
-from olt_closed_loop.scenes.scene import Agent
+from olt_closed_loop.scenes.scene import Agent, Scene
+from olt_closed_loop.scenes.scene_map import map_of
 from olt_closed_loop.sensors.ray_casting import SceneRenderer
+from olt_closed_loop.sensors.signal_heads import BACKPLATE
+from olt_closed_loop.sensors.surfaces import SIGNAL_SURFACES
 from olt_closed_loop.sensors.textures import Image
-from olt_generator.poses import Array, invert, transform
+from olt_closed_loop.suite.people import SIGN, SIGN_HEIGHT, SIGN_OFFSET, held_out
+from olt_generator.poses import Array, invert, planar_pose, transform
 from olt_generator.seeds import make_generator
 from olt_toolkit.rigs.rig import FRONT_WIDE
 from olt_toolkit.rigs.rig_files import pav_rig
@@ -21,13 +27,14 @@ from olt_toolkit.rigs.rig_files import pav_rig
 KINDS: tuple[str, ...] = (
     *("automobile", "heavy_truck", "bus", "other_vehicle", "rider", "person", "animal", "cone", "barrier"),
     *("officer_stops", "officer_waves", "sign_stop", "sign_go"),
+    *("light_red", "light_amber", "light_green", "light_off"),
 )
 CROP = 32
 NEAR, FAR = 5.0, 30.0
 _SCENES = 8
 _SLOT_US = 1_000
+_LIGHT, _HEAD, _LIGHTS = "light_", "head", 8
 _BUS: tuple[float, float, float] = (11.0, 2.5, 3.2)
-_ARM, _SIGN = (0.13, 0.75, 0.13), (0.06, 0.75, 0.75)
 
 
 def film_crops(size: tuple[int, int], count: int, seed: int) -> tuple[Image, NDArray[np.int64], Array]:
@@ -59,9 +66,15 @@ def _film(size: tuple[int, int], kinds: NDArray[np.int64], seed: int, index: int
     base = generate_scene(category, 9000 + 10 * seed + index) if index % 2 else busy_junction(0, seed=seed + index)
     ways = base.ego.interpolate(generator.integers(0, base.ego.timestamps_us[-1] * 3 // 4, len(kinds)))
     groups, distances = [], generator.uniform(NEAR, FAR, len(kinds))
-    for slot, (kind, T_world_rig, away) in enumerate(zip(kinds.tolist(), ways, distances.tolist(), strict=True)):
-        groups.append(_place(KINDS[kind], slot, T_world_rig, away, generator))
-    scene = replace(base, agents=tuple(agent for group in groups for agent in group))
+    lights = _hang_lights(base, kinds, generator)
+    for slot, (kind, away) in enumerate(zip(kinds.tolist(), distances.tolist(), strict=True)):
+        if KINDS[kind].startswith(_LIGHT):
+            head, ways[slot] = _look_at(lights[slot % len(lights)], base, slot, away, generator)
+            groups.append([head])
+        else:
+            groups.append(_place(KINDS[kind], slot, ways[slot], away, generator))
+    agents = tuple(agent for group in groups for agent in group if agent.label != _HEAD)
+    scene = replace(base, agents=agents, lights=lights)
     renderer = SceneRenderer(scene)
     mounted = pav_rig().fitted(size[1], size[0])[FRONT_WIDE]
     crops = []
@@ -71,6 +84,34 @@ def _film(size: tuple[int, int], kinds: NDArray[np.int64], seed: int, index: int
         pixels, _ = mounted.camera.project(transform(invert(T_world_camera), _corners(group)))
         crops.append(_crop(rgb, pixels))
     return np.stack(crops), distances
+
+
+def _hang_lights(base: Scene, kinds: NDArray[np.int64], generator: np.random.Generator) -> tuple[Light, ...]:
+    """Lights at places of their own, which show at each slot the state that it asks for, and else any."""
+    times_us = 2 * _SLOT_US * np.arange(len(kinds), dtype=np.int64)
+    found = []
+    for index, T_world_rig in enumerate(
+        base.ego.interpolate(generator.integers(0, base.ego.timestamps_us[-1], _LIGHTS))
+    ):
+        states = generator.choice(list(SIGNAL_SURFACES), len(kinds))
+        asked = [slot for slot in range(index, len(kinds), _LIGHTS) if KINDS[kinds[slot]].startswith(_LIGHT)]
+        states[asked] = [KINDS[kinds[slot]].removeprefix(_LIGHT) for slot in asked]
+        x, y, _ = transform(T_world_rig, np.array([[0.0, generator.uniform(-9.0, -3.0), 0.0]]))[0]
+        lane = base.lanes[generator.integers(len(base.lanes))].id
+        found.append(Light(f"light_{index}", (lane,), times_us, tuple(states.tolist()), np.array([x, y, LAMP_HEIGHT])))
+    return tuple(found)
+
+
+def _look_at(light: Light, base: Scene, slot: int, away: float, generator: np.random.Generator) -> tuple[Agent, Array]:
+    """The box of a light's head, and a pose (4, 4) of a vehicle in the traffic that it rules, so far before it."""
+    center = map_of(base).lane(light.lanes[0]).center
+    turn = float(np.arctan2(*(center[1, :2] - center[0, :2])[::-1])) + generator.uniform(-0.3, 0.3)
+    bearing, position = generator.uniform(-0.45, 0.45), light.position
+    assert position is not None
+    x, y = position[:2] - away * np.array([np.cos(turn), np.sin(turn)])
+    yaw = turn - bearing
+    pose = planar_pose(x - 2.0 * np.cos(yaw), y - 2.0 * np.sin(yaw), yaw)
+    return _there(f"head_{slot}", _HEAD, BACKPLATE, np.array([*position, turn + np.pi]), slot), pose
 
 
 def _place(kind: str, slot: int, T_world_rig: Array, away: float, generator: np.random.Generator) -> list[Agent]:
@@ -88,24 +129,28 @@ def _place(kind: str, slot: int, T_world_rig: Array, away: float, generator: np.
     body = _there(f"person_{slot}", "person", SIZES["person"], np.array([x, y, SIZES["person"][2] / 2, yaw]), slot)
     if kind.startswith("sign"):
         side = yaw - np.pi / 2
-        place = np.array([x + 0.55 * np.cos(side), y + 0.55 * np.sin(side), 1.9, yaw])
-        return [body, _there(f"{kind}_{slot}", kind, _SIGN, place, slot)]
-    arms = []
-    for side, sign in (("left", 1.0), ("right", -1.0)):
-        # One arm hangs while the other waves to and fro before the body.
-        waves = kind == "officer_waves"
-        raised = not waves or side == "left"
-        angle = yaw + sign * np.pi / 2 - (generator.uniform(0.5, 1.3) if waves and raised else 0.0)
-        reach, height = (0.62, 1.38) if raised else (0.2, 0.9)
-        place = np.array([x + reach * np.cos(angle), y + reach * np.sin(angle), height, angle - np.pi / 2])
-        arms.append(_there(f"arm_{side}_{slot}", "arm", _ARM, place, slot))
-    return [body, *arms]
+        x, y = x + SIGN_OFFSET * np.cos(side), y + SIGN_OFFSET * np.sin(side)
+        place = np.array([x, y, SIGN_HEIGHT + SIGN[2] / 2, yaw])
+        return [body, _there(f"{kind}_{slot}", kind, SIGN, place, slot)]
+    # Who stops holds out both arms; one arm hangs, which the body shows, while the other waves before the body.
+    waves = kind == "officer_waves"
+    directions = [yaw + np.pi / 2 - (generator.uniform(-0.9, 0.9) if waves else 0.0)]
+    directions += [] if waves else [yaw - np.pi / 2]
+    return [
+        body,
+        *(
+            held_out(f"arm_{index}_{slot}", (x, y), np.full(2, turn), _slot_times(slot))
+            for index, turn in enumerate(directions)
+        ),
+    ]
 
 
 def _there(name: str, label: str, size: tuple[float, float, float], pose: Array, slot: int) -> Agent:
-    start = 2 * slot * _SLOT_US
-    times = np.array([start, start + _SLOT_US], dtype=np.int64)
-    return Agent(name, label, *size, times, np.tile(pose, (2, 1)))
+    return Agent(name, label, *size, _slot_times(slot), np.tile(pose, (2, 1)))
+
+
+def _slot_times(slot: int) -> NDArray[np.int64]:
+    return np.array([0, _SLOT_US], dtype=np.int64) + 2 * slot * _SLOT_US
 
 
 def _corners(group: Sequence[Agent]) -> Array:

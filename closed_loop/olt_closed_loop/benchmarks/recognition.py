@@ -17,7 +17,7 @@ def recognition(
     out: Annotated[Path | None, typer.Option(help="Contact sheet of the kinds, .png.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
-    """Film road users, arms and signs at 5 to 30 m, train a small network on the crops, and tell its accuracy.
+    """Film road users, arms, signs and lights at 5 to 30 m, train a small network on the crops, and tell its accuracy.
 
     It learns and is asked on scenes of different seeds. Pictures have 320 x 576 pixels, and 64 x 112 as the toy's.
     """

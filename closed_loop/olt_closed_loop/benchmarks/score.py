@@ -6,7 +6,7 @@ from itertools import product
 
 import numpy as np
 
-from olt_closed_loop.benchmarks.score_drives import DURATION_US, HANDOVER_US, crowded_drive, known_drives
+from olt_closed_loop.benchmarks.score_drives import DURATION_US, HANDOVER_US, crowded_drive, in_town, known_drives
 from olt_closed_loop.evaluation.score_table import summarize_scores
 from olt_closed_loop.rollouts.rollout_record import PLAN_STEP_US, RolloutRecord
 from olt_closed_loop.scoring.alpasim.surroundings import Surroundings, measure_contact
@@ -135,10 +135,11 @@ FAULT = Benchmark(
 )
 
 
-def _prepare_crowd(definition: Definition, count: int) -> Callable[[], tuple[int, float]]:
+def _prepare_crowd(definition: Definition, count: int, town: bool = False) -> Callable[[], tuple[int, float]]:
     # What each definition calls the smallest distance to an agent.
     nearest = "min_distance_to_agents_m" if definition == "strict" else "min_distance_to_obstacle_m"
     record = crowded_drive(count).sampled(PLAN_STEP_US, with_plans=True)
+    record = in_town(record) if town else record
     return lambda: (count, float(score_record(record, definition).metrics[nearest] or 0.0))
 
 
@@ -147,9 +148,12 @@ TRAFFIC = Benchmark(
     error_name="error of the smallest distance to an agent",
     error_unit="m",
     reference="distance of the exact outlines (shapely), every millisecond",
-    settings=lambda: [
-        Setting(f"{definition}, {count} agents", partial(_prepare_crowd, definition, count), default=not index)
-        for index, (definition, count) in enumerate(product(DEFINITIONS, CROWDS))
-    ],
+    settings=lambda: (
+        [
+            Setting(f"{definition}, {count} agents", partial(_prepare_crowd, definition, count), default=not index)
+            for index, (definition, count) in enumerate(product(DEFINITIONS, CROWDS))
+        ]
+        + [Setting("strict, 100 agents and the map of a town", partial(_prepare_crowd, "strict", 100, True))]
+    ),
     measure_error=lambda result: abs(result[1] - crowded_drive(result[0]).nearest_m()),
 )

@@ -1,6 +1,7 @@
 """Drives whose motion is known at every instant, to be sampled at any rate and scored."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -128,6 +129,30 @@ def _known_drive(kind: str, index: int) -> KnownDrive:
         towards = generator.uniform(8.0, 14.0)
         agent = Weaving((place + towards * meeting, beside + offset), np.pi, towards, 0.3, 4.0, size)
     return KnownDrive(f"{kind} {index}", ego, (agent,))
+
+
+def in_town(record: RolloutRecord) -> RolloutRecord:
+    """The record on the map of a town: streets of four lanes across its road every 40 m, and eight along it."""
+    lanes, edges = list(record.lanes), list(record.road_edges)
+    for x in np.arange(-90.0, 300.0, 40.0):
+        for end in (-1.0, 1.0):
+            way = end * np.arange(11.0, 200.0, 2.0)
+            _add_street(lanes, edges, lambda offset, x=x, way=way: (np.full_like(way, x + offset), way))
+    along = np.arange(-100.0, 300.0, 2.0)
+    for y in (-200.0, -160.0, -120.0, -80.0, 80.0, 120.0, 160.0, 200.0):
+        _add_street(lanes, edges, lambda offset, y=y: (along, np.full_like(along, y + offset)))
+    return replace(record, lanes=tuple(lanes), road_edges=tuple(edges))
+
+
+def _add_street(lanes: list[LaneLines], edges: list[Array], line_at: Callable[[float], tuple[Array, Array]]) -> None:
+    def line(offset: float) -> Array:
+        x, y = line_at(offset)
+        return np.stack([x, y, np.zeros_like(x)], axis=-1)
+
+    lanes += [
+        LaneLines(line(middle), line(middle - 1.75), line(middle + 1.75)) for middle in (-5.25, -1.75, 1.75, 5.25)
+    ]
+    edges += [line(-7.5), line(7.5)]
 
 
 def crowded_drive(count: int) -> KnownDrive:

@@ -2,8 +2,9 @@
 
 As in AlpaSim (docs/formats/alpasim_services.md) the pose is the caller's, who may correct it for the ground between
 two calls, and the rates, the wheel and the pedals are the vehicle's own, unless the caller takes them over. The
-controller is asked every 0.1 s. What is moved in a call is added to the pose that was given, so slopes and
-coordinates of any size cost no precision.
+controller is asked every 0.1 s. A plan is given in the rig as it stood at the plan's first time: with a planner's delay
+that is an earlier one, and where the rig was then is remembered. What is moved in a call is added to the pose that was
+given, so slopes and coordinates of any size cost no precision.
 """
 
 from collections.abc import Iterator
@@ -13,16 +14,19 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.control.plans import WorldPlan
+from olt_closed_loop.control.plans import PlanRefused, WorldPlan
 from olt_closed_loop.control.tracking import ControlSettings, TrackingController
+from olt_closed_loop.drivers.conversions import poses_at
 from olt_closed_loop.vehicle.integrators import DEFAULT_METHOD, Method, VehicleStepper
 from olt_closed_loop.vehicle.parameters import VehicleParameters, on_the_brake, with_rolling_tyres
 from olt_closed_loop.vehicle.state import STATE, STATE_SIZE
-from olt_generator.poses import Array, planar_pose, yaw_of
+from olt_generator.poses import Array, invert, planar_pose, yaw_of
 from olt_toolkit.policy.contract import STEP_US
 
 SLOWEST_TURN = 0.25
 """m/s from which on the angle of the wheel is reckoned from speed and yaw rate; AlpaSim's number."""
+REMEMBERED_US = 5_000_000
+"""How long it is remembered where the rig was, for plans that are older than now."""
 _STEPPERS = 64
 
 
@@ -59,6 +63,7 @@ class DrivenVehicle:
         self._state: Array = np.zeros(parameters.state_size)
         self._control: Array = np.zeros(2)
         self._asked_us: int | None = None
+        self._way: dict[int, Array] = {}
 
     def take_over(self, rates: Rates) -> None:
         """Move from now on as the caller says; the wheel stands as speed and yaw rate need it."""
@@ -76,21 +81,24 @@ class DrivenVehicle:
             self._state[STATE.lateral_speed], self._state[STATE.yaw_rate] = rates.velocity[1], yaw_rate
 
     def run(
-        self, T_local_rig: Array, times_us: NDArray[np.int64], plan_rig: Array, stops_us: list[int]
+        self, now_us: int, T_local_rig: Array, times_us: NDArray[np.int64], plan_rig: Array, stops_us: list[int]
     ) -> Iterator[MovedVehicle]:
-        """Drive from a pose (4, 4) at the plan's first time, and tell where the vehicle is at the stops.
+        """Drive from a pose (4, 4) now, and tell where the vehicle is at the stops.
 
         Args:
+            now_us: time.
             T_local_rig: where the rig is.
-            times_us: (n,) of the plan, increasing.
+            times_us: (n,) of the plan, increasing; the first is now or within the last `REMEMBERED_US`.
             plan_rig: poses (n, 4, 4) in the rig at the first of these times.
-            stops_us: times after that, increasing.
+            stops_us: times after now, increasing.
 
         Raises:
-            PlanRefused: the plan is none (`control.plans.WorldPlan`).
+            PlanRefused: the plan is none (`control.plans.WorldPlan`), or begins when it is not known where the rig was.
             InputError: the vehicle's equations cannot be solved.
         """
-        now_us = int(times_us[0])
+        way = {**self._way, now_us: T_local_rig}
+        if times_us[0] != now_us:
+            plan_rig = invert(T_local_rig) @ _where_at(int(times_us[0]), way) @ plan_rig
         start = np.array([T_local_rig[0, 3], T_local_rig[1, 3], float(yaw_of(T_local_rig))])
         self._state[: STATE.speed] = start
         plan = _in_plane(times_us, plan_rig, start)
@@ -102,8 +110,10 @@ class DrivenVehicle:
             rates = self._step(target_us - now_us)
             now_us = target_us
             if now_us in stops_us:
-                yield MovedVehicle(now_us, T_local_rig @ _moved(start, self._state), rates)
+                way[now_us] = T_local_rig @ _moved(start, self._state)
+                yield MovedVehicle(now_us, way[now_us], rates)
         self.time_us = now_us
+        self._way = {time_us: pose for time_us, pose in way.items() if time_us >= now_us - REMEMBERED_US}
 
     def _ask(self, plan: WorldPlan, now_us: int) -> None:
         reverse = self._controller.parameters.reverse_gear
@@ -131,6 +141,15 @@ class DrivenVehicle:
             speed = state[STATE.speed]
             return np.array([speed, 0.0, speed * np.tan(state[STATE.steering]) / vehicle.wheelbase])
         return state[[STATE.speed, STATE.lateral_speed, STATE.yaw_rate]]
+
+
+def _where_at(time_us: int, way: dict[int, Array]) -> Array:
+    """Where the rig was, between poses by time; raises `PlanRefused` outside them."""
+    known = np.array(sorted(way), dtype=np.int64)
+    if not known[0] <= time_us <= known[-1]:
+        raise PlanRefused(f"plan from {time_us} us; where the rig was is known from {known[0]} to {known[-1]} us")
+    poses = np.stack([way[known_us] for known_us in known.tolist()])
+    return poses_at(known, poses, np.array([time_us], dtype=np.int64))[0]
 
 
 def _in_plane(times_us: NDArray[np.int64], plan_rig: Array, start: Array) -> WorldPlan:

@@ -1,8 +1,6 @@
 """Our vehicle and controller in AlpaSim: the service `controller.VDCService`."""
 
-import threading
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Any
 
 import grpc
@@ -20,6 +18,7 @@ from olt_closed_loop.drivers.conversions import (
     write_vector,
 )
 from olt_closed_loop.drivers.driven_vehicle import DrivenVehicle, MovedVehicle, Rates
+from olt_closed_loop.drivers.open_sessions import IDLE_SECONDS, MOST_SESSIONS, OpenSessions
 from olt_generator.errors import InputError
 
 LONGEST_RUN_US = 60_000_000
@@ -30,23 +29,20 @@ FASTEST = 100.0
 _WHERE = "run_controller_and_vehicle"
 
 
-@dataclass
-class _Session:
-    """A vehicle, and whose turn it is."""
-
-    vehicle: DrivenVehicle
-    lock: threading.Lock = field(default_factory=threading.Lock)
-
-
 class VehicleService:
     """Every session drives a vehicle of its own. Its methods are those of the service, for any number of threads."""
 
     service = contract.VEHICLE
 
-    def __init__(self, make_vehicle: Callable[[], DrivenVehicle], name: str, sessions: int = 64) -> None:
-        self._make, self._name, self._most = make_vehicle, name, sessions
-        self._open: dict[str, _Session] = {}
-        self._lock = threading.Lock()
+    def __init__(
+        self,
+        make_vehicle: Callable[[], DrivenVehicle],
+        name: str,
+        sessions: int = MOST_SESSIONS,
+        idle_seconds: float = IDLE_SECONDS,
+    ) -> None:
+        self._make, self._name = make_vehicle, name
+        self._sessions: OpenSessions[DrivenVehicle] = OpenSessions(sessions, idle_seconds)
 
     def get_version(self, request: Any, context: grpc.ServicerContext) -> Any:
         """Name and version."""
@@ -54,35 +50,28 @@ class VehicleService:
 
     def start_session(self, request: Any, context: grpc.ServicerContext) -> Any:
         """Begin a session with a vehicle of its own."""
-        name, given = request.session_uuid, request.vehicle_and_controller_params
-        if not name:
-            raise CallRefused(grpc.StatusCode.INVALID_ARGUMENT, "session without a session_uuid")
+        given = request.vehicle_and_controller_params
         if given.rig_file or given.amend_files:
             raise CallRefused(
                 grpc.StatusCode.FAILED_PRECONDITION,
                 "rig_file and amend_files are not read here; choose the vehicle by the options of serve-vehicle",
             )
-        with self._lock:
-            if name in self._open:
-                raise CallRefused(grpc.StatusCode.ALREADY_EXISTS, f"session {name!r} is open")
-            if len(self._open) >= self._most:
-                raise CallRefused(grpc.StatusCode.RESOURCE_EXHAUSTED, f"{self._most} sessions are open; close one")
-            self._open[name] = _Session(self._make())
+        self._sessions.open(request.session_uuid, self._make)
         return contract.SessionRequestStatus()
 
     def close_session(self, request: Any, context: grpc.ServicerContext) -> Any:
         """End a session; one that is not open has ended."""
-        with self._lock:
-            self._open.pop(request.session_uuid, None)
+        self._sessions.end(request.session_uuid)
         return contract.Empty()
+
+    def close(self) -> None:
+        """End all sessions."""
+        self._sessions.close()
 
     def run_controller_and_vehicle(self, request: Any, context: grpc.ServicerContext) -> Any:
         """Drive to the future time; the states on the way come at the reporting interval, and the last one always."""
-        session = self._open.get(request.session_uuid)
-        if session is None:
-            raise CallRefused(grpc.StatusCode.NOT_FOUND, f"session {request.session_uuid!r} is not open")
-        with session.lock:
-            return _run(session.vehicle, request)
+        with self._sessions.using(request.session_uuid) as vehicle:
+            return _run(vehicle, request)
 
 
 def _run(vehicle: DrivenVehicle, request: Any) -> Any:
@@ -96,13 +85,13 @@ def _run(vehicle: DrivenVehicle, request: Any) -> Any:
     if len(request.planned_trajectory_in_rig.poses) > MOST_POSES:
         raise InputError(f"{_WHERE}: a plan of more than {MOST_POSES} poses")
     times_us, plan_rig = read_trajectory(request.planned_trajectory_in_rig, f"{_WHERE}: plan")
-    if len(times_us) == 0 or times_us[0] != now_us:
+    if len(times_us) == 0 or times_us[0] > now_us:
         begins = f"begins at {times_us[0]} us" if len(times_us) else "has no poses"
-        raise InputError(f"{_WHERE}: the plan {begins}; it must begin with the state, at {now_us} us")
+        raise InputError(f"{_WHERE}: the plan {begins}; it must begin with the state, at {now_us} us, or before")
     if request.coerce_dynamic_state or vehicle.time_us is None:
         vehicle.take_over(rates)
     try:
-        states = list(vehicle.run(T_local_rig, times_us, plan_rig, stops_us))
+        states = list(vehicle.run(now_us, T_local_rig, times_us, plan_rig, stops_us))
     except PlanRefused as refusal:
         raise InputError(f"{_WHERE}: {refusal}") from refusal
     return _write_states(states)

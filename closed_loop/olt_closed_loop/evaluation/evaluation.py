@@ -11,7 +11,6 @@ from uuid import uuid4
 
 from olt_closed_loop.evaluation.gate import GateResult, check_gate
 from olt_closed_loop.evaluation.run_folder import describe_run, open_run, save_part
-from olt_closed_loop.privileged.driver import ScenePolicy
 from olt_closed_loop.rollouts.rollout import Rollout
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scoring.definitions import (
@@ -27,6 +26,7 @@ from olt_closed_loop.simulation.policies import make_policy
 from olt_closed_loop.simulation.policy_hosts import PolicyHost, PolicyLimits, PolicySource, is_of_package
 from olt_closed_loop.simulation.policy_process import PolicyNotStarted, host_policy
 from olt_closed_loop.simulation.running_rollout import RolloutRequest
+from olt_closed_loop.simulation.scene_policy import ScenePolicy
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_closed_loop.suite.scenes import PREFIX, scene_of
 from olt_closed_loop.suite.training import PREFIX as TRAINING_PREFIX

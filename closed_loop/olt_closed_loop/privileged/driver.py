@@ -5,8 +5,6 @@ nothing of the recorded drive but its first pose and its highest speed, which st
 path and a progress (`privileged.plan`), follows them, and plans anew where it has come off them.
 """
 
-from abc import ABC, abstractmethod
-
 import numpy as np
 
 from olt_closed_loop.privileged.holds import holds_of
@@ -18,43 +16,12 @@ from olt_closed_loop.simulation.recorded_motion import recorded_motion
 from olt_closed_loop.vehicle.state import STATE
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, invert, planar_pose
-from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, PlannedTrajectory, Policy
+from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, STEP_US, Observation, PlannedTrajectory
 
 OFF_PLAN = 0.5
 """Metres off its plan at which the driver plans anew."""
 BEYOND_US = 3_000_000
 """How far beyond the recording it plans; nobody is known to be there then."""
-
-
-class ScenePolicy(ABC):
-    """A policy that must be told which scene it drives."""
-
-    name: str
-    cameras: tuple[str, ...] = ()
-    image_size: tuple[int, int] = (0, 0)
-
-    @abstractmethod
-    def for_scene(self, scene: Scene) -> Policy:
-        """A driver of one rollout of a scene."""
-
-    def plan(self, observation: Observation) -> PlannedTrajectory:
-        """Refuse: without a scene there is no plan.
-
-        Raises:
-            InputError: always.
-        """
-        del observation
-        raise InputError(f"policy {self.name} drives scenes of this toolkit only; it must know the scene")
-
-
-class PrivilegedPolicy(ScenePolicy):
-    """What `--policy privileged` names."""
-
-    name = "privileged"
-
-    def for_scene(self, scene: Scene) -> "PrivilegedDriver":
-        """See `ScenePolicy.for_scene`."""
-        return PrivilegedDriver(scene)
 
 
 class PrivilegedDriver:
@@ -64,7 +31,7 @@ class PrivilegedDriver:
         InputError: the scene gives no route.
     """
 
-    name = PrivilegedPolicy.name
+    name = "privileged"
     cameras: tuple[str, ...] = ()
     image_size: tuple[int, int] = (0, 0)
 
@@ -122,14 +89,3 @@ def truth_of(scene: Scene) -> Truth:
         cruise=float(np.hypot(velocity[:, 0], velocity[:, 1]).max()),
         end_us=end_us,
     )
-
-
-def load_privileged(argument: str | None) -> Policy:
-    """The policy `privileged`, for `simulation.policies.make_policy`.
-
-    Raises:
-        InputError: there is an argument.
-    """
-    if argument is not None:
-        raise InputError(f"policy {PrivilegedPolicy.name} takes nothing after its name; leave out {argument!r}")
-    return PrivilegedPolicy()

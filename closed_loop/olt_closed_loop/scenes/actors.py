@@ -63,9 +63,18 @@ def sample_times(duration_us: int) -> Array:
 
 def agent_poses(agent: Agent, timestamps_us: NDArray[np.int64]) -> Array:
     """Poses (n, 4) x, y, z, yaw of the box centre at times within the agent's samples; yaw takes the shorter way."""
+    return poses_at(agent, pose_columns(agent), timestamps_us)
+
+
+def pose_columns(agent: Agent) -> list[Array]:
+    """x, y, z and unwrapped yaw (n,) of an agent's samples, for `poses_at`."""
+    return [*agent.poses[:, :3].T, np.unwrap(agent.poses[:, 3])]
+
+
+def poses_at(agent: Agent, columns: list[Array], timestamps_us: NDArray[np.int64]) -> Array:
+    """`agent_poses` from the columns of `pose_columns`, which one who asks often keeps."""
     known = agent.timestamps_us - agent.timestamps_us[0]
     query = timestamps_us - agent.timestamps_us[0]
-    columns = (*agent.poses[:, :3].T, np.unwrap(agent.poses[:, 3]))
     return np.stack([np.interp(query, known, column) for column in columns], axis=-1)
 
 

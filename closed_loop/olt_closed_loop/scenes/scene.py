@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop.scenes.maps.lanes import Crossing, Lane, Light, StopLine
+from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import VehicleDimensions
@@ -26,6 +27,9 @@ class Agent:
         timestamps_us: (n,) int64, strictly increasing; outside its first and last sample the agent does not exist, and
             between two it moves on a line. Who is away for a while and back is two agents (`sources.tracks`).
         poses: (n, 4) float64: x, y, z of the box centre and yaw.
+
+    Raises:
+        InputError: a time is not after the one before it.
     """
 
     id: str
@@ -35,6 +39,13 @@ class Agent:
     height: float
     timestamps_us: NDArray[np.int64]
     poses: Array
+
+    def __post_init__(self) -> None:
+        wrong = np.flatnonzero(self.timestamps_us[1:] <= self.timestamps_us[:-1])
+        if len(wrong):
+            raise InputError(
+                f"agent {self.id:.80}: time {wrong[0] + 1} is not after the one before it; sort and deduplicate them"
+            )
 
 
 @dataclass(frozen=True)

@@ -219,7 +219,7 @@ def _score(record: RolloutRecord, unscored: RolloutScore, skip: bool) -> Rollout
 
 
 def _score_strictly(record: RolloutRecord, skip: bool) -> dict[str, Any]:
-    ego, area = ego_box(record), drivable_area_of(record)
+    ego, area = ego_box(record), drivable_area_of(record, skip)
     agents = tuple(stretches(record.agents))
     boxes = [agent_box(agent) for agent in agents]
     span = _scored_span(record)
@@ -238,6 +238,10 @@ def _score_strictly(record: RolloutRecord, skip: bool) -> dict[str, Any]:
         left_out.append(Omission("agents in collision tests", "never within reach", found.unreachable, len(agents)))
     left_out += [Omission(f"contact with {name}", "appeared in contact") for name in found.appeared]
     left_out += [Omission(f"contact with {name}", "in contact at the hand-over") for name in found.handed_over]
+    if area and area.left_out:
+        left_out.append(
+            Omission("map in the road test", "lanes or outlines far from the drive", area.left_out, area.parts)
+        )
     if not area:
         left_out.append(Omission("road test", "the scene has no drivable area, nor lanes with road edges"))
     return {

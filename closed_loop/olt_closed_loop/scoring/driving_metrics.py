@@ -14,7 +14,7 @@ from scipy.spatial import KDTree
 
 from olt_closed_loop.rollouts.rollout_record import RolloutRecord
 from olt_closed_loop.scenes.actors import corners
-from olt_closed_loop.scoring.drivable import lane_area
+from olt_closed_loop.scoring.drivable import LANE_WIDTH, lane_area, lanes_within
 from olt_closed_loop.scoring.moving_boxes import MovingBox, separations
 from olt_generator.poses import Array
 
@@ -168,12 +168,13 @@ def _drives_wrong_way(record: RolloutRecord, ego: MovingBox, times: NDArray[np.i
     poses = ego.at(times)
     origin = poses[0, :2]
     centers = poses[:, :2] - origin
-    areas = [shapely.make_valid(lane_area(lane, origin)) for lane in record.lanes]
+    near = lanes_within(record.lanes, poses[:, :2], LANE_WIDTH)
+    areas = [shapely.make_valid(lane_area(lane, origin)) for lane in near]
     samples, lanes = shapely.STRtree(areas).query(shapely.points(centers), predicate="within")
     proper = np.zeros(len(times), dtype=bool)
     for lane in np.unique(lanes):
         inside = samples[lanes == lane]
-        line = record.lanes[lane].center[:, :2] - origin
+        line = near[lane].center[:, :2] - origin
         _, nearest = KDTree(line).query(centers[inside])
         ahead = line[np.minimum(nearest + 1, len(line) - 1)] - line[np.maximum(nearest - 1, 0)]
         turn = np.angle(np.exp(1j * (np.arctan2(ahead[:, 1], ahead[:, 0]) - poses[inside, 3])))

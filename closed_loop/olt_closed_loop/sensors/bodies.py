@@ -26,6 +26,7 @@ class Part:
 _DARK: Color = (40.0, 40.0, 44.0)
 _TROUSERS: Color = (48.0, 56.0, 84.0)
 _GLOVE: Color = (245.0, 245.0, 240.0)
+_WAND: Color = (255.0, 40.0, 30.0)
 _WHOLE = Part((0, 0, 0), (1, 1, 1))
 _WHEEL: Faces = ("plain", "plain", "wheel", "plain")
 
@@ -116,12 +117,12 @@ BODIES: dict[str, tuple[Part, ...]] = {
         Part((0.34, 0.34, 0.5), (0.66, 0.66, 1), ("cone", "cone", "cone", "plain")),
     ),
     "barrier": (Part((0, 0, 0), (1, 1, 1), ("stripes", "stripes", "stripes", "plain")),),
-    # Of those who direct traffic: an arm in a sleeve of high visibility that ends in a white glove at both ends, so
-    # that it may reach to either side, and signs of a pole and a face that shows to both sides.
+    # Of those who direct traffic: an arm in a sleeve of high visibility, whose hand, at the left end of its box, wears
+    # a white gauntlet and holds a lit wand upright; and signs whose face shows to both sides.
     "arm": (
-        Part((0, 0.22, 0), (1, 0.78, 1)),
-        Part((-0.2, 0, -0.2), (1.2, 0.22, 1.2), color=_GLOVE),
-        Part((-0.2, 0.78, -0.2), (1.2, 1, 1.2), color=_GLOVE),
+        Part((0, 0, 0), (1, 0.6, 1)),
+        Part((-0.15, 0.6, -0.15), (1.15, 1, 1.15), color=_GLOVE),
+        Part((0.2, 0.82, 1.15), (0.8, 0.96, 4.4), ("wand", "wand", "wand", "plain"), _WAND),
     ),
     "sign_stop": (Part((0, 0, 0), (1, 1, 1), ("stop_face", "stop_face", "plain", "plain")),),
     "sign_go": (Part((0, 0, 0), (1, 1, 1), ("go_face", "go_face", "plain", "plain")),),

@@ -1,7 +1,7 @@
 """Everything in a scene that stands on the ground, as boxes, and their colours where rays meet them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -46,17 +46,20 @@ class Boxes:
 
     def select(self, chosen: NDArray[np.bool_]) -> "Boxes":
         """The boxes that a mask (n,) chooses."""
-        return Boxes(*(getattr(self, field.name)[chosen] for field in fields(self)))
+        index = np.flatnonzero(chosen)
+        return Boxes(*(values.take(index, axis=0) for values in vars(self).values()))
 
     @classmethod
     def concatenate(cls, groups: "Sequence[Boxes]") -> "Boxes":
         """All boxes of some groups."""
-        return cls(*(np.concatenate([getattr(group, field.name) for group in groups]) for field in fields(cls)))
+        columns = zip(*(vars(group).values() for group in groups), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
 
     def moved(self, pose: Array) -> "Boxes":
         """The boxes of a body, given relative to it, in the axes in which the body's pose is (4, 4)."""
         rotation = pose[:3, :3]
-        return replace(self, center=self.center @ rotation.T + pose[:3, 3], axes=rotation @ self.axes)
+        center, axes = self.center @ rotation.T + pose[:3, 3], rotation @ self.axes
+        return Boxes(center, self.half, axes, self.color, self.surface, self.repeats, self.lit)
 
     def corners(self) -> Array:
         """Corners (n, 8, 3)."""
@@ -146,25 +149,25 @@ def paint_boxes(boxes: Boxes, box: NDArray[np.intp], offset: FloatImage, pixel_s
     across, up = np.where(front, y, x), np.where(top, y, z)
     entry = box * 6 + 2 * np.where(front, 0, np.where(top, 2, 1)) + behind
     repeats_across, repeats_up, density, light = _face_tables(boxes, sun)
-    u = (across * np.float32(0.5) + np.float32(0.5)) * np.take(repeats_across, entry)
-    v = (np.float32(0.5) - up * np.float32(0.5)) * np.take(repeats_up, entry)
-    texels = pixel_size * np.take(density, entry)
-    surface = np.take(boxes.surface, entry)
+    u = (across * np.float32(0.5) + np.float32(0.5)) * repeats_across.take(entry)
+    v = (np.float32(0.5) - up * np.float32(0.5)) * repeats_up.take(entry)
+    texels = pixel_size * density.take(entry)
+    surface = boxes.surface.take(entry)
     texture = sample_surfaces(surface, u - np.floor(u), v - np.floor(v), texels)
     gain = texture[:, 3] * np.float32(1.0 / 128.0)
-    color = np.take(boxes.color, box, axis=0)
+    color = boxes.color.take(box, axis=0)
     color *= gain[:, None]
     color += texture[:, :3]
-    return Paint(color, np.take(light, entry), np.where(np.take(boxes.lit, box), surface, -1), texture)
+    return Paint(color, light.take(entry), np.where(boxes.lit.take(box), surface, -1), texture)
 
 
 def _into_box(axis: FloatImage, origin: FloatImage, box: NDArray[np.intp], offset: FloatImage) -> FloatImage:
     """Places (n,) along one axis of the boxes, scaled (boxes, 3), of points (3, n) in the boxes of index (n,)."""
-    place = np.take(axis[:, 0], box) * offset[0]
-    place += np.take(axis[:, 1], box) * offset[1]
+    place = axis[:, 0].take(box) * offset[0]
+    place += axis[:, 1].take(box) * offset[1]
     if axis[:, 2].any():
-        place += np.take(axis[:, 2], box) * offset[2]
-    return np.subtract(place, np.take(origin, box), out=place)
+        place += axis[:, 2].take(box) * offset[2]
+    return np.subtract(place, origin.take(box), out=place)
 
 
 def _face_tables(boxes: Boxes, sun: Array) -> list[FloatImage]:

@@ -68,9 +68,11 @@ def cast(
     distance = np.empty((len(square), pixels.shape[1]), dtype=np.float32)
     for start in range(0, len(square), _CHUNK):
         chunk = slice(start, start + _CHUNK)
-        entry, leave = _intersect(shapes, box[chunk, None], np.take(rays, square[chunk], axis=1))
+        entry, leave = _intersect(shapes, box[chunk, None], rays.take(square[chunk], axis=1))
+        missed = entry > leave
+        missed |= leave <= 0.0
         reached = np.where(entry > 0.0, entry, leave)
-        reached[(entry > leave) | (leave <= 0.0)] = np.inf
+        np.copyto(reached, np.float32(np.inf), where=missed)
         distance[chunk] = reached
     return _nearest(distance, square, box, pixels, farthest)
 
@@ -91,7 +93,7 @@ def _search(
             there = inside >= 0
             square, box = inside[there], np.broadcast_to(box[:, None], inside.shape)[there]
         growth = level.spread[square] * reach[box]
-        entry, leave = _intersect(shapes, box, np.take(level.middle, square, axis=1), growth)
+        entry, leave = _intersect(shapes, box, level.middle.take(square, axis=1), growth)
         met = (entry <= leave) & (leave > 0.0)
         square, box = square[met], box[met]
     order = np.argsort(square, kind="stable")
@@ -132,14 +134,14 @@ def _intersect(
         if upright and axis == 2:
             direction = z + _TINY
         else:
-            direction = np.take(axes[0, axis], box) * x
-            direction += np.take(axes[1, axis], box) * y
+            direction = axes[0, axis].take(box) * x
+            direction += axes[1, axis].take(box) * y
             if not upright:
-                direction += np.take(axes[2, axis], box) * z
+                direction += axes[2, axis].take(box) * z
             direction += _TINY
         inverse = np.reciprocal(direction, out=direction)
-        size = np.take(half[axis], box)
-        middle = np.take(place[axis], box) * -inverse
+        size = half[axis].take(box)
+        middle = place[axis].take(box) * -inverse
         reach = np.abs(inverse, out=inverse)
         reach *= size if growth is None else size + growth
         near, far = middle - reach, np.add(middle, reach, out=reach)

@@ -13,7 +13,7 @@ from olt_closed_loop.sensors.boxes import Boxes, Paint
 from olt_closed_loop.sensors.ground import add_shadows, empty_shadows, sunlight
 from olt_closed_loop.sensors.lamps import add_headlights, lamp_light, light_street, own_headlights
 from olt_closed_loop.sensors.level_view import GroundPixels, Stand, as_rows
-from olt_closed_loop.sensors.surfaces import lamp_glow
+from olt_closed_loop.sensors.surfaces import add_signal_glow, lamp_glow
 from olt_closed_loop.sensors.textures import FloatImage
 from olt_generator.poses import Array
 
@@ -69,7 +69,9 @@ class Daylight:
         self, paint: Paint, rays: FloatImage, distance: FloatImage, stand: Stand, R_level_rig: Array | None
     ) -> FloatImage:
         """See `Illumination`."""
-        return paint.color * paint.light[:, None]
+        color = paint.color * paint.light[:, None]
+        add_signal_glow(color, paint.surface, paint.texture)
+        return color
 
     def _corners(self, boxes: Boxes) -> Array:
         """Corners (n, 8, 3), their height that above the ground under the box."""

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.scenes.actors import agent_poses
+from olt_closed_loop.scenes.actors import pose_columns, poses_at
 from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions, relight
 from olt_closed_loop.scenes.hills import pose_on_hills, stand_up
 from olt_closed_loop.scenes.looks import Looks, generate_looks
@@ -22,6 +22,7 @@ from olt_closed_loop.sensors.ground import Ground, MapPlaces
 from olt_closed_loop.sensors.illumination import illuminate, sink_into_hills
 from olt_closed_loop.sensors.lamps import hang_street_lights
 from olt_closed_loop.sensors.level_view import LevelView, Stand, lay_out, rotate, sky_places
+from olt_closed_loop.sensors.signal_heads import SignalHeads
 from olt_closed_loop.sensors.sky import Sky
 from olt_closed_loop.sensors.terrain import meet_ground
 from olt_closed_loop.sensors.textures import FloatImage, Image
@@ -99,8 +100,11 @@ class SceneRenderer:
             for agent, still in zip(scene.agents, stands, strict=True)
         ]
         fixed = [self._pose_body(*body) for body, still in zip(bodies, stands, strict=True) if still]
-        self._changing = [body for body, still in zip(bodies, stands, strict=True) if not still]
-        self._fixed = Boxes.concatenate([self._place_scenery(), *fixed])
+        self._changing = [
+            (agent, body, pose_columns(agent)) for (agent, body), still in zip(bodies, stands, strict=True) if not still
+        ]
+        self._heads = SignalHeads(scene)
+        self._fixed = Boxes.concatenate([self._place_scenery(), self._heads.standing, *fixed])
         self._light = illuminate(scene, self.looks, conditions, self._fixed)
         # What stands in the scene at `_time_us`.
         self._time_us: int | None = None
@@ -230,15 +234,14 @@ class SceneRenderer:
         if self._time_us == time_us:
             return
         present = [
-            (agent, body, agent_poses(agent, np.array([time_us]))[0])
-            for agent, body in self._changing
+            (agent, body, poses_at(agent, columns, np.array([time_us]))[0])
+            for agent, body, columns in self._changing
             if agent.timestamps_us[0] <= time_us <= agent.timestamps_us[-1]
         ]
         self._time_us = time_us
-        self._boxes = Boxes.concatenate(
-            [self._fixed, *(body.moved(stand_up(agent, pose, self._hills)) for agent, body, pose in present)]
-        )
-        changing = self._boxes.select(np.arange(len(self._boxes)) >= len(self._fixed))
+        bodies = (body.moved(stand_up(agent, pose, self._hills)) for agent, body, pose in present)
+        changing = Boxes.concatenate([self._heads.at(time_us), *bodies])
+        self._boxes = Boxes.concatenate([self._fixed, changing])
         self._light.show(changing, [(agent, pose) for agent, _, pose in present])
 
     def _hazy(self, color: Sequence[FloatImage], clear: FloatImage) -> Image:

@@ -23,6 +23,7 @@ _TIRE: Texel = (18.0, 18.0, 20.0, 0.0)
 _WINDOW: Texel = (45.0, 55.0, 66.0, 0.0)
 _WHITE: Texel = (230.0, 230.0, 225.0, 0.0)
 _LAMP: Texel = (255.0, 250.0, 225.0, 0.0)
+_LENSES: tuple[Texel, ...] = ((255.0, 30.0, 20.0, 0.0), (255.0, 185.0, 0.0, 0.0), (10.0, 255.0, 130.0, 0.0))
 
 
 def _base(gain: float) -> Texel:
@@ -167,13 +168,62 @@ def go_face(tile: FloatImage, generator: np.random.Generator) -> None:
     cv2.circle(tile, (TILE // 2, TILE // 2), 28, _WHITE, cv2.FILLED)
 
 
+def signal_red(tile: FloatImage, generator: np.random.Generator) -> None:
+    """The face of a traffic light that shows red."""
+    _signal(tile, 0)
+
+
+def signal_amber(tile: FloatImage, generator: np.random.Generator) -> None:
+    """The face of a traffic light that shows amber."""
+    _signal(tile, 1)
+
+
+def signal_green(tile: FloatImage, generator: np.random.Generator) -> None:
+    """The face of a traffic light that shows green."""
+    _signal(tile, 2)
+
+
+def signal_off(tile: FloatImage, generator: np.random.Generator) -> None:
+    """The face of a traffic light that shows nothing."""
+    _signal(tile, None)
+
+
+def wand(tile: FloatImage, generator: np.random.Generator) -> None:
+    """The red light of a wand that directs traffic."""
+    tile[:] = _LENSES[0]
+
+
+def _signal(tile: FloatImage, lit: int | None) -> None:
+    """Three lenses on a black backplate with a white rim; `lit` counts from the top."""
+    tile[:] = (16.0, 16.0, 18.0, 0.0)
+    cv2.rectangle(tile, (3, 2), (TILE - 4, TILE - 3), _WHITE, 5)
+    for index, color in enumerate(_LENSES):
+        shade = color if index == lit else (34.0, 34.0, 36.0, 0.0)
+        cv2.ellipse(tile, (TILE // 2, 30 + 34 * index), (29, 14), 0, 0, 360, shade, cv2.FILLED)
+
+
 SURFACES: tuple[Paint, ...] = (
     *(plain, building, foliage, stripes, cone, car_side, car_front, car_rear, glass, panels, wheel, skin, lamp),
-    *(windows, tyre, spokes, stop_face, go_face),
+    *(windows, tyre, spokes, stop_face, go_face, signal_red, signal_amber, signal_green, signal_off, wand),
 )
 SURFACE_INDEX: dict[str, int] = {paint.__name__: index for index, paint in enumerate(SURFACES)}
 
-_BRIGHTNESS, _DULL = np.float32(4.0), np.float32(40.0)
+SIGNAL_SURFACES: dict[str, str] = {
+    "red": "signal_red",
+    "amber": "signal_amber",
+    "green": "signal_green",
+    "off": "signal_off",
+}
+"""The surface that shows a state of a traffic light."""
+# Of lights that are seen by day too: the channel that they fill, the one that they leave empty, and their colour.
+_SIGNAL_GLOW: dict[str, tuple[int, int, tuple[float, float, float]]] = {
+    "signal_red": (0, 1, (1.0, 0.12, 0.08)),
+    "wand": (0, 1, (1.0, 0.12, 0.08)),
+    "signal_amber": (0, 2, (1.0, 0.7, 0.0)),
+    "signal_green": (1, 0, (0.04, 1.0, 0.5)),
+}
+
+_BRIGHTNESS, _DULL, _FAINT = np.float32(4.0), np.float32(40.0), np.float32(12.0)
 _ROW_HEIGHT = TILE + 2 * _PADDING
 _LEVEL_SIZES = np.array([TILE >> level for level in range(TILE_LEVELS)], dtype=np.float32)
 _LEVEL_LEFT = (np.cumsum(_LEVEL_SIZES + 2 * _PADDING) - _LEVEL_SIZES - _PADDING - 0.5).astype(np.float32)
@@ -225,4 +275,19 @@ def lamp_glow(surface: NDArray[np.int32], texture: Image) -> FloatImage:
     own = texture[rear, :3].astype(np.float32)
     # The number plate is as red as the lamps, but not only red.
     glow[rear] = _BRIGHTNESS * np.maximum(own[:, :1] - own[:, 1:2], 0.0) * np.array([1.0, 0.12, 0.08], dtype=np.float32)
+    add_signal_glow(glow, surface, texture)
     return glow
+
+
+def add_signal_glow(color: FloatImage, surface: NDArray[np.int32], texture: Image) -> None:
+    """Let lights that are seen by day too shine from colours (n, 3), where texels (n, 4) of surfaces (n,) show them.
+
+    As lamps do at night, they fill a pixel of which they cover a part; their colour stays what it is.
+    """
+    if not (surface >= SURFACE_INDEX["signal_red"]).any():
+        return
+    for name, (full, empty, shade) in _SIGNAL_GLOW.items():
+        own = surface == SURFACE_INDEX[name]
+        lit = texture[own].astype(np.float32)
+        strength = np.clip(_BRIGHTNESS * (lit[:, full] - lit[:, empty] - _FAINT), 0.0, 255.0)
+        color[own] = np.maximum(color[own], strength[:, None] * np.array(shade, dtype=np.float32))

@@ -181,8 +181,7 @@ BUILT_IN = {
     for name, module in {
         **dict.fromkeys(("constant_speed", "constant_velocity", "route", "standing"), __name__),
         "grpc": "olt_closed_loop.drivers.remote_driver",
-        "privileged": "olt_closed_loop.privileged.driver",
-        "recorded": "olt_closed_loop.evaluation.recorded_policy",
+        **dict.fromkeys(("privileged", "recorded"), "olt_closed_loop.evaluation.scene_policies"),
     }.items()
 }
 """Policies that are there whatever else is installed, by name."""

@@ -52,14 +52,14 @@ class PolicyNotStarted(Exception):
 class PolicyProcess:
     """See `policy_hosts.PolicyHost`."""
 
-    def __init__(self, source: PolicySource, limits: PolicyLimits) -> None:
-        """Start the process and have it build the policy.
+    def __init__(self, source: PolicySource, limits: PolicyLimits, context: Any = None) -> None:
+        """Start the process and have it build the policy; in another way of multiprocessing if one is given.
 
         Raises:
             InputError: the policy is not known, does not keep the contract, or cannot be brought into the process.
             PolicyNotStarted: it raised, ended, died or took too long while it was built.
         """
-        self._source, self._limits = source, limits
+        self._source, self._limits, self._context = source, limits, context or _CONTEXT
         self._used = self._failed = False
         self._start()
 
@@ -118,8 +118,10 @@ class PolicyProcess:
         return None
 
     def _start(self) -> None:
-        self._connection, theirs = _CONTEXT.Pipe()
-        self._process = _CONTEXT.Process(target=_serve, args=(theirs, self._connection, self._source, self._limits))
+        self._connection, theirs = self._context.Pipe()
+        self._process = self._context.Process(
+            target=_serve, args=(theirs, self._connection, self._source, self._limits)
+        )
         try:
             with without_opencv_threads():
                 self._process.start()
@@ -183,15 +185,15 @@ class PolicyProcess:
         return PolicyFault("policy_deaths", how)
 
 
-def host_policy(source: PolicySource, limits: PolicyLimits, borrowed: bool = False) -> PolicyHost:
-    """The policy where the limits want it; "auto" is this process.
+def host_policy(source: PolicySource, limits: PolicyLimits, borrowed: bool = False, context: Any = None) -> PolicyHost:
+    """The policy where the limits want it; "auto" is this process. For `context` see `PolicyProcess`.
 
     Raises:
         InputError: see `LocalPolicy` and `PolicyProcess`.
         PolicyNotStarted: it, or its process, could not be built.
     """
     if limits.isolate == "process":
-        return PolicyProcess(source, limits)
+        return PolicyProcess(source, limits, context)
     try:
         return LocalPolicy(source, borrowed, limits)
     except PolicyFaulted as error:

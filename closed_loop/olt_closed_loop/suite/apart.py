@@ -1,7 +1,7 @@
 """Whether scenes share roads with others, such as those that a policy was trained on.
 
 A lane is known by its shape: positions along its centre line in its own frame and its width, to the millimetre, so a
-road that was moved or turned is still the same one.
+road that was moved, turned or put on hills is still the same one.
 """
 
 import hashlib
@@ -18,7 +18,7 @@ _FEWEST = 3
 
 def lane_shape(lane: Lane) -> str:
     """The hash of a lane's shape, the same wherever it lies."""
-    length = length_of(lane.center)
+    length = length_of(lane.center[:, :2])
     points = resample(lane.center[:, :2], max(_FEWEST, round(length / _STEP) + 1))
     ahead = points[1] - points[0]
     ahead = ahead / max(float(np.hypot(*ahead)), 1e-9)

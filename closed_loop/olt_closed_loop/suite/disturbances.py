@@ -25,7 +25,7 @@ SHORTEST_US = 4_000_000
 ROOM = 0.25
 """Metres that a pushed vehicle keeps from everybody."""
 LATERAL = 4.5
-"""Largest lateral acceleration of a push, m/s2."""
+"""Largest lateral acceleration of a push and of the way back, m/s2."""
 _LEAST_WAY = 4.0
 _STEEPEST = 0.08
 _FASTER = 0.35
@@ -111,12 +111,7 @@ class Push:
 
 
 def is_free(truth: Truth, timestamps_us: NDArray[np.int64], poses: tuple[Array, Array, Array]) -> bool:
-    """Whether a vehicle at poses x, y, yaw (n,) at times (n,) stays on the road and ROOM metres from everybody.
-
-    And whether it could go there: with a lateral acceleration up to LATERAL.
-    """
-    if _lateral(timestamps_us, poses).max() > LATERAL:
-        return False
+    """Whether a vehicle at poses x, y, yaw (n,) at times (n,) stays on the road and ROOM metres from everybody."""
     ego = truth.box_poses(*poses)
     if truth.drivable is not None:
         boxes = np.asarray(shapely.polygons(corners(ego, truth.half_size)))
@@ -135,8 +130,9 @@ def is_free(truth: Truth, timestamps_us: NDArray[np.int64], poses: tuple[Array, 
     return True
 
 
-def _lateral(timestamps_us: NDArray[np.int64], poses: tuple[Array, Array, Array]) -> Array:
-    """Lateral accelerations (n - 1,) between poses, m/s2."""
+def is_gentle(timestamps_us: NDArray[np.int64], poses: tuple[Array, Array, Array]) -> bool:
+    """Whether the lateral acceleration along poses x, y, yaw (n,) at times (n,) keeps below LATERAL."""
     x, y, yaw = poses
     seconds = 1e-6 * np.diff(timestamps_us)
-    return np.hypot(np.diff(x), np.diff(y)) / seconds * np.abs(np.diff(np.unwrap(yaw))) / seconds
+    speed = np.hypot(np.diff(x), np.diff(y)) / seconds
+    return bool((speed * np.abs(np.diff(np.unwrap(yaw))) / seconds).max() <= LATERAL)

@@ -1,10 +1,14 @@
 """An event of the suite, and the traffic that several kinds share."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from olt_closed_loop.scenes.scene import Agent
+from olt_closed_loop.scenes.hills import lay_crest
+from olt_closed_loop.scenes.maps.frames import mirrored
+from olt_closed_loop.scenes.scene import Agent, Hills
 from olt_closed_loop.suite.courses import Course, at_speed, go_while_there, stand, stand_in_a_row, stream
 from olt_closed_loop.suite.grounds import Ground
 
@@ -18,11 +22,53 @@ class Event:
 
     Attributes:
         ground: map, route, and how the ego comes.
-        agents: everybody, over 20 s.
+        agents: everybody, over 20 s, on level ground.
+        hills: that the ground, the agents and the drive are put on; None where it is level.
     """
 
     ground: Ground
     agents: tuple[Agent, ...]
+    hills: Hills | None = None
+
+
+Make = Callable[[np.random.Generator], Event]
+"""Makes an event from a generator."""
+
+
+def in_mirror(make: Make) -> Make:
+    """Makes the same events in the mirror, where traffic keeps to the left.
+
+    What gives way to the right then gives way to the left, so it is for roads on which signs or lights tell who goes.
+    """
+    return partial(_in_mirror, make)
+
+
+def _in_mirror(make: Make, generator: np.random.Generator) -> Event:
+    event = make(generator)
+    ground = replace(event.ground, road_map=mirrored(event.ground.road_map))
+    return replace(event, ground=ground, agents=tuple(map(_mirrored_agent, event.agents)))
+
+
+def _mirrored_agent(agent: Agent) -> Agent:
+    poses = agent.poses * [1.0, -1.0, 1.0, -1.0]
+    if agent.label == "arm":
+        # Its hand is at its left end, which in the mirror is the right one.
+        poses[:, 3] += np.pi
+    return replace(agent, poses=poses)
+
+
+def behind_a_crest(make: Make) -> Make:
+    """Makes the same events beyond a crest of the road, which hides them for a while."""
+    return partial(_behind_a_crest, make)
+
+
+def _behind_a_crest(make: Make, generator: np.random.Generator) -> Event:
+    event = make(generator)
+    height, length = float(generator.uniform(2.2, 3.2)), float(generator.uniform(130.0, 160.0))
+    x, y, heading = event.ground.course.locate(event.ground.crux - float(generator.uniform(25.0, 35.0)))
+    crest = lay_crest(float(heading[0]), 0.0, height, length)
+    place = float(crest.along(np.array([x[0], y[0]])))
+    return replace(event, hills=replace(crest, start=crest.start + place))
 
 
 def cross_traffic(

@@ -10,7 +10,7 @@ from olt_closed_loop.scenes.maps.lanes import Control
 from olt_closed_loop.scenes.maps.signals import SignalPlan, with_signals
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.suite.courses import TIMES, Course, at_speed, go_while_there, stand, stream
-from olt_closed_loop.suite.event import FRONT_GAP, Event, lead_car
+from olt_closed_loop.suite.event import FRONT_GAP, Event, in_mirror, lead_car
 from olt_closed_loop.suite.grounds import Ground, road
 from olt_closed_loop.suite.intersections import four, skewed, three
 
@@ -23,9 +23,9 @@ _OWN_GREEN, _OTHERS_GREEN = (1, 3), (0, 2)
 _BRAKES = 2.0
 
 
-def open_road(generator: np.random.Generator, curve: float = 0.0, forward: int = 1, left_hand: bool = False) -> Event:
+def open_road(generator: np.random.Generator, curve: float = 0.0, forward: int = 1) -> Event:
     """A road, at times with somebody ahead and with traffic that comes."""
-    ground = road(generator, forward, curve * float(generator.choice([-1.0, 1.0])), 1.5, left_hand=left_hand)
+    ground = road(generator, forward, curve * float(generator.choice([-1.0, 1.0])), 1.5)
     agents: list[Agent] = []
     if generator.random() < _SOMEBODY:
         pace = ground.cruise * float(generator.uniform(0.9, 1.05))
@@ -38,10 +38,9 @@ def junction_drive(
     roads: Callable[..., Ground],
     goal: int,
     controls: tuple[Control, ...],
-    left_hand: bool = False,
 ) -> Event:
     """A junction on which the ego goes first; others wait for it, or leave."""
-    ground = roads(generator, goal=goal, controls=controls, left_hand=left_hand)
+    ground = roads(generator, goal=goal, controls=controls)
     return Event(ground, tuple(_harmless(ground, generator, len(controls) - 1)))
 
 
@@ -56,7 +55,7 @@ def green_light(generator: np.random.Generator, goal: int) -> Event:
 def red_light(generator: np.random.Generator, goal: int) -> Event:
     """A junction whose light turns green only after the ego has come to it."""
     ground = four(generator, goal=goal, controls=_LIGHTS)
-    turns = ground.arrival(ground.crux) + float(generator.uniform(0.0, 4.0))
+    turns = ground.arrival(ground.crux) + float(generator.uniform(0.0, 5.0))
     plan = SignalPlan((_OWN_GREEN, _OTHERS_GREEN), green=12.0, start=turns)
     ground = replace(ground, road_map=with_signals(ground.road_map, plan))
     return Event(ground, tuple(_harmless(ground, generator, 3)))
@@ -103,19 +102,19 @@ _main4, _main3 = partial(junction_drive, controls=_MAIN), partial(junction_drive
 
 NOMINAL: dict[str, Maker] = {
     "open_road": open_road,
-    "open_road_left_hand": partial(open_road, left_hand=True),
+    "open_road_left_hand": in_mirror(open_road),
     "gentle_bend": partial(open_road, curve=1 / 150),
     "sharp_bend": partial(open_road, curve=1 / 70),
-    "bend_left_hand": partial(open_road, curve=1 / 100, left_hand=True),
+    "bend_left_hand": in_mirror(partial(open_road, curve=1 / 100)),
     "two_lanes": partial(open_road, forward=2),
     "two_lanes_bend": partial(open_road, forward=2, curve=1 / 140),
     "priority_straight": partial(_main4, roads=four, goal=1),
     "priority_right": partial(_main4, roads=four, goal=0),
     "priority_left": partial(_main4, roads=four, goal=2),
     "priority_skewed": partial(_main4, roads=skewed, goal=1),
-    "priority_left_hand": partial(_main4, roads=four, goal=1, left_hand=True),
-    "left_hand_right_turn": partial(_main4, roads=four, goal=0, left_hand=True),
-    "left_hand_left_turn": partial(_main4, roads=four, goal=2, left_hand=True),
+    "priority_left_hand": in_mirror(partial(_main4, roads=four, goal=1)),
+    "left_hand_right_turn": in_mirror(partial(_main4, roads=four, goal=2)),
+    "left_hand_left_turn": in_mirror(partial(_main4, roads=four, goal=0)),
     "three_arms_right": partial(_main3, roads=three, goal=0),
     "three_arms_left": partial(_main3, roads=three, goal=1),
     "green_straight": partial(green_light, goal=1),

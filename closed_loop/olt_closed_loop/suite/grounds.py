@@ -6,14 +6,14 @@ from functools import cached_property
 
 import numpy as np
 
-from olt_closed_loop.privileged.holds import HUMAN
 from olt_closed_loop.scenes.maps.carriageways import carriageway
 from olt_closed_loop.scenes.maps.cross_sections import CrossSection
 from olt_closed_loop.scenes.maps.frames import moved
 from olt_closed_loop.scenes.maps.junctions import Arm, junction
-from olt_closed_loop.scenes.maps.lanes import Control, Lane, Light, LightState, StopLine
+from olt_closed_loop.scenes.maps.lanes import HUMAN, Control, Lane, Light, LightState, StopLine
 from olt_closed_loop.scenes.maps.road_map import RoadMap
 from olt_closed_loop.scenes.maps.roundabouts import roundabout
+from olt_closed_loop.scenes.maps.signals import SignalPlan, with_signals
 from olt_closed_loop.scenes.polylines import arc_lengths, points_along
 from olt_closed_loop.suite.courses import Course
 from olt_closed_loop.suite.training_roads import SUITE_WIDTHS, bend_of, draw_lane_width, draw_wider, given_width
@@ -55,6 +55,10 @@ class Ground:
         """The course from a lane to another."""
         return Course(self.road_map.route_line(self.road_map.route(start, goal)))
 
+    def ways(self, start: str, goal: str) -> tuple[str, ...]:
+        """The lanes between two, without these."""
+        return self.road_map.route(start, goal)[1:-1]
+
     def arrival(self, station: float) -> float:
         """Seconds until the centre of an ego that nothing slows down is at a station."""
         return (station - self.start - _CENTER) / self.cruise
@@ -62,6 +66,14 @@ class Ground:
     def with_light(self, light: Light) -> "Ground":
         """The ground with one light more."""
         return replace(self, road_map=replace(self.road_map, lights=(*self.road_map.lights, light)))
+
+    def signalled(self, plan: SignalPlan) -> "Ground":
+        """The ground with lights that change by a plan, on the arms that have stop lines for lights."""
+        return replace(self, road_map=with_signals(self.road_map, plan))
+
+    def waved_on(self, lanes: Sequence[str]) -> "Ground":
+        """The ground where a person waves traffic on through some lanes all the time."""
+        return self.with_light(Light(f"{HUMAN}_others", tuple(lanes), np.zeros(1, dtype=np.int64), ("green",)))
 
     def directed(self, held: Sequence[tuple[float, float]]) -> "Ground":
         """The ground where a person holds the ego's lane at the crux for spans of seconds."""
@@ -107,7 +119,6 @@ def crossroads(
     generator: np.random.Generator,
     headings: Sequence[float] = (0.0, 90.0, 180.0, 270.0),
     controls: Sequence[Control | None] = (None, None, None, None),
-    left_hand: bool = False,
     wear: float = 0.0,
     bend: float = 0.0,
 ) -> RoadMap:
@@ -127,7 +138,7 @@ def crossroads(
         )
         for heading, turn, more, control in zip(headings, off, lengths, controls, strict=True)
     ]
-    return junction(arms, turn_radius=draw_wider(generator, 7.0, 10.0), left_hand=left_hand)
+    return junction(arms, turn_radius=draw_wider(generator, 7.0, 10.0))
 
 
 def circle(generator: np.random.Generator, headings: Sequence[float]) -> RoadMap:
@@ -146,7 +157,6 @@ def road(
     curve: float = 0.0,
     shoulder: float = 1.0,
     wear: float = 0.0,
-    left_hand: bool = False,
 ) -> Ground:
     """A road between junctions, bent by `curve` (1/m) about the event; the crux is 90 m from its start."""
     width = draw_lane_width(generator, 3.3, 3.7)
@@ -159,7 +169,6 @@ def road(
         forward=forward,
         section=section,
         bends=knots,
-        left_hand=left_hand,
     )
     road_map = _somewhere(road_map, generator)
     return _approach(road_map, (f"forward_{forward - 1}",), crux, generator, None)

@@ -1,11 +1,13 @@
 """Complex intersections: right of way kept and taken, people who direct traffic, and paths that cones lay anew."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from olt_closed_loop.scenes.maps.lanes import Control
+from olt_closed_loop.scenes.maps.signals import SignalPlan
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.suite.courses import Course, at_speed, go, go_while_there, stand
 from olt_closed_loop.suite.event import Event, closure, cone_line, cross_traffic, last_passes
@@ -15,6 +17,8 @@ from olt_closed_loop.suite.people import flagger, officer
 Roads = Callable[..., Ground]
 _CLEARS = 1.2
 """Seconds from the last car of cross traffic to the hand that lets the ego go."""
+_RED_BEFORE, _LONG_GREEN, _NEVER = 2.0, 40.0, 35.0
+"""Seconds from the red light to the hand that overrules it, of a green that is there all along, and after the end."""
 
 FOUR = (0.0, 90.0, 180.0, 270.0)
 SKEWED = (20.0, 90.0, 200.0, 270.0)
@@ -31,23 +35,31 @@ def ground_of(
     lead: float | None = None,
     wear: float = 0.0,
     bend: float = 0.0,
-    left_hand: bool = False,
+    lit: bool = False,
 ) -> Ground:
-    """A junction that the ego comes to on its last arm and leaves on arm `goal`."""
+    """A junction that the ego comes to on its last arm and leaves on arm `goal`.
+
+    A `lit` one of four arms has lights, green for the ego's arm and the opposite one and red for the others.
+    """
     own = len(headings) - 1
-    road_map = crossroads(
-        generator, headings, controls or (None,) * len(headings), left_hand=left_hand, wear=wear, bend=bend
-    )
-    return place(road_map, f"arm{own}_in_0", f"arm{goal}_out_0", generator, lead)
+    told: Sequence[Control | None] = controls or ("light" if lit else None,) * len(headings)
+    road_map = crossroads(generator, headings, told, wear=wear, bend=bend)
+    ground = place(road_map, f"arm{own}_in_0", f"arm{goal}_out_0", generator, lead)
+    return ground.signalled(_turns_red(_NEVER)) if lit else ground
 
 
 def directed_hold(
-    generator: np.random.Generator, roads: Roads, streams: tuple[tuple[int, int], ...], waiting: int | None = None
+    generator: np.random.Generator,
+    roads: Roads,
+    streams: tuple[tuple[int, int], ...],
+    waiting: int | None = None,
+    overruled: bool = False,
 ) -> Event:
     """Somebody stops the ego with both arms, lets cross traffic pass, and then waves it through.
 
     When the stream is through and the way looks free, a late and fast one still comes: only the arms tell. And who
-    waits on arm `waiting` stays there, so that it is the arms again that tell when to go.
+    waits on arm `waiting` stays there, so that it is the arms again that tell when to go. Where the lights of the
+    junction are `overruled`, that of the ego is green while the hand stops it, and red when the hand waves it through.
     """
     ground = roads(generator)
     speed = float(generator.uniform(8.0, 10.0))
@@ -66,9 +78,18 @@ def directed_hold(
         lane = Course(ground.road_map.lane(f"arm{waiting}_in_0").center)
         agents.append(stand("waiting", "automobile", lane, lane.length - 4.0, 0.0))
     held = ((0.0, comes + _CLEARS),)
+    if overruled:
+        others = [name for start, goal in streams for name in ground.ways(f"arm{start}_in_0", f"arm{goal}_out_0")]
+        ground = ground.signalled(_turns_red(held[0][1] - _RED_BEFORE)).waved_on(others)
     ground = ground.directed(held)
     side = float(generator.uniform(2.6, 3.0))
     return Event(ground, (*agents, *officer(ground.course, ground.crux + 3.0, -side, held)))
+
+
+def _turns_red(when: float) -> SignalPlan:
+    """Lights of crossroads: the ego's arm and the opposite one are green, then amber, and red from `when` seconds."""
+    plan = SignalPlan(phases=((1, 3), (0, 2)), green=_LONG_GREEN)
+    return replace(plan, start=when - plan.amber - plan.green)
 
 
 def directed_detour(generator: np.random.Generator, roads: Roads, side: float) -> Event:

@@ -2,6 +2,7 @@
 
 from functools import lru_cache
 
+from olt_closed_loop.scenes.hills import put_on_hills
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scenes.scene_map import with_map
 from olt_closed_loop.suite.catalogue import Entry, find_event
@@ -25,6 +26,11 @@ def make_scene(name: str, seed: int = 0) -> Scene:
         InputError: there is no such event.
     """
     return _make(find_event(name), seed)
+
+
+def with_seed(source: str, seed: int) -> str:
+    """The source of an event of the suite with a seed; others, and those that have one, stay as they are."""
+    return f"{source}:{seed}" if source.startswith(PREFIX) and ":" not in source else source
 
 
 def scene_of(source: str) -> Scene:
@@ -60,4 +66,5 @@ def scene_of_event(name: str, category: str, factors: tuple[str, ...], event: Ev
         drivable=(),
         route=road_map.route_line(ground.lanes),
     )
-    return with_map(scene, road_map)
+    scene = with_map(scene, road_map)
+    return scene if event.hills is None else put_on_hills(scene, event.hills)

@@ -10,15 +10,16 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 
 from olt_closed_loop.privileged.plan import Drive, is_clean, plan_drive
 from olt_closed_loop.privileged.truth import Truth
 from olt_closed_loop.scenes.driving import SAMPLE_US
 from olt_closed_loop.scenes.scene import Scene
-from olt_closed_loop.suite.catalogue import CURVED, EVENTS, LEFT, LONGTAIL, Entry
+from olt_closed_loop.suite.catalogue import CATEGORIES, CURVED, EVENTS, LEFT, Entry
 from olt_closed_loop.suite.courses import DURATION_US
-from olt_closed_loop.suite.disturbances import Disturbance, Push, is_free
+from olt_closed_loop.suite.disturbances import Disturbance, Push, is_free, is_gentle
 from olt_closed_loop.suite.event import Event
 from olt_closed_loop.suite.everyday import NOMINAL, ORDINARY_STOPS
 from olt_closed_loop.suite.recorded_drives import (
@@ -43,12 +44,16 @@ RECOVERY = "recovery"
 """The factor of the legs that begin with a push."""
 LAST_IMAGE_US = DURATION_US - int(FUTURE_OFFSETS_US[-1])
 """The last time that gives a sample: its future is known."""
+Poses = tuple[Array, Array, Array]
+"""x, y, yaw (n,) of the rig in the world."""
 _ATTEMPTS = 30
 _IMAGES_BEFORE_US = 1_300_000
 _MORE_FUTURE_US = 200_000
 _LEAST_LEG_US = 600_000
-_SCALES = (1.0, -1.0, 0.5, -0.5, 0.0)
+_SCALES = (1.0, -1.0, 0.5, -0.5)
 """How strongly a push is tried, one after another, until it is a safe one."""
+_BACK_US = 2_500_000
+"""How long the way back to the path takes, about."""
 _SMOOTHING = 5.0
 """Samples of the recording."""
 
@@ -63,7 +68,8 @@ def _entries() -> dict[str, Entry]:
 
 
 def _factors_of(name: str) -> tuple[str, ...]:
-    return tuple(factor for factor, word in ((CURVED, "bend"), (LEFT, "left_hand")) if word in name)
+    words = ((CURVED, "bend"), (CURVED, "curve"), (LEFT, "left_hand"))
+    return tuple(factor for factor, word in words if word in name)
 
 
 TRAINING_EVENTS: Mapping[str, Entry] = _entries()
@@ -76,11 +82,13 @@ def _groups() -> dict[str, tuple[str, ...]]:
         category: tuple(name for name, entry in TRAINING_EVENTS.items() if entry.category == category)
         for category in categories
     }
-    return {"longtail": LONGTAIL, **groups}
+    # The categories of the suite take turns, each as often as it has events.
+    places = {name: (index + 0.5) / len(groups[each]) for each in CATEGORIES for index, name in enumerate(groups[each])}
+    return {"longtail": tuple(sorted(places, key=lambda name: places[name])), **groups}
 
 
 GROUPS: Mapping[str, tuple[str, ...]] = _groups()
-"""Names of events by category, and those of all CATEGORIES of the suite as `longtail`."""
+"""Names of events by category, and the 53 of the suite as `longtail`, whose categories take turns."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +178,7 @@ def training_event(name: str, seed: int, attempt: int = 0) -> Event:
 class _Driven:
     """Poses x, y, yaw (n,) every SAMPLE_US from the start, and the drive that goes on from there."""
 
-    poses: tuple[Array, Array, Array]
+    poses: Poses
     drive: Drive
 
 
@@ -218,14 +226,29 @@ def _drive_to(entry: Entry, seed: int, disturbance: Disturbance | None, leg: int
     return _Driven(joined((driven.poses, planned, pushed)), drive)
 
 
-def _push(truth: Truth, push: Push, drive: Drive) -> tuple[tuple[Array, Array, Array], Drive]:
-    """The poses of a push without its end, and the drive from there: as pushed, or weaker where that is not clean."""
+def _push(truth: Truth, push: Push, drive: Drive) -> tuple[Poses, Drive]:
+    """The poses of a push without its end, and the drive from there: as pushed, or weaker where that is not clean.
+
+    Where nothing else is clean the vehicle is not pushed, and its drive is planned anew all the same.
+    """
     times = push.times(SAMPLE_US)
     for scale in _SCALES:
-        x, y, yaw = poses = push.scaled(scale).move(drive, times)
-        if scale and not is_free(truth, times, poses):
+        poses = push.scaled(scale).move(drive, times)
+        if not (is_gentle(times, poses) and is_free(truth, times, poses)):
             continue
-        found = plan_drive(truth, push.end_us, float(x[-1]), float(y[-1]), speed_at(poses, times), float(yaw[-1]))
-        if is_clean(found, truth):
-            break
-    return (x[:-1], y[:-1], yaw[:-1]), found
+        found = _plan_on(truth, push, times, poses)
+        back = np.arange(push.end_us, push.end_us + _BACK_US, SAMPLE_US, dtype=np.int64)
+        if is_clean(found, truth) and is_gentle(back, found.poses(back)):
+            return _without_last(poses), found
+    poses = push.scaled(0.0).move(drive, times)
+    return _without_last(poses), _plan_on(truth, push, times, poses)
+
+
+def _plan_on(truth: Truth, push: Push, times: NDArray[np.int64], poses: Poses) -> Drive:
+    x, y, yaw = (float(each[-1]) for each in poses)
+    return plan_drive(truth, push.end_us, x, y, speed_at(poses, times), yaw)
+
+
+def _without_last(poses: Poses) -> Poses:
+    x, y, yaw = poses
+    return x[:-1], y[:-1], yaw[:-1]

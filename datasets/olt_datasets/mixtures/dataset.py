@@ -4,7 +4,7 @@ batches = MixtureBatchSampler(mixture, batch_size=8)
 for batch in DataLoader(MixtureDataset(mixture, (320, 576)), batch_sampler=batches, num_workers=2): ...
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,9 @@ import torch
 from torch.utils.data import Dataset, Sampler
 
 from olt_datasets.mixtures.mixture import Mixture
+from olt_datasets.mixtures.sample_cache import CacheOptions, SampleCache
 from olt_generator.errors import InputError
+from olt_generator.progress import Progress, silent
 from olt_toolkit import ClipStore, PolicySample, SampleKey
 from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
 
@@ -32,6 +34,9 @@ class MixtureDataset(Dataset[dict[str, Any]]):
         contract: the cameras that it takes.
         with_origin: whether samples tell where the pixels of their images come from (`PolicySample.image_origin`).
         with_truth: whether samples tell what is known of obstacles and holds.
+        cache: folder in which all samples are kept decoded (`mixtures.sample_cache`), made here where it is not there;
+            None to decode them each time.
+        on_progress: told the share of the samples that are in a cache which is made.
         open_store: opens the clip store in a folder.
     """
 
@@ -43,7 +48,11 @@ class MixtureDataset(Dataset[dict[str, Any]]):
         contract: CameraContract = DEFAULT_CONTRACT,
         with_origin: bool = False,
         with_truth: bool = False,
+        cache: Path | None = None,
+        on_progress: Progress = silent,
     ) -> None:
+        if cache is not None and with_origin:
+            raise InputError(f"{cache}: a sample cache does not keep where pixels come from; leave one of both out")
         self.image_size = image_size
         self._contract, self._with_origin, self._with_truth = contract, with_origin, with_truth
         # Arrow, not polars, whose threads do not live in forked workers; and no objects, whose counts would unshare it.
@@ -53,6 +62,7 @@ class MixtureDataset(Dataset[dict[str, Any]]):
         self._columns = stores.to_numpy(), samples["clip_id"].to_arrow(), samples["t0_us"].to_numpy()
         self._open_store = open_store
         self._stores: dict[str, ClipStore] = {}
+        self._cache = None if cache is None else self._make_cache(cache, on_progress)
 
     def __len__(self) -> int:
         """Distinct samples. An epoch may use one more than once, and some not at all."""
@@ -63,29 +73,41 @@ class MixtureDataset(Dataset[dict[str, Any]]):
 
     def __getitems__(self, rows: Sequence[int]) -> list[dict[str, Any]]:
         """A whole batch, as a DataLoader asks for it: every clip is decoded once."""
-        stores, clip_ids, times = self._columns
-        keys = [SampleKey(self._store_names[stores[row]], clip_ids[int(row)].as_py(), int(times[row])) for row in rows]
         return [
             {
                 name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
                 for name, value in vars(sample).items()
                 if value is not None
             }
-            for sample in self.load_batch(keys)
+            for sample in self.load_batch(self._keys(rows))
         ]
 
     def load_batch(self, keys: Sequence[SampleKey]) -> list[PolicySample]:
         """Samples in the order of `keys`; every clip is decoded once. InputError where one is missing or damaged."""
+        if self._cache is not None:
+            return self._cache.load(keys)
         loaded: dict[SampleKey, PolicySample] = {}
         for store in sorted({key.store for key in keys}):
-            if store not in self._stores:
-                self._stores[store] = self._open_store(Path(store))
             wanted = [key for key in keys if key.store == store]
-            samples = self._stores[store].load_samples(
+            samples = self._store(store).load_samples(
                 wanted, self.image_size, self._contract, self._with_origin, self._with_truth
             )
             loaded |= zip(wanted, samples, strict=True)
         return [loaded[key] for key in keys]
+
+    def _store(self, name: str) -> ClipStore:
+        if name not in self._stores:
+            self._stores[name] = self._open_store(Path(name))
+        return self._stores[name]
+
+    def _make_cache(self, folder: Path, on_progress: Progress) -> SampleCache:
+        options = CacheOptions(self.image_size, self._contract, self._with_truth)
+        stores = {name: self._store(name) for name in self._store_names}
+        return SampleCache(folder, self._keys(range(len(self))), stores, options, on_progress)
+
+    def _keys(self, rows: Iterable[int]) -> list[SampleKey]:
+        stores, clip_ids, times = self._columns
+        return [SampleKey(self._store_names[stores[row]], clip_ids[int(row)].as_py(), int(times[row])) for row in rows]
 
 
 class MixtureBatchSampler(Sampler[list[int]]):

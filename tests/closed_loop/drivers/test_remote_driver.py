@@ -312,3 +312,46 @@ def test_a_served_policy_drives_as_it_does_here(spec):
     assert far.failure is None
     # The wire is float32.
     np.testing.assert_allclose(far.states[:, :3], near.states[:, :3], atol=1e-4)
+
+
+EVENTS = {  # events of the suite by what the peer's drivers are shown
+    "longtail/closed_lane": "none",
+    "longtail/officer_stops_straight": "none",
+    "longtail/riders_on_curve": "none",
+    "longtail/tractor_ahead": FRONT_WIDE,
+}
+
+
+def drive_events_with_peer(name, events, duration_us):
+    """Scores of the peer's driver on events of the suite, by event."""
+    server = pytest.importorskip("carla_driver_interface.server", reason="needs the package carla-driver-interface")
+    from carla_driver_interface.policies import load_policy
+
+    scores, settings = {}, SimulationSettings(duration_us=duration_us)
+    with server.serving(load_policy(name), port=0, host="127.0.0.1", mode="alpasim") as port:
+        for event in events:
+            policy = f"grpc://127.0.0.1:{port}?cameras={EVENTS[event]}&size=32x56"
+            ((rollout, score),) = run_closed_loop([event], policy, 1, settings=settings)
+            assert rollout.failure is None
+            assert rollout.policy.startswith(name)
+            assert rollout.incidents.plans_refused == 0
+            if EVENTS[event] != "none":
+                assert rollout.rendered_images == {EVENTS[event]: rollout.incidents.plans_asked + 3}
+            scores[event] = score
+    return scores
+
+
+@pytest.mark.parametrize("name", ["route_follower", "constant_speed"])
+def test_the_peers_drivers_drive_the_suite(name):
+    scores = drive_events_with_peer(name, ["longtail/closed_lane", "longtail/tractor_ahead"], 4_000_000)
+    assert all(score.score is not None for score in scores.values())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "failed"), [("route_follower", 4), ("constant_speed", 2)])
+def test_the_peers_drivers_fail_events_of_every_category(name, failed):
+    """They look at nothing: neither officers nor cones nor riders."""
+    scores = drive_events_with_peer(name, EVENTS, 20_000_000)
+    categories = {score.category for score in scores.values()}
+    assert categories == {"work_zone", "complex_intersection", "cyclists", "uncommon_vehicle"}
+    assert sum(score.score == 0.0 for score in scores.values()) == failed

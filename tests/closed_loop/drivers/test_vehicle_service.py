@@ -16,6 +16,7 @@ from olt_closed_loop.drivers.vehicle_service import VehicleService
 from olt_closed_loop.vehicle.integrators import VehicleStepper
 from olt_closed_loop.vehicle.parameters import VehicleParameters, vehicle_with_tyres
 from olt_generator.poses import invert, make_pose, planar_pose, yaw_of
+from olt_generator.trajectory import Trajectory
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
 
 from .peers import call_with_bytes
@@ -169,6 +170,37 @@ def code_of(call):
     with pytest.raises(grpc.RpcError) as raised:
         call()
     return raised.value.code()
+
+
+def test_a_plan_that_comes_late_is_in_the_rig_as_it_stood_when_it_was_made(served):
+    """As with a planner's delay: the same plan, told in the rig of an earlier time, is driven the same."""
+    _, port = served
+    reference, delay_us = circle(30.0, 8.0, at=(400.0, -70.0)), 250_000
+    ends = {}
+    for late in (False, True):
+        simulator, pose = Simulator(port, f"late {late}"), reference(np.zeros(1))[0]
+        way = {0: pose}
+        for now_us in range(0, 2_000_000, STEP_US):
+            made_us = max(now_us - delay_us, 0) if late else now_us
+            plan_us = made_us + 50_000 * np.arange(100)
+            made_at = way[made_us] if made_us in way else between(way, made_us)
+            plan = invert(made_at) @ reference(plan_us * 1e-6)
+            states = simulator.run(now_us, pose, plan_us.tolist(), plan, now_us + STEP_US, 8.0, 50_000).states
+            for state in states:
+                way[state.timestamp_us] = read_pose(state.pose_local_to_rig, "pose")
+            pose = way[now_us + STEP_US]
+        ends[late] = pose
+    np.testing.assert_allclose(ends[True], ends[False], atol=2e-3)
+    older = np.arange(11) * STEP_US
+    stranger = Simulator(port, "stranger")
+    assert code_of(lambda: stranger.run(500_000, pose, older.tolist(), planar_pose(older, 0.0, 0.0), 600_000)) == (
+        grpc.StatusCode.INVALID_ARGUMENT
+    )
+
+
+def between(way, time_us):
+    times = np.array(sorted(way))
+    return Trajectory(times, np.stack([way[time] for time in times])).interpolate(np.array([time_us]))[0]
 
 
 def test_requests_that_make_no_sense_are_refused_and_change_nothing(served):

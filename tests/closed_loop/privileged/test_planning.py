@@ -6,11 +6,11 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_closed_loop.privileged.holds import HUMAN, holds_of
+from olt_closed_loop.privileged.holds import holds_of
 from olt_closed_loop.privileged.plan import plan_drive
 from olt_closed_loop.privileged.truth import Hold, Truth, box_of
 from olt_closed_loop.scenes.actors import SIZES, corners
-from olt_closed_loop.scenes.maps.lanes import Lane, Light
+from olt_closed_loop.scenes.maps.lanes import HUMAN, Lane, Light
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.moving_boxes import separations
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE

@@ -36,8 +36,8 @@ def test_it_drives_with_planner_delay():
 
 
 def test_without_a_scene_or_a_route_it_refuses():
-    with pytest.raises(InputError, match="takes nothing"):
-        make_policy("privileged:fast")
+    with pytest.raises(InputError, match="must know the scene"):
+        make_policy("privileged").reset(0, "somewhere")
     scene = replace(generate_scene("nominal", 0), route=np.zeros((0, 3)))
     with pytest.raises(InputError, match="no route"):
         PrivilegedDriver(scene)

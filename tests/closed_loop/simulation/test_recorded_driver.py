@@ -86,6 +86,16 @@ def test_as_a_policy_it_drives_its_own_scene_only():
     assert score.score is not None
     ((rollout, _),) = run_closed_loop(["cyclists:2"], "recorded:cyclists:1", 1, settings=SHORT)
     assert rollout.failure_kind == "policy_errors"
-    assert "it follows the recording of" in rollout.failure
-    with pytest.raises(InputError, match="give the scene whose recording it follows"):
-        make_policy("recorded")
+    assert "it knows the scene" in rollout.failure
+
+
+@pytest.mark.parametrize("name", ["recorded", "privileged"])
+def test_policies_that_know_scenes_are_told_theirs_in_one_way(name):
+    """By the simulation, or after the name where nobody tells them; the drive is the same."""
+    told, given = (run_closed_loop(["cyclists:1"], spec, 1, settings=SHORT) for spec in (name, f"{name}:cyclists:1"))
+    assert told[0][0].failure is None and told[0][0].policy == given[0][0].policy == name
+    np.testing.assert_array_equal(told[0][0].states, given[0][0].states)
+    served = make_policy(f"{name}:cyclists:1")
+    assert served.plan(observe(17)).xyz.shape == (64, 3)
+    with pytest.raises(InputError, match=f"must know the scene; give it as in {name}:"):
+        make_policy(name).plan(observe(17))

@@ -8,6 +8,7 @@ import pytest
 from olt_closed_loop.scenes.procedural import generate_scene
 from olt_closed_loop.sensors.recorder import record_drive
 from olt_generator.errors import InputError
+from olt_generator.poses import planar_pose, transform, yaw_of
 from olt_toolkit.clips.builder import BuildOptions, build_clip
 from olt_toolkit.recordings.drives import open_dataset
 from olt_toolkit.recordings.recording import OpenOptions
@@ -105,12 +106,16 @@ def test_true_views_carry_their_cameras(open_world):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
+        ("categories: [training/nothing]\nseed: 0\ncount: 1", "give each category once"),
+        ("categories: [nominal]\nseed: 0\ncount: 1\ndisturbance: {}", "nominal cannot be disturbed"),
+        ("categories: [training/nominal]\nseed: 0\ncount: 1\ndisturbance: {every: 1}", "disturbance.every: "),
+        ("categories: [training/nominal]\nseed: 0\ncount: 1\nduration: 21", "duration: "),
         ("categories: [animals]\nseed: 0\ncount: 1", "categories: .*give each category once, of nominal"),
         ("categories: [nominal, nominal]\nseed: 0\ncount: 1", "give each category once"),
         ("categories: []\nseed: 0\ncount: 1", "categories: "),
         ("categories: [nominal]\nseed: 0", "count: Field required"),
         ("categories: [nominal]\nseed: 0\ncount: 1\ncolour: red", "colour: Extra inputs"),
-        ("categories: [nominal]\nseed: 0\ncount: 1\nduration: 15", "duration: "),
+        ("categories: [nominal]\nseed: 0\ncount: 1\nduration: 15", "drives of nominal last 14 s"),
         ("categories: [nominal]\nseed: 0\ncount: 1\nframe_rate: 0", "frame_rate: "),
         ("categories: [nominal]\nseed: 0\ncount: 1\nconditions: {light: dusk}", "conditions.light: "),
         ("categories: [nominal]\nseed: 0\ncount: 1\nconditions: {fog: 1}", "conditions.fog: Extra inputs"),
@@ -157,3 +162,70 @@ def test_a_look_at_a_drive(open_world, check_peek):
     check_peek(open_world(SPECIFICATION + "duration: 0.5\n"), "nominal_000007", width=64, tolerance=0)
     coded = open_world(SPECIFICATION + "duration: 0.5\ncamera: {kilobits_per_second: 1000.0, noise: 4.0}\n")
     check_peek(coded, "nominal_000007", width=320, tolerance=15)
+
+
+LEGS = """
+categories: [training/gentle_bend]
+seed: 1003
+count: 1
+disturbance: {every: 5.0, offset: 0.8}
+"""
+
+
+def test_drives_to_learn_from_take_turns_and_end_with_their_last_sample(open_world):
+    dataset = open_world("categories: [training/work_zone, training/wye_merge]\nseed: 6\ncount: 2\n")
+    assert dataset.keys() == [
+        "training_lane_shift_000006",
+        "training_lane_shift_on_curve_000007",
+        "training_wye_merge_000006",
+        "training_wye_merge_000007",
+    ]
+    drive = dataset.drive("training_lane_shift_000006")
+    assert (drive.scene_id, drive.category, drive.take) == ("synthetic/training_lane_shift_000006", "work_zone", "")
+    assert "cone_delineated_path" in drive.factors
+    assert drive.front_us[-1] == 13_600_000 and drive.ego_span_us == (0, 20_000_000)
+
+
+def test_a_disturbed_drive_comes_in_legs_of_one_scene(open_world):
+    dataset = open_world(LEGS)
+    drives = list(map(dataset.drive, dataset.keys()))
+    assert [drive.key for drive in drives] == [f"training_gentle_bend_001003_leg_{leg}" for leg in range(len(drives))]
+    assert len(drives) >= 2 and len({drive.take for drive in drives}) == len(drives)
+    assert {drive.scene_id for drive in drives} == {"synthetic/training_gentle_bend_001003"}
+    assert ["recovery" in drive.factors for drive in drives] == [False] + [True] * (len(drives) - 1)
+    for drive in drives:
+        assert drive.front_us[0] == 0 and drive.ego_span_us[0] <= 0
+        assert drive.ego_span_us[1] >= drive.front_us[-1] + 6_400_000
+    gentler = open_world(LEGS.replace("0.8", "0.5"))
+    assert gentler.drive(drives[1].key).take != drives[1].take
+
+
+def test_the_clip_of_a_leg_knows_its_route_and_what_is_around(open_world):
+    dataset = open_world(LEGS)
+    key = dataset.keys()[1]
+    drive, scene = dataset.drive(key), dataset._find(key).scene()
+    start_us = -drive.ego_span_us[0]
+    recording = dataset.open(key, (0, 1_700_000), SMALL)
+    shown = record_drive(scene, 64, 36, 10.0, (CROSS_LEFT,), window_us=(start_us, start_us + 1_700_000))
+    np.testing.assert_allclose(recording.reference.T_world_rig, shown.reference.T_world_rig)
+    clip = build_clip(recording, BuildOptions(64, 36, cameras=(CROSS_LEFT, FRONT_WIDE), use_reference_views=True)).clip
+    # The route in the world again.
+    T_world_rig = scene.ego.interpolate(np.array([start_us]))[0]
+    anchor = planar_pose(T_world_rig[0, 3], T_world_rig[1, 3], float(yaw_of(T_world_rig)))
+    lifted = np.column_stack([clip.route, np.zeros(len(clip.route))])
+    np.testing.assert_allclose(transform(anchor, lifted)[:, :2], scene.route[:, :2], atol=1e-6)
+    assert clip.holds is not None and clip.holds.timestamps_us[0] == 0
+    assert clip.obstacles is not None and clip.obstacles.boxes.shape[1] == 7
+
+
+def test_images_do_not_tell_which_leg_they_are_of(open_world):
+    """Who films changes nothing of the world: the same pose at the same time gives the same image."""
+    plain = open_world("categories: [training/gentle_bend]\nseed: 1003\ncount: 1\n")
+    whole = plain.open("training_gentle_bend_001003", (0, 500_000), SMALL)
+    first = open_world(LEGS).open("training_gentle_bend_001003_leg_0", (0, 500_000), SMALL)
+    assert np.array_equal(whole.frames, first.frames)
+
+
+def test_a_rendered_image_has_the_shape_that_is_asked_for(open_world):
+    recording = open_world().open("nominal_000007", (0, 0), replace(SMALL, height=40))
+    assert recording.frames.shape == (1, 40, 64, 3)

@@ -7,6 +7,7 @@ import torch
 from olt_closed_loop.drivers.driver_service import DriverService
 from olt_closed_loop.drivers.remote_driver import load_grpc
 from olt_closed_loop.drivers.server import serving
+from olt_closed_loop.simulation.policy_hosts import PolicyLimits
 from olt_generator.poses import planar_pose
 from olt_sft_recipes.toy.checkpoint import ToyModel, save_model
 from olt_sft_recipes.toy.policy import load_toy
@@ -44,7 +45,10 @@ def test_it_plans_over_loopback_as_here(checkpoint):
         asked.append(observation.seed)
         return plan(policy, observation)
 
-    with pytest.MonkeyPatch.context() as patch, serving(DriverService(f"toy:{checkpoint}")) as port:
+    with (
+        pytest.MonkeyPatch.context() as patch,
+        serving(DriverService(f"toy:{checkpoint}", limits=PolicyLimits(isolate="none"))) as port,
+    ):
         patch.setattr(type(here), "plan", keep_seed)
         far = load_grpc(f"//127.0.0.1:{port}?images=png")
         assert (far.cameras, far.image_size) == (here.cameras, here.image_size)

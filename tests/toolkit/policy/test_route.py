@@ -7,7 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from olt_toolkit.policy.route import LOOK_AHEAD, PathTracker
+from olt_toolkit.policy.route import (
+    LOOK_AHEAD,
+    ROUTE_LENGTH,
+    ROUTE_POINTS,
+    PathTracker,
+    route_ahead,
+    routes_ahead,
+)
 
 
 def test_progress_does_not_jump_where_a_path_passes_twice():
@@ -87,3 +94,23 @@ def test_a_path_of_one_point_is_as_far_as_that_point():
     tracker = PathTracker(np.array([[1.0, 2.0], [1.0, 2.0]]))
     assert (tracker.arc_length, tracker.distance) == (0.0, 0.0)
     assert (tracker.advance(np.array([4.0, 6.0])), tracker.distance, tracker.length) == (0.0, 5.0, 0.0)
+
+
+def test_the_route_ahead_is_seen_from_the_rig():
+    route = np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 100.0]])
+    poses = np.array([[10.0, 1.0, 0.0], [11.0, 1.0, 0.0], [50.0, 60.0, np.pi / 2]])
+    ahead = routes_ahead(route, poses[:2])
+    assert ahead.shape == (2, ROUTE_POINTS, 2)
+    np.testing.assert_allclose(ahead[0, 0], (0.0, -1.0), atol=1e-9)
+    step = ROUTE_LENGTH / (ROUTE_POINTS - 1)
+    np.testing.assert_allclose(ahead[1, 1], (step, -1.0), atol=1e-9)
+    np.testing.assert_allclose(ahead[0, -1], (40.0, ROUTE_LENGTH - 40.0 - 1.0), atol=1e-9)
+    # It ends 40 m ahead: what lies beyond is not known.
+    last = routes_ahead(route, poses[2:])[0]
+    inside = step * np.arange(ROUTE_POINTS) <= 40.0
+    np.testing.assert_allclose(last[inside, 0], step * np.arange(ROUTE_POINTS)[inside], atol=1e-9)
+    assert np.isnan(last[~inside]).all()
+
+
+def test_no_route_is_not_a_number():
+    assert np.isnan(route_ahead(None, 1.0, 2.0, 0.5)).all()

@@ -165,17 +165,13 @@ class BuildJob:
         start = time.perf_counter()
         info = ClipStore(self.store).prepare(built.clip)
         prepared = time.perf_counter()
-        pictures = self._draw(built.clip) if self.pictures else {}
+        pictures = {"pictures": self._draw(built.clip)} if self.pictures else {}
         drawn = time.perf_counter()
         verified = verify_before_commit(ClipStore(self.store), info.clip_id) if self.verify else None
         seconds = {"prepare": prepared - start, "pictures": drawn - prepared, "verify": time.perf_counter() - drawn}
         sources = {"poses": str(self.estimators.poses), "depth": str(self.estimators.depth)}
-        return summarize_build(built, info) | {
-            "sources": sources,
-            "pictures": pictures,
-            "verification": verified,
-            "store_seconds": seconds,
-        }
+        told = {"sources": sources, **pictures, "verification": verified, "store_seconds": seconds}
+        return summarize_build(built, info) | told
 
     def _draw(self, clip: Clip) -> dict[str, str]:
         times_us = next(iter(clip.streams.values())).timestamps_us

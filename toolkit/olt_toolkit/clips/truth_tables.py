@@ -73,7 +73,7 @@ def read_obstacles(data: bytes, where: str) -> ObstacleTracks:
     numbers = (*_CENTER, *_ORIENTATION, *_SIZE)
     table = read_table(data, ["timestamp_us", "reference_frame_timestamp_us", *words, *numbers], where)
     times, frames = (_integers(table, name, where) for name in ("timestamp_us", "reference_frame_timestamp_us"))
-    track_ids, labels, reference = (np.array(table.column(name).to_pylist(), dtype=np.str_) for name in words)
+    track_ids, labels, reference = (_words(table, name, where) for name in words)
     if not np.array_equal(times, frames) or np.any(reference != "rig"):
         raise InputError(f"{where}: boxes must be in the frame of the rig at their own time")
     values = _floats(table, numbers, where)
@@ -154,6 +154,13 @@ def _fill_obstacles(
         centers = transform(T_t0_later[step], tracks.boxes[rows, :3])
         yaw = tracks.boxes[rows, 3] + yaw_of(T_t0_later[step])
         boxes[step, places] = np.column_stack([centers[:, :2], yaw, tracks.boxes[rows, 4:6]])
+
+
+def _words(table: pa.Table, name: str, where: str) -> NDArray[np.str_]:
+    column = table.column(name)
+    if not (pa.types.is_string(column.type) or pa.types.is_large_string(column.type)) or column.null_count:
+        raise InputError(f"{where}: column {name} is {column.type}; it must be text, none missing")
+    return np.array(column.to_pylist(), dtype=np.str_)
 
 
 def _floats(table: pa.Table, names: tuple[str, ...], where: str) -> Array:

@@ -17,6 +17,9 @@ Pattern = Literal["solid", "dashed", "double", "kerb", "none"]
 Control = Literal["priority", "yield", "stop", "light"]
 LightState = Literal["red", "amber", "green", "off", "unknown"]
 
+HUMAN = "human"
+"""How the ids of lights begin whose states are the signals of a person; they outrank the other lights of a lane."""
+
 LANE_TYPES: tuple[LaneType, ...] = get_args(LaneType)
 PATTERNS: tuple[Pattern, ...] = get_args(Pattern)
 CONTROLS: tuple[Control, ...] = get_args(Control)
@@ -127,6 +130,11 @@ class Light:
     timestamps_us: NDArray[np.int64]
     states: tuple[LightState, ...]
     position: Array | None = field(default=None)
+
+    @property
+    def by_hand(self) -> bool:
+        """Whether its states are the signals of a person."""
+        return self.id.startswith(HUMAN)
 
     def state_at(self, time_us: int) -> LightState:
         """Its state at a time."""

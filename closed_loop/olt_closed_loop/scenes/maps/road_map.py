@@ -130,8 +130,9 @@ class RoadMap:
         return None if waits == makes_wait else makes_wait
 
     def light_of(self, lane_id: str) -> Light | None:
-        """The light that rules a lane, None where there is none."""
-        return next((light for light in self.lights if lane_id in light.lanes), None)
+        """The light that rules a lane, a person's before any other; None where there is none."""
+        ruling = sorted((light for light in self.lights if lane_id in light.lanes), key=lambda one: not one.by_hand)
+        return ruling[0] if ruling else None
 
     def red_us(self, lane_id: str, end_us: int) -> NDArray[np.int64] | None:
         """From when until when (k, 2) the light of a lane is red, as far as `end_us`; None where it has no light."""

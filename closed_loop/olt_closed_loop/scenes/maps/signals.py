@@ -11,7 +11,8 @@ from olt_closed_loop.scenes.maps.road_map import RoadMap
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 
-_LAMP_HEIGHT = 3.2
+LAMP_HEIGHT = 3.2
+"""Metres over the road of the middle of a light's head."""
 _BESIDE = 0.6
 
 
@@ -72,7 +73,7 @@ def _lamp(junction: RoadMap, line: StopLine) -> Array:
     end = ends[int(np.argmin(shapely.distance(shapely.points(ends[:, :2]), edges)))]
     across = np.ptp(line.points[:, :2], axis=0) * np.sign(end[:2] - line.points[:, :2].mean(axis=0))
     kerb = shapely.get_coordinates(shapely.shortest_line(shapely.Point(end[:2]), edges))[1]
-    return np.array([*(kerb + _BESIDE * across / np.linalg.norm(across)), end[2] + _LAMP_HEIGHT])
+    return np.array([*(kerb + _BESIDE * across / np.linalg.norm(across)), end[2] + LAMP_HEIGHT])
 
 
 def _changes(plan: SignalPlan, phase: int, end: float) -> tuple[NDArray[np.int64], tuple[LightState, ...]]:

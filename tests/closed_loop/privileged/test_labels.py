@@ -1,0 +1,52 @@
+"""Labels of what is around the vehicle, and of held lines."""
+
+import numpy as np
+import pytest
+
+from olt_closed_loop.privileged.labels import REACH, label_holds, label_obstacles
+from olt_closed_loop.scenes.actors import agent_poses
+from olt_closed_loop.suite.scenes import make_scene
+from olt_closed_loop.suite.training import make_training_scene
+from olt_generator.poses import transform, yaw_of
+from olt_toolkit.recordings.truth import OBSTACLE_CLASSES
+
+
+def test_boxes_are_where_the_agents_are():
+    scene, start_us = make_scene("rider_crosses"), 1_300_000
+    tracks = label_obstacles(scene, start_us)
+    assert set(tracks.labels) <= set(OBSTACLE_CLASSES) and len(tracks.boxes) > 50
+    assert np.all(np.diff(tracks.timestamps_us) >= 0) and tracks.timestamps_us[0] == 0
+    agents = {agent.id: agent for agent in scene.agents}
+    for row in range(0, len(tracks.boxes), 17):
+        time_us = np.array([tracks.timestamps_us[row] + start_us])
+        T_world_rig, agent = scene.ego.interpolate(time_us)[0], agents[str(tracks.track_ids[row])]
+        x, y, z, yaw = agent_poses(agent, time_us)[0]
+        np.testing.assert_allclose(transform(T_world_rig, tracks.boxes[row, None, :3])[0], (x, y, z), atol=1e-6)
+        turned = tracks.boxes[row, 3] + yaw_of(T_world_rig) - yaw
+        assert np.cos(turned) == pytest.approx(1.0)
+        assert tuple(tracks.boxes[row, 4:]) == (agent.length, agent.width, agent.height)
+    assert np.hypot(*tracks.boxes[:, :2].T).max() <= REACH
+
+
+def test_a_light_holds_the_way_until_it_is_green():
+    scene = make_training_scene("red_straight", 1)
+    holds = label_holds(scene, 0)
+    known = np.isfinite(holds.distance)
+    assert holds.is_held.any() and not holds.is_held[~known].any()
+    # It comes to the line and passes it when it is no longer held.
+    assert holds.distance[holds.is_held].min() > 0.0
+    assert np.all(np.diff(holds.distance[known]) < 0.05)
+    (light,) = [light for light in scene.lights if "arm3_in_0>arm1_out_0" in light.lanes]
+    for time_us, held in zip(holds.timestamps_us[known].tolist(), holds.is_held[known].tolist(), strict=True):
+        assert held == (light.state_at(time_us) == "red")
+
+
+def test_a_hand_holds_the_way():
+    holds = label_holds(make_scene("officer_stops_straight"), 0)
+    assert holds.is_held.any() and not holds.is_held[-1]
+
+
+def test_nothing_holds_a_road_without_lights():
+    holds = label_holds(make_scene("straight_road"), 500_000)
+    assert not holds.is_held.any() and np.isnan(holds.distance).all()
+    assert holds.timestamps_us[0] == 0 and holds.timestamps_us[-1] == 19_500_000
