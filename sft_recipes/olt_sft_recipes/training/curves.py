@@ -36,7 +36,7 @@ def draw_curves(path: Path, state: TrainerState) -> None:
     judged = [(judged["step"], judged["eval_loss"]) for judged in state.evaluations if judged["eval_loss"] is not None]
     if judged:
         upper.plot(*zip(*judged, strict=True), "o-", label="held-out samples")
-    upper.set(title=f"Stage {state.stage}", ylabel="loss", yscale="log")
+    upper.set(title=f"Stage {state.stage}", ylabel="loss", yscale="log" if (losses > 0.0).any() else "linear")
     upper.legend()
     middle.plot(steps, rates)
     middle.set(ylabel="learning rate")

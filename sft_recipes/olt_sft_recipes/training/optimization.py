@@ -24,6 +24,7 @@ from olt_sft_recipes.training.checkpoints import (
     TrainerState,
     checkpoint_name,
     hash_tensors,
+    list_checkpoints,
     prune_checkpoints,
     restore_optimizer,
     save_checkpoint,
@@ -184,9 +185,8 @@ class StageTraining:
             save_failed_step(where, self.samples.take(rows), [self.keys[row] for row in rows], step, why)
             self._tell("stopped", why, now=True)
         self.accelerator.wait_for_everyone()  # the first process that ends takes the others with it
-        last = (
-            f"checkpoint-{self.state.global_step} and before are kept" if self.state.global_step else "none was saved"
-        )
+        kept = list_checkpoints(self.folder)
+        last = f"{kept[-1].name} is kept" if kept else "none was saved before"
         raise InputError(
             f"stage {self.stage.stage}: {why}; its batch is in {where}. Look at these samples, or lower learning_rate "
             f"or max_grad_norm ({last})"
@@ -265,7 +265,7 @@ class StageTraining:
 
 
 def _normalised(weights: Array) -> Array:
-    """Weights divided by their sum; where nothing of any sample counts, the step changes nothing."""
+    """Weights divided by their sum; where nothing of any sample counts, the step learns nothing."""
     return weights / total if (total := weights.sum()) > 0.0 else weights
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.lib.format import open_memmap
 
+from olt_generator.errors import InputError
 from olt_generator.files import find_whole_folder, write_whole_folder
 from olt_generator.seeds import derive_seed
 from olt_sft_recipes.toy.config import ToyPolicyConfig
@@ -40,7 +41,7 @@ def gather_samples(
         folder: appears whole, and replaces one with other samples.
 
     Raises:
-        InputError: a sample cannot be loaded, or the disk is full.
+        InputError: a sample cannot be loaded or is not finite, or the disk is full.
     """
     name = name_samples(keys, config)
     if not (find_whole_folder(folder) / _ABOUT_FILE).exists() or _read_about(folder)["samples"] != name:
@@ -55,6 +56,7 @@ def _decode(keys: Sequence[SampleKey], load_samples: LoadSamples, config: ToyPol
     arrays: dict[str, np.memmap[Any, Any]] = {}
     for start in range(0, len(keys), _AT_ONCE):
         part = DrivingSamples.gather(list(load_samples(keys[start : start + _AT_ONCE])), config)
+        _refuse_not_finite(part, keys[start : start + _AT_ONCE])
         for name, values in _arrays(part).items():
             if name not in arrays:
                 shape = (len(keys), *values.shape[1:])
@@ -62,6 +64,17 @@ def _decode(keys: Sequence[SampleKey], load_samples: LoadSamples, config: ToyPol
             arrays[name][start : start + len(values)] = values
     for array in arrays.values():
         array.flush()
+
+
+def _refuse_not_finite(samples: DrivingSamples, keys: Sequence[SampleKey]) -> None:
+    for name in ("history", "future"):
+        finite = np.isfinite(getattr(samples, name)).reshape(len(samples), -1).all(axis=1)
+        if not finite.all():
+            bad = keys[int(np.argmin(finite))]
+            raise InputError(
+                f"{bad.store}: clip {bad.clip_id} at {bad.t0_us} us: the {name} holds a number that is not finite; "
+                "leave this clip out, or build it again"
+            )
 
 
 def _arrays(samples: DrivingSamples) -> dict[str, np.ndarray[Any, Any]]:

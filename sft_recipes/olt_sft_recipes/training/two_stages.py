@@ -5,11 +5,13 @@ tokens; the real recipe adds a second mean over the other labelled tokens (reaso
 does not have, and the toy adds the squared error of its regression head. Stage 2 takes that model, freezes it, and
 trains the action expert alone by flow matching (docs/formats/alpamayo.md, docs/formats/sft_recipes.md).
 
-`OUT/stage1` and `OUT/stage2` hold checkpoints, a status and curves; `OUT/policy` is what drives.
+`OUT/stage1` and `OUT/stage2` hold checkpoints, a status and curves; `OUT/policy` is what drives
+(docs/formats/training_folder.md).
 """
 
 import json
 import shutil
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -298,9 +300,13 @@ def _train(plan: _StagePlan, gather: Callable[[], DrivingSamples], on_progress: 
             plan.stage.stage, "reading samples", 0 if state is None else state.global_step, plan.max_steps()
         )
         write_status(plan.folder, reading)
+    start = time.perf_counter()
     samples = gather()
+    read = time.perf_counter() - start
     model = _make_model(plan) if resumed is None else _freeze(plan.stage, read_model(resumed))
     state = state or _new_state(plan, identity, samples, model)
+    for what in ("all", "waiting for data"):
+        state.seconds[what] = state.seconds.get(what, 0.0) + read
     rows = {key: row for row, key in enumerate(plan.keys)}
     steps = [[rows[key] for key in step] for epoch in plan.epochs for step in epoch]
     with tracking(accelerator, f"stage{plan.stage.stage}", plan.stage.model_dump()):

@@ -107,14 +107,17 @@ def test_a_damaged_folder_is_told(model, tmp_path, damage):
         load_toy(str(folder))
 
 
-@pytest.mark.parametrize("name", ["config.json", "model-00001-of-00001.safetensors"])
+FILES = ["config.json", "model.safetensors.index.json", "model-00001-of-00001.safetensors"]
+
+
+@pytest.mark.parametrize("name", FILES)
 def test_a_checkpoint_with_a_damaged_file(fuzzer, model, tmp_path, name):
     save_model(tmp_path / "policy", model)
     fuzzer.run("checkpoint", tmp_path / "policy" / name, tmp_path / "policy")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["config.json", "model-00001-of-00001.safetensors"])
+@pytest.mark.parametrize("name", FILES)
 def test_a_checkpoint_with_a_damaged_file_for_long(fuzzer, model, tmp_path, name):
     save_model(tmp_path / "policy", model)
     fuzzer.run("checkpoint", tmp_path / "policy" / name, tmp_path / "policy", seconds=SECONDS)

@@ -1,0 +1,1 @@
+"""Benchmarks of tokens, precision and the flow of the toy policy."""
