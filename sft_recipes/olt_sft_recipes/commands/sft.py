@@ -1,19 +1,21 @@
-"""`olt sft`: two-stage training of the toy policy, and its open-loop errors."""
+"""`olt sft`: two-stage training of policies, and their open-loop errors."""
 
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from olt_datasets.commands.comparing import AllowUncomparedOption
 from olt_generator.progress import silent
+from olt_sft_recipes.commands import launch as launching
+from olt_sft_recipes.commands.mixtures import choose_mixture
+from olt_sft_recipes.commands.preflight import preflight
 from olt_toolkit.rigs.names import ContractName
 
-if TYPE_CHECKING:
-    from olt_datasets import Mixture
-
-app = typer.Typer(add_completion=False, no_args_is_help=True, help="Train the toy policy, and judge it in open loop.")
+app = typer.Typer(add_completion=False, no_args_is_help=True, help="Train policies, and judge them in open loop.")
+for _command in (preflight, launching.launch, launching.follow, launching.handoff, launching.differences):
+    app.command()(_command)
 
 Stores = Annotated[list[Path], typer.Option(help="Clip store; may be given several times.")]
 
@@ -70,7 +72,7 @@ def train(
 
     use_one_thread()
     check_tracker(report_to.value)
-    chosen = _choose_mixture(mixture, recipe, stores, seed, allow_uncompared)
+    chosen = choose_mixture(mixture, recipe, stores, seed, allow_uncompared)
     stages, config = read_stages(stage1, stage2, report_to.value), ToyPolicyConfig(rig=rig.value)
     validation = validation_of(judge_on, config.contract, judge_scene)
     with show_progress("training") as (on_progress, _):
@@ -169,18 +171,3 @@ def evaluate(
         print_json({"policy": policy, "samples": len(loaded), "plans_per_sample": plans, "errors_m": errors})
     else:
         print_table(f"{policy}: {len(loaded)} samples of split {split}", ("error", "m"), list(errors.items()))
-
-
-def _choose_mixture(
-    mixture: Path | None, recipe: str | None, stores: list[Path], seed: int, allow_uncompared: bool
-) -> "Mixture":
-    from olt_datasets import compose_mixture, find_recipe, read_clip_tables, read_mixture
-    from olt_generator.errors import InputError
-    from olt_toolkit.recordings.recording import refuse_unused
-
-    if mixture is not None and recipe is None:
-        refuse_unused({"--allow-uncompared": allow_uncompared}, "a mixture was compared when it was composed")
-        return read_mixture(mixture)
-    if recipe is not None and mixture is None and stores:
-        return compose_mixture(find_recipe(recipe), read_clip_tables(stores), seed, allow_uncompared=allow_uncompared)
-    raise InputError("olt sft train: give either --mixture FILE, or --recipe NAME with --stores DIR")

@@ -1,0 +1,46 @@
+"""The toy by the same command; what it does is tested where it is trained."""
+
+import json
+
+import pytest
+from typer.testing import CliRunner
+
+from olt_generator.errors import InputError
+from olt_sft_recipes.commands import launch as launching
+from olt_sft_recipes.commands.sft import app
+from olt_sft_recipes.launch import toy
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What the toy is launched with, and which mixture was asked for; nothing is trained."""
+    seen = {}
+
+    def launch_toy(mixture, out, **settings):
+        seen.update(settings, mixture=mixture, out=out)
+        return {"policy": str(out / "policy")}
+
+    monkeypatch.setattr(toy, "launch_toy", launch_toy)
+    monkeypatch.setattr(launching, "choose_mixture", lambda *arguments: arguments)
+    return seen
+
+
+def test_the_toy_takes_a_recipe_stores_stages_and_processes(asked, tmp_path):
+    words = ["launch", "--policy", "toy", "--recipe", "nv_ood_syn", "--stores", "drives", "--stage", "2", "--seed", "5"]
+    words += ["--processes", "2", "--out", str(tmp_path), "--dry-run", "--json"]
+    result = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert json.loads(result.stdout) == {"policy": str(tmp_path / "policy")}
+    assert asked["stage"] == "2" and asked["processes"] == 2 and asked["seed"] == 5 and asked["dry_run"] is True
+    assert asked["mixture"][1] == "nv_ood_syn" and toy.HELD_OUT_SCENES in asked["mixture"]
+
+
+@pytest.mark.parametrize("option", [["--gpus", "1"], ["--slurm"], ["--lora"], ["--base", "x"], ["--nodes", "1"]])
+def test_what_is_of_alpamayo_is_refused_for_the_toy(asked, option):
+    with pytest.raises(InputError, match=option[0]):
+        CliRunner().invoke(app, ["launch", "--policy", "toy", *option], catch_exceptions=False)
+    assert not asked
+
+
+def test_processes_are_of_the_toy(asked):
+    with pytest.raises(InputError, match="--processes"):
+        CliRunner().invoke(app, ["launch", "--policy", "alpamayo-r1", "--processes", "2"], catch_exceptions=False)
