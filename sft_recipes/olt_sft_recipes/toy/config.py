@@ -28,9 +28,9 @@ class ToyPolicyConfig(BaseModel):
         heads: attention heads of both.
         expert_width: width of the action expert; its heads have the size of the language model's.
         integration_steps: Euler steps from noise to a plan.
-        plans_drawn: how many plans it draws; the first starts from no noise.
-        chooses_plan: whether its sight chooses among them and among those that brake (`plan_choice`), or the first is
-            driven.
+        plans_drawn: how many plans it draws.
+        chooses_plan: whether its sight chooses among them and others (`plan_choice`), the first of which starts from no
+            noise then; or the first draw is driven.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")

@@ -41,7 +41,8 @@ class ToyPolicy:
         routes = pad_route(observation.route_xy)[None]
         generator = torch.Generator().manual_seed(observation.seed)
         noise = torch.randn(config.plans_drawn, FUTURE_STEPS, ACTION_SIZE, generator=generator)
-        noise[0] = 0.0  # leads to the middle of what it would do
+        if config.chooses_plan:
+            noise[0] = 0.0  # leads to the middle of what it would do
         with torch.inference_mode():
             prefix = self.model.vlm.read_prefix(encode_inputs(images, history, routes, config))
             actions = self.model.expert.sample(noise, prefix.repeated(len(noise))).double().numpy()

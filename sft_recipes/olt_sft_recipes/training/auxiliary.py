@@ -57,7 +57,7 @@ def gather_truth(
     route_truth = np.zeros((len(samples), seconds + 1, *along.shape[1:3]), np.uint8)
     world_truth = np.zeros((len(samples), seconds, *world.shape[:2]), np.uint8)
     for row, sample in enumerate(samples):
-        if sample.obstacle_boxes is None or sample.hold is None:
+        if sample.obstacle_boxes is None or sample.hold is None or np.isnan(sample.hold[0]):
             continue
         known[row] = True
         boxes = _boxes_at_heads(sample.obstacle_boxes.astype(np.float64))
