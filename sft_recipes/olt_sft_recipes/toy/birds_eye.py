@@ -13,7 +13,7 @@ from scipy.sparse import csr_array
 
 from olt_generator.poses import Array, invert
 from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
-from olt_toolkit.rigs.rig import MountedCamera
+from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, MountedCamera
 from olt_toolkit.rigs.rig_files import pav_rig
 
 _STATION = np.arange(32)
@@ -21,6 +21,8 @@ STATIONS: Array = 2.0 + _STATION + 0.022 * _STATION**2
 """Metres along the route, close ahead finer than far ahead."""
 OFFSETS: Array = 0.8 * (np.arange(14) - 6.5)
 """Metres to the left of the route."""
+FRONT = DEFAULT_VEHICLE.rear_axle_to_bbox_center + DEFAULT_VEHICLE.length / 2.0
+"""Metres from the rig's origin to the vehicle's front."""
 WORLD_CELL = 2.5
 WORLD_X: Array = -6.0 + WORLD_CELL * np.arange(24)
 WORLD_Y: Array = WORLD_CELL * (np.arange(24) - 11.5)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from olt_generator.poses import Array
-from olt_sft_recipes.toy.birds_eye import STATIONS, WORLD_CELL, WORLD_X, WORLD_Y
+from olt_sft_recipes.toy.birds_eye import FRONT, STATIONS, WORLD_CELL, WORLD_X, WORLD_Y
 from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, TAKEN_WEIGHT, Sight
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
 
@@ -31,7 +31,6 @@ FADES = 0.15
 """By how much less a contact counts for every second until then: there is time to see better."""
 PROBES: Array = np.array([-0.2, 1.4, 3.0])
 """Metres ahead of the rig's origin of the points of the vehicle that are looked up."""
-FRONT = 4.1
 HOLD_SECONDS = 3.0
 _BESIDE = 1.3
 _LEAST_WAY = 1.0

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from olt_generator.poses import Array
-from olt_sft_recipes.toy.birds_eye import STATIONS, world_cells
+from olt_sft_recipes.toy.birds_eye import FRONT, STATIONS, world_cells
 from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, TAKEN_WEIGHT, Sight
 from olt_toolkit.policy.action_space import ACTION_MEAN, ACTION_STD
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
@@ -65,7 +65,7 @@ def gather_truth(
         world_truth[row] = _taken(world, boxes, WORLD_ROOM)
         held, metres = sample.hold
         if held == 1.0:
-            route_truth[row, -1] = (np.abs(STATIONS - metres) < HELD_ROOM)[:, None]
+            route_truth[row, -1] = (np.abs(STATIONS - FRONT - metres) < HELD_ROOM)[:, None]
     return known, route_truth, world_truth
 
 

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from olt_sft_recipes.toy.birds_eye import OFFSETS, STATIONS, WORLD_X, WORLD_Y, route_cells
+from olt_sft_recipes.toy.birds_eye import FRONT, OFFSETS, STATIONS, WORLD_X, WORLD_Y, route_cells
 from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, Sight
-from olt_sft_recipes.toy.plan_choice import FRONT, Occupancy, choose_plan, slower_plans
+from olt_sft_recipes.toy.plan_choice import Occupancy, choose_plan, slower_plans
 
 SPEED = 8.0
 AHEAD = np.column_stack([SPEED * 0.1 * np.arange(1, 65), np.zeros(64), np.zeros(64)])
