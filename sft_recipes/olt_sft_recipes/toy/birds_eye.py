@@ -16,16 +16,16 @@ from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, MountedCamera
 from olt_toolkit.rigs.rig_files import pav_rig
 
-_STATION = np.arange(32)
+_STATION = np.arange(32, dtype=np.float64)
 STATIONS: Array = 2.0 + _STATION + 0.022 * _STATION**2
 """Metres along the route, close ahead finer than far ahead."""
-OFFSETS: Array = 0.8 * (np.arange(14) - 6.5)
+OFFSETS: Array = 0.8 * (np.arange(14, dtype=np.float64) - 6.5)
 """Metres to the left of the route."""
 FRONT = DEFAULT_VEHICLE.rear_axle_to_bbox_center + DEFAULT_VEHICLE.length / 2.0
 """Metres from the rig's origin to the vehicle's front."""
 WORLD_CELL = 2.5
-WORLD_X: Array = -6.0 + WORLD_CELL * np.arange(24)
-WORLD_Y: Array = WORLD_CELL * (np.arange(24) - 11.5)
+WORLD_X: Array = -6.0 + WORLD_CELL * np.arange(24, dtype=np.float64)
+WORLD_Y: Array = WORLD_CELL * (np.arange(24, dtype=np.float64) - 11.5)
 """Metres ahead and to the left of the rig."""
 Indices = NDArray[np.int64]
 HEIGHTS = (0.0, 1.2)
@@ -80,8 +80,9 @@ def look_up(cells: Array, frame_poses: Array, config: ToyPolicyConfig) -> csr_ar
     table = _ground_table(config)
     found = table[_ground_row(x, y).ravel()]
     image = np.broadcast_to(np.arange(samples * frames).reshape(samples, 1, frames), x.shape).ravel()
-    columns = found.indices + np.repeat(image * table.shape[1], np.diff(found.indptr))
-    return csr_array((found.data, columns, found.indptr), shape=(x.size, samples * frames * table.shape[1]))
+    features = int(np.prod(_feature_shape(config)))
+    columns = found.indices + np.repeat(image * features, np.diff(found.indptr))
+    return csr_array((found.data, columns, found.indptr), shape=(x.size, samples * frames * features))
 
 
 _TABLE_STEP, _TABLE_BEGIN, _TABLE_SIZE = 0.25, (-10.0, -50.0), (360, 400)
@@ -99,10 +100,10 @@ def _ground_row(x: Array, y: Array) -> NDArray[np.int64]:
 def _ground_table(config: ToyPolicyConfig) -> csr_array:
     """Weights of features (camera, row, column, height) for places on the ground every quarter of a metre."""
     rig = pav_rig().fitted(config.image_width, config.image_height)
+    shape = _feature_shape(config)
     rows, columns = config.feature_size
-    shape = len(config.camera_rows), rows, columns, len(HEIGHTS)
-    x, y = (np.arange(size) * _TABLE_STEP + begin for size, begin in zip(_TABLE_SIZE, _TABLE_BEGIN, strict=True))
-    ground = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+    x, y = np.indices(_TABLE_SIZE, dtype=np.float64) * _TABLE_STEP
+    ground: Array = np.stack([x + _TABLE_BEGIN[0], y + _TABLE_BEGIN[1]], axis=-1).reshape(-1, 2)
     places, features, weights = list[Indices](), list[Indices](), list[Array]()
     for camera, name in enumerate(config.camera_names):
         for index, height in enumerate(HEIGHTS):
@@ -121,6 +122,11 @@ def _ground_table(config: ToyPolicyConfig) -> csr_array:
     images = np.maximum(np.bincount(place, minlength=len(ground) + 1) / 4.0, 1.0)
     weight = (weight / images[place]).astype(np.float32)
     return csr_array((weight, (place, feature)), shape=(len(ground) + 1, int(np.prod(shape))))
+
+
+def _feature_shape(config: ToyPolicyConfig) -> tuple[int, int, int, int]:
+    """Cameras, rows, columns and heights of the features of one frame."""
+    return len(config.camera_rows), *config.feature_size, len(HEIGHTS)
 
 
 def _project(

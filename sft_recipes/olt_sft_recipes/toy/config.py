@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, Field, field_validator, model_validator
 
 from olt_generator.errors import InputError
 from olt_toolkit.policy.contract import IMAGE_FRAMES
@@ -12,7 +12,7 @@ PATCH = 4
 """Pixels of an image, in either direction, that become one cell of its features."""
 
 
-class ToyPolicyConfig(BaseModel):
+class ToyPolicyConfig(BaseModel, frozen=True, extra="forbid"):
     """Sizes of the toy policy, which fit any machine; saved as `config.json` beside its weights.
 
     Attributes:
@@ -32,8 +32,6 @@ class ToyPolicyConfig(BaseModel):
         chooses_plan: whether its sight chooses among them and others (`plan_choice`), the first of which starts from no
             noise then; or the first draw is driven.
     """
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
     rig: str = DEFAULT_CONTRACT.name
     image_height: Annotated[int, Field(ge=PATCH, le=1024)] = 96
