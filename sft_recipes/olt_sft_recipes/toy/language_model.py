@@ -4,7 +4,7 @@ The sequence is [image tokens | 48 history tokens | future-start | 128 future to
 future-start is the prefix; the action expert sees the prefix and nothing after it (docs/formats/alpamayo.md).
 
 Where the toy differs from the real model: no text, chat template or reasoning; learned positions in place of rotary
-ones. The real model starts from pre-training, the toy from nothing and with a minute to learn, so it gets four helps:
+ones. The real model starts from pre-training, the toy from nothing and with minutes to learn, so it gets four helps:
 token embeddings start out as smooth functions of the value that they stand for; future-start carries the measured
 motion and a projection of all image tokens, so that attention need not find them first; Stage 1 hides some of the
 earlier future tokens, so that the answer must come from images and history; and a regression head on future-start is

@@ -42,7 +42,7 @@ class StageConfig(BaseModel):
         mirror_probability: share of batches that are mirrored, left for right. Toy only.
         move_metres, turn_degrees: samples are perturbed by up to this much, off the path and in heading
             (`DrivingSamples.perturbed`). Toy only.
-        regression_warmup_epochs: of the epochs of Stage 1, the first so many train the regression head alone. They
+        regression_warmup_epochs: of the epochs of Stage 1, the first so many train regression and sight alone. They
             stand in for the pre-training that the real model brings along, and cost a fraction. Toy only.
         hidden_token_probability: share of future tokens that are hidden from later ones in Stage 1. Toy only.
         invented_pixel_weight: how much an invented pixel of a sample's images counts, between nothing and as much as
