@@ -38,7 +38,7 @@ class Motions:
 def drive(speed: OfTime, curvature: OfTime) -> Motions:
     """One motion (n = 1) of a speed in m/s, negative backwards, and a curvature in 1/m, at times (m,) in s from t0."""
     steps = round(HISTORY_SECONDS / _FINE) + round(FUTURE_SECONDS / _FINE)
-    times = -HISTORY_SECONDS + _FINE * np.arange(steps + 1)
+    times: Array = -HISTORY_SECONDS + _FINE * np.arange(steps + 1, dtype=np.float64)
     v = np.broadcast_to(speed(times), times.shape)
     yaw = cumulative_trapezoid(v * curvature(times), dx=_FINE, initial=0.0)
     yaw -= yaw[round(HISTORY_SECONDS / _FINE)]

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -61,10 +62,15 @@ def train_quick_toy(out: Path) -> tuple[ToyPolicy, list[PolicySample]]:
         order = make_generator("quick toy", epoch).permutation(len(keys))
         return [[keys[row] for row in order[start : start + size]] for start in range(0, len(keys), size)]
 
-    shared = {"num_train_epochs": EPOCHS, "per_device_train_batch_size": 8, "warmup_steps": 5, "seed": 0}
+    shared: dict[str, Any] = {
+        "num_train_epochs": EPOCHS,
+        "per_device_train_batch_size": 8,
+        "warmup_steps": 5,
+        "seed": 0,
+    }
     stages = (
-        StageConfig(stage=1, learning_rate=1e-3, regression_warmup_epochs=EPOCHS - 3, **shared),
-        StageConfig(stage=2, learning_rate=2e-3, **shared),
+        StageConfig(stage=1, seed=0, learning_rate=1e-3, regression_warmup_epochs=EPOCHS - 3, **shared),
+        StageConfig(stage=2, seed=0, learning_rate=2e-3, **shared),
     )
     config = ToyPolicyConfig(image_height=HEIGHT, image_width=WIDTH, image_top=0, chooses_plan=False)
     train_two_stages(stages, batches, lambda wanted: [by_key[key] for key in wanted], out, config)

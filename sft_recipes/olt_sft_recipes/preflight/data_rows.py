@@ -92,6 +92,7 @@ def _features_row(folder: RecipeFolder, part: str, plan: PreflightPlan) -> Row:
     """The loader takes each camera from directory `camera` and motion from `labels`, by attributes of those names."""
 
     def look() -> str:
+        wanted: dict[str, tuple[str, tuple[str, ...]]]
         wanted = dict.fromkeys(plan.contract.cameras, ("camera", (VIDEO, FRAME_TIMESTAMPS)))
         wanted[EGOMOTION] = ("labels", (EGOMOTION,))
         for name, (directory, aliases) in wanted.items():

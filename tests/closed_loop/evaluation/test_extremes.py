@@ -68,10 +68,10 @@ def test_headings_across_half_a_turn_change_nothing(straight_scene, moving_agent
 def test_an_agent_that_turns_across_half_a_turn_turns_the_shorter_way(straight_scene):
     """It stands beside the ego's way; by a turn the longer way it would reach into that as the ego passes."""
     times = np.arange(0, 8_000_001, 500_000, dtype=np.int64)
-    passed = times >= 2_000_000
+    passed = times >= 5_000_000
 
     def turning(before: float, after: float) -> Agent:
-        poses = np.tile([22.0, 3.2, 0.8, 0.0], (len(times), 1))
+        poses = np.tile([52.0, 3.2, 0.8, 0.0], (len(times), 1))
         poses[:, 3] = np.where(passed, after, before)
         return Agent("turns", "automobile", 4.5, 1.9, 1.6, times, poses)
 

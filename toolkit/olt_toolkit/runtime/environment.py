@@ -18,7 +18,7 @@ CORE_PACKAGES = ("torch", "casadi", "opencv-contrib-python-headless", "usd-core"
 
 # What each extra of the distribution enables; which packages it takes stands in the distribution's metadata.
 OPTIONAL_PARTS = {
-    "learned": "depth by networks in local folders",
+    "learned": "networks in local folders: depth, matching, Wan2.1-VACE",
     "devkit": "reading clips with the public devkit",
     "distributed": "building clips on more than one machine",
 }

@@ -16,15 +16,15 @@ def check_model_folder(folder: Path, files: Sequence[str]) -> None:
             raise InputError(f"{folder}: {name} is missing; copy the whole folder of the network, with safetensors")
 
 
-def load_network(kind: Any, folder: Path, device: str) -> Any:
-    """A network of the class `kind`, ready to be run on a device.
+def load_network(kind: Any, folder: Path, device: str, **options: Any) -> Any:
+    """A network of the class `kind`, ready to be run on a device; `options` go to its `from_pretrained`.
 
     Raises:
         InputError: the files are damaged or those of another network.
     """
     try:
         network, report = kind.from_pretrained(
-            folder, local_files_only=True, use_safetensors=True, output_loading_info=True
+            folder, local_files_only=True, use_safetensors=True, output_loading_info=True, **options
         )
     except (OSError, ValueError, RuntimeError) as error:
         reason = str(error).strip().partition("\n")[0]
