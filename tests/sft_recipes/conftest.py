@@ -12,8 +12,9 @@ def tiny_config():
     return ToyPolicyConfig(
         image_height=16,
         image_width=32,
+        image_top=0,
         image_channels=4,
-        tokens_per_image=1,
+        precision="float32",
         width=16,
         layers=2,
         heads=2,

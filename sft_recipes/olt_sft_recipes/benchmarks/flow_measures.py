@@ -29,10 +29,10 @@ def solved_by(policy: ToyPolicy, solver: Solver, kind: str = "float32") -> Itera
     """The policy with another solver in place of its own steps, its expert computing in that type."""
     expert = policy.model.expert
 
-    def sample(noise: Tensor, cache: Any) -> Tensor:
+    def sample(noise: Tensor, prefix: Any) -> Tensor:
         lower = torch.autocast("cpu", torch.bfloat16) if kind == "bfloat16" else nullcontext()
         with lower:
-            return integrate(expert, solver, noise, cache).float()
+            return integrate(expert, solver, noise, prefix).float()
 
     expert.sample = sample
     try:

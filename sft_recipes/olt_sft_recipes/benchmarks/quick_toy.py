@@ -72,6 +72,6 @@ def train_quick_toy(out: Path) -> tuple[ToyPolicy, list[PolicySample]]:
         StageConfig(stage=1, seed=0, learning_rate=1e-3, regression_warmup_epochs=EPOCHS - 3, **shared),
         StageConfig(stage=2, seed=0, learning_rate=2e-3, **shared),
     )
-    config = ToyPolicyConfig(image_height=HEIGHT, image_width=WIDTH)
+    config = ToyPolicyConfig(image_height=HEIGHT, image_width=WIDTH, image_top=0, chooses_plan=False)
     train_two_stages(stages, batches, lambda wanted: [by_key[key] for key in wanted], out, config)
     return load_toy(str(out / "policy")), made_up_samples(HELD_OUT, 1)

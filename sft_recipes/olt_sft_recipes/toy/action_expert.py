@@ -13,11 +13,13 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from olt_sft_recipes.toy.config import ToyPolicyConfig
-from olt_sft_recipes.toy.language_model import KeysValues, join_heads, make_perceptron, split_heads
+from olt_sft_recipes.toy.language_model import KeysValues, Prefix, join_heads, make_perceptron, split_heads
 from olt_toolkit.policy.contract import FUTURE_STEPS
 
 ACTION_SIZE = 2
 TIME_FREQUENCIES = 10
+SPREAD = 0.5
+"""How far normalised actions are taken to lie around the regression before anything is learned."""
 
 
 class ExpertBlock(nn.Module):
@@ -52,45 +54,49 @@ class ActionExpert(nn.Module):
             nn.SiLU(),
             nn.Linear(config.expert_width, config.expert_width),
         )
-        # Reads the cache at future-start directly; attention alone takes longer to find it than the toy trains.
-        self.cache_projection = nn.Linear(config.layers * config.width, FUTURE_STEPS * ACTION_SIZE)
         self.waypoints = nn.Parameter(0.02 * torch.randn(FUTURE_STEPS, config.expert_width))
         self.blocks = nn.ModuleList([ExpertBlock(config) for _ in range(config.layers)])
         self.norm = nn.LayerNorm(config.expert_width)
         self.action_out = nn.Linear(config.expert_width, ACTION_SIZE)
+        nn.init.zeros_(self.action_out.weight)
+        nn.init.zeros_(self.action_out.bias)
 
-    def forward(self, noisy: Tensor, time: Tensor, cache: list[KeysValues]) -> Tensor:
-        """Velocity (batch, 64, 2) of noisy actions (batch, 64, 2) at flow times (batch,)."""
+    def forward(self, noisy: Tensor, time: Tensor, prefix: Prefix) -> Tensor:
+        """Velocity (batch, 64, 2) of noisy actions (batch, 64, 2) at flow times (batch,).
+
+        The network learns what is left of a guess: that of actions spread evenly around the model's regression. The
+        toy's few steps do not suffice to find in the cache what the regression knows.
+        """
+        share = time[:, None, None]
         waves = fourier_features(time)[:, None].expand(-1, FUTURE_STEPS, -1)
-        at_start = torch.cat([join_heads(values[:, :, -1:]) for _, values in cache], dim=-1)
-        guess = self.cache_projection(at_start).view(-1, FUTURE_STEPS, ACTION_SIZE)
-        x = self.action_in(torch.cat([noisy, waves, guess], dim=-1)) + self.waypoints
-        for block, prefix in zip(self.blocks, cache, strict=True):
-            x = block(x, prefix)
-        return self.action_out(self.norm(x)) + guess + linear_guess(time)[:, None, None] * noisy
+        x = self.action_in(torch.cat([noisy, waves, prefix.regressed], dim=-1)) + self.waypoints
+        for block, cache in zip(self.blocks, prefix.cache, strict=True):
+            x = block(x, cache)
+        guess = prefix.regressed + spread_factor(share) * (noisy - share * prefix.regressed)
+        return self.action_out(self.norm(x)) + guess
 
-    def loss(self, actions: Tensor, time: Tensor, noise: Tensor, cache: list[KeysValues]) -> Tensor:
+    def loss(self, actions: Tensor, time: Tensor, noise: Tensor, prefix: Prefix) -> Tensor:
         """Mean squared errors (batch,) of the velocity between noise and normalised actions, each (batch, 64, 2)."""
         share = time[:, None, None]
         noisy = share * actions + (1.0 - share) * noise
-        return (self(noisy, time, cache) - (actions - noise)).square().mean(dim=(1, 2))
+        return (self(noisy, time, prefix) - (actions - noise)).square().mean(dim=(1, 2))
 
-    def sample(self, noise: Tensor, cache: list[KeysValues]) -> Tensor:
+    def sample(self, noise: Tensor, prefix: Prefix) -> Tensor:
         """Integrate noise (batch, 64, 2) to normalised actions by equal Euler steps."""
         x = noise
         for step in range(self.integration_steps):
             time = torch.full((len(x),), step / self.integration_steps)
-            x = x + self(x, time, cache) / self.integration_steps
+            x = x + self(x, time, prefix) / self.integration_steps
         return x
 
 
-def linear_guess(time: Tensor) -> Tensor:
-    """Factor (batch,) by which noisy actions give the best linear guess of their velocity.
+def spread_factor(time: Tensor) -> Tensor:
+    """Factor by which noisy actions, apart from the middle, give the best guess of their velocity.
 
-    Normalised actions have about unit spread, so E[x - noise | x_t] = (2 t - 1) / (t^2 + (1 - t)^2) x_t. The network
-    learns only what is left, which the toy's few steps suffice for.
+    With actions of SPREAD s around m, E[x - noise | x_t] = m + (t s^2 - (1 - t)) / (t^2 s^2 + (1 - t)^2) (x_t - t m).
     """
-    return (2.0 * time - 1.0) / (time**2 + (1.0 - time) ** 2)
+    variance = SPREAD**2
+    return (variance * time - (1.0 - time)) / (variance * time**2 + (1.0 - time) ** 2)
 
 
 def fourier_features(time: Tensor) -> Tensor:

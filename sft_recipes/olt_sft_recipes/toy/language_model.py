@@ -4,7 +4,7 @@ The sequence is [image tokens | 48 history tokens | future-start | 128 future to
 future-start is the prefix; the action expert sees the prefix and nothing after it (docs/formats/alpamayo.md).
 
 Where the toy differs from the real model: no text, chat template or reasoning; learned positions in place of rotary
-ones. The real model starts from pre-training, the toy from nothing and with a minute to learn, so it gets four helps:
+ones. The real model starts from pre-training, the toy from nothing and with minutes to learn, so it gets four helps:
 token embeddings start out as smooth functions of the value that they stand for; future-start carries the measured
 motion and a projection of all image tokens, so that attention need not find them first; Stage 1 hides some of the
 earlier future tokens, so that the answer must come from images and history; and a regression head on future-start is
@@ -12,18 +12,39 @@ trained on the whole future at once, which teaches the image encoder faster than
 """
 
 import math
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
 from olt_sft_recipes.toy.config import ToyPolicyConfig
-from olt_sft_recipes.toy.image_encoder import ImageEncoder
+from olt_sft_recipes.toy.image_encoder import IMAGE_TOKENS, ImageEncoder, Sight
 from olt_sft_recipes.toy.inputs import MOTION_FEATURES, PolicyInputs
 from olt_sft_recipes.toy.tokens import FUTURE_BINS, FUTURE_TOKENS, HISTORY_BINS, HISTORY_TOKENS, VOCABULARY_SIZE
 
 KeysValues = tuple[Tensor, Tensor]
 """Keys and values of one layer, each (batch, heads, tokens, head width)."""
+
+
+@dataclass(frozen=True)
+class Prefix:
+    """What the model makes of the prefix, for the action expert.
+
+    Attributes:
+        cache: keys and values of every layer up to future-start.
+        regressed: (batch, 64, 2) normalised actions of the regression head. Toy only.
+        sight: of the image encoder. Toy only.
+    """
+
+    cache: list[KeysValues]
+    regressed: Tensor
+    sight: Sight
+
+    def repeated(self, count: int) -> "Prefix":
+        """That of one observation, for as many plans."""
+        cache = [(keys.expand(count, -1, -1, -1), values.expand(count, -1, -1, -1)) for keys, values in self.cache]
+        return replace(self, cache=cache, regressed=self.regressed.expand(count, -1, -1))
 
 
 class CausalBlock(nn.Module):
@@ -57,7 +78,9 @@ class VisionLanguageModel(nn.Module):
         self.token_embedding = nn.Embedding(VOCABULARY_SIZE, width)
         self.future_start = nn.Parameter(0.02 * torch.randn(width))
         self.prefix_projection = nn.Sequential(
-            nn.Linear(config.image_tokens * width + MOTION_FEATURES, 2 * width), nn.GELU(), nn.Linear(2 * width, width)
+            nn.Linear(IMAGE_TOKENS * width + MOTION_FEATURES, 2 * width),
+            nn.GELU(),
+            nn.Linear(2 * width, width),
         )
         self.positions = nn.Parameter(0.02 * torch.randn(HISTORY_TOKENS + 1 + FUTURE_TOKENS, width))
         self.blocks = nn.ModuleList([CausalBlock(config) for _ in range(config.layers)])
@@ -67,7 +90,7 @@ class VisionLanguageModel(nn.Module):
             smooth = torch.cat([smooth_embedding(bins, width) for bins in (FUTURE_BINS, HISTORY_BINS)])
             self.token_embedding.weight.copy_(smooth)
 
-    def forward(self, inputs: PolicyInputs, future_tokens: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, inputs: PolicyInputs, future_tokens: Tensor, hidden: Tensor) -> tuple[Tensor, Tensor, Sight]:
         """Predict every future token from what comes before it, and the whole future from the prefix alone.
 
         Args:
@@ -76,36 +99,37 @@ class VisionLanguageModel(nn.Module):
             hidden: (batch, 128) bool: which of them are hidden from those after; future-start stands in their place.
 
         Returns:
-            States (batch, 128, width) from which `logits` reads each next token, and normalised actions (batch, 64, 2)
-            of the regression head.
+            States (batch, 128, width) from which `logits` reads each next token, normalised actions (batch, 64, 2) of
+            the regression head, and what the image encoder makes of the images.
         """
-        image_tokens, history, start = self._embed_prefix(inputs)
+        sight, history, start = self._embed_prefix(inputs)
         future = torch.where(hidden[:, :-1, None], start, self.token_embedding(future_tokens[:, :-1]))
         sequence = torch.cat([history, start, future], dim=1) + self.positions[:-1]
-        states, _ = self._run(torch.cat([image_tokens, sequence], dim=1))
-        return self.norm(states[:, -FUTURE_TOKENS:]), self._regress(start)
+        states, _ = self._run(torch.cat([sight.tokens, sequence], dim=1))
+        return self.norm(states[:, -FUTURE_TOKENS:]), self._regress(start), sight
 
     def logits(self, states: Tensor) -> Tensor:
         """Logits (..., 3000) over the future tokens for states (..., width)."""
         return states @ self.token_embedding.weight[:FUTURE_BINS].T
 
-    def regress(self, inputs: PolicyInputs) -> Tensor:
-        """Normalised actions (batch, 64, 2) of the regression head, without running the transformer."""
-        return self._regress(self._embed_prefix(inputs)[-1])
+    def regress(self, inputs: PolicyInputs) -> tuple[Tensor, Sight]:
+        """Normalised actions (batch, 64, 2) of the regression head and the sight, without running the transformer."""
+        sight, _, start = self._embed_prefix(inputs)
+        return self._regress(start), sight
 
     @torch.no_grad()
-    def prefix_cache(self, inputs: PolicyInputs) -> list[KeysValues]:
-        """What the expert sees: keys and values of every layer up to future-start, without gradient."""
-        image_tokens, history, start = self._embed_prefix(inputs)
+    def read_prefix(self, inputs: PolicyInputs) -> Prefix:
+        """What the expert sees, without gradient."""
+        sight, history, start = self._embed_prefix(inputs)
         sequence = torch.cat([history, start], dim=1) + self.positions[: HISTORY_TOKENS + 1]
-        _, cache = self._run(torch.cat([image_tokens, sequence], dim=1))
-        return cache
+        _, cache = self._run(torch.cat([sight.tokens, sequence], dim=1))
+        return Prefix(cache, self._regress(start), sight)
 
-    def _embed_prefix(self, inputs: PolicyInputs) -> tuple[Tensor, Tensor, Tensor]:
-        """Image tokens, history tokens and future-start, each (batch, tokens, width) and still without positions."""
-        image_tokens = self.image_encoder(inputs.images)
-        projected = self.prefix_projection(torch.cat([image_tokens.flatten(1), inputs.motion], dim=1))
-        return image_tokens, self.token_embedding(inputs.history_tokens), (self.future_start + projected)[:, None]
+    def _embed_prefix(self, inputs: PolicyInputs) -> tuple[Sight, Tensor, Tensor]:
+        """Sight, history tokens and future-start, (batch, tokens, width) and still without positions."""
+        sight = self.image_encoder(inputs.images, inputs.route, inputs.world)
+        projected = self.prefix_projection(torch.cat([sight.tokens.flatten(1), inputs.motion], dim=1))
+        return sight, self.token_embedding(inputs.history_tokens), (self.future_start + projected)[:, None]
 
     def _regress(self, start: Tensor) -> Tensor:
         return self.regression_head(start[:, 0]).unflatten(-1, (-1, 2))

@@ -5,9 +5,11 @@ from pathlib import Path
 import torch
 
 from olt_generator.errors import InputError
+from olt_generator.poses import planar_pose
 from olt_sft_recipes.toy.action_expert import ACTION_SIZE
 from olt_sft_recipes.toy.checkpoint import ToyModel, read_model
-from olt_sft_recipes.toy.inputs import encode_inputs, planar_poses, select_images
+from olt_sft_recipes.toy.inputs import cells_along, encode_inputs, pad_route, planar_poses, select_images
+from olt_sft_recipes.toy.plan_choice import Occupancy, choose_plan
 from olt_toolkit.policy.action_space import actions_to_trajectory, estimate_initial_speed
 from olt_toolkit.policy.contract import FUTURE_STEPS, Observation, PlannedTrajectory
 
@@ -26,21 +28,32 @@ class ToyPolicy:
         """Nothing is kept between calls."""
 
     def plan(self, observation: Observation) -> PlannedTrajectory:
-        """Draw one planned trajectory; the same observation gives the same one.
+        """Draw some planned trajectories and choose one; the same observation gives the same one.
 
         Raises:
             InputError: the observation holds no images.
         """
         if observation.images is None:
             raise InputError("the toy policy drives by its cameras; the observation holds no images")
-        images = select_images(observation.images, self.model.config)
-        history = planar_poses(observation.history_xyz, observation.history_rotation)
-        noise = torch.randn(1, FUTURE_STEPS, ACTION_SIZE, generator=torch.Generator().manual_seed(observation.seed))
+        config = self.model.config
+        images = select_images(observation.images, config)[None]
+        history = planar_poses(observation.history_xyz, observation.history_rotation)[None]
+        routes = pad_route(observation.route_xy)[None]
+        generator = torch.Generator().manual_seed(observation.seed)
+        noise = torch.randn(config.plans_drawn, FUTURE_STEPS, ACTION_SIZE, generator=generator)
+        if config.chooses_plan:
+            noise[0] = 0.0  # leads to the middle of what it would do
         with torch.inference_mode():
-            cache = self.model.vlm.prefix_cache(encode_inputs(images[None], history[None]))
-            actions = self.model.expert.sample(noise, cache)[0].double().numpy()
-        speed = estimate_initial_speed(observation.history_xyz, observation.history_rotation)
-        return PlannedTrajectory(*actions_to_trajectory(actions, speed))
+            prefix = self.model.vlm.read_prefix(encode_inputs(images, history, routes, config))
+            actions = self.model.expert.sample(noise, prefix.repeated(len(noise))).double().numpy()
+        speed = float(estimate_initial_speed(observation.history_xyz, observation.history_rotation))
+        xyz, rotation = actions_to_trajectory(actions, speed)
+        if not config.chooses_plan:
+            return PlannedTrajectory(xyz[0], rotation[0])
+        occupancy = Occupancy.of(prefix.sight, cells_along(history, routes)[0])
+        x, y, yaw = choose_plan(planar_poses(xyz, rotation), max(speed, 0.0), occupancy).T
+        chosen = planar_pose(x, y, yaw)
+        return PlannedTrajectory(chosen[:, :3, 3], chosen[:, :3, :3])
 
 
 def load_toy(path: str | None) -> ToyPolicy:

@@ -4,7 +4,7 @@ A policy that has seen a few hundred moments of driving learns them by heart. Mi
 a perturbed sample shows what the road looks like from a little off the path, and how to get back.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import cv2
@@ -15,10 +15,10 @@ from olt_generator.cameras import pixel_rays
 from olt_generator.poses import Array, invert, planar_pose, transform
 from olt_generator.views.pixel_origin import PixelOrigin
 from olt_sft_recipes.toy.config import ToyPolicyConfig
-from olt_sft_recipes.toy.inputs import planar_poses, select_images
-from olt_toolkit.policy.action_space import trajectory_to_actions
+from olt_sft_recipes.toy.inputs import cells_along, pad_route, planar_poses, select_images
+from olt_sft_recipes.training.auxiliary import gather_truth
+from olt_toolkit.policy.action_space import estimate_initial_speed, trajectory_to_actions
 from olt_toolkit.policy.sample import PolicySample
-from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
 from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, REAR_LEFT, REAR_RIGHT
 from olt_toolkit.rigs.rig_files import pav_rig
 
@@ -38,15 +38,22 @@ class DrivingSamples:
     Attributes:
         images: (n, cameras, frames, 3, H, W) uint8.
         history, future: (n, 16, 3) and (n, 64, 3) of x, y in metres and yaw in radians, in the rig frame at t0.
-        invented: (n,) share of the pixels of the images that is invented, at the size of the clip; None for nothing.
-        contract: which cameras these are.
+        routes: (n, 20, 2) route ahead in metres in the rig frame at t0, filled up with NaN.
+        config: of the model that they are for.
+        invented: (n,) share of the pixels of the images that is invented, at the size of the clip.
+        truth_known: (n,) bool, whether it is known what is where.
+        truth_route, truth_world: (n, ...) uint8 of what is where (`auxiliary.SightTruth`).
     """
 
     images: NDArray[np.uint8]
     history: Array
     future: Array
-    invented: Array | None = None
-    contract: CameraContract = DEFAULT_CONTRACT
+    routes: Array
+    config: ToyPolicyConfig
+    invented: Array
+    truth_known: NDArray[np.bool_]
+    truth_route: NDArray[np.uint8]
+    truth_world: NDArray[np.uint8]
 
     @classmethod
     def gather(cls, samples: list[PolicySample], config: ToyPolicyConfig) -> "DrivingSamples":
@@ -56,15 +63,19 @@ class DrivingSamples:
         """
         origins = [sample.image_origin for sample in samples]
         invented = [
-            0.0 if origin is None else float((origin[:, -config.image_frames :] == PixelOrigin.INVENTED).mean())
+            0.0 if origin is None else float((origin[:, list(config.frames)] == PixelOrigin.INVENTED).mean())
             for origin in origins
         ]
+        history = np.stack([planar_poses(sample.ego_history_xyz[0], sample.ego_history_rot[0]) for sample in samples])
+        routes = np.stack([pad_route(sample.route_xy) for sample in samples])
         return cls(
             np.stack([select_images(sample.image_frames, config) for sample in samples]),
-            np.stack([planar_poses(sample.ego_history_xyz[0], sample.ego_history_rot[0]) for sample in samples]),
+            history,
             np.stack([planar_poses(sample.ego_future_xyz[0], sample.ego_future_rot[0]) for sample in samples]),
+            routes,
+            config,
             np.array(invented),
-            config.contract,
+            *gather_truth(samples, cells_along(history, routes)),
         )
 
     def __len__(self) -> int:
@@ -72,31 +83,36 @@ class DrivingSamples:
 
     def take(self, rows: list[int]) -> "DrivingSamples":
         """Some of the samples."""
-        invented = None if self.invented is None else self.invented[rows]
-        parts = {"images": self.images[rows], "history": self.history[rows], "future": self.future[rows]}
-        return replace(self, invented=invented, **parts)
+        arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "config"}
+        return replace(self, **{name: values[rows] for name, values in arrays.items()})
 
     def weights(self, invented_pixel_weight: float) -> Array:
         """Weights (n,) of the samples where an invented pixel counts for so much of a seen one.
 
         w = 1 - (1 - `invented_pixel_weight`) * share of invented pixels.
         """
-        invented = np.zeros(len(self)) if self.invented is None else self.invented
-        return 1.0 - (1.0 - invented_pixel_weight) * invented
+        return 1.0 - (1.0 - invented_pixel_weight) * self.invented
 
     def mirrored(self) -> "DrivingSamples":
         """The same drives in a world where left is right."""
         flip = np.array([1.0, -1.0, -1.0])
-        cameras = self.contract.cameras
-        order = [cameras.index(_MIRRORED.get(name, name)) for name in cameras]
-        images = np.ascontiguousarray(self.images[:, order][..., ::-1])
-        return replace(self, images=images, history=self.history * flip, future=self.future * flip)
+        names = self.config.camera_names
+        order = [names.index(_MIRRORED.get(name, name)) for name in names]
+        return replace(
+            self,
+            images=np.ascontiguousarray(self.images[:, order][..., ::-1]),
+            history=self.history * flip,
+            future=self.future * flip,
+            routes=self.routes * flip[:2],
+            truth_route=self.truth_route[..., ::-1],
+            truth_world=self.truth_world[..., ::-1],
+        )
 
     def perturbed(self, offsets: Array, angles: Array) -> "DrivingSamples":
         """The same moments with the vehicle off its path, to which it then returns.
 
         The history is the vehicle's own and stays. With offset d and angle a the distance from the path after s metres
-        is e(s) = (d + (a + d / L) s) exp(-s / L), so that e(0) = d and e'(0) = a.
+        is e(s) = (d + (a + d / L) s) exp(-s / L), so that e(0) = d and e'(0) = a. What is where is no longer known.
 
         Args:
             offsets: (n,) metres to the left.
@@ -108,21 +124,33 @@ class DrivingSamples:
         off = (offsets[:, None] + slope * distance) * decay
         heading = slope * decay - off / RETURN_METRES
         x, y, yaw = np.moveaxis(self.future, -1, 0)
-        x, y = x - off * np.sin(yaw), y + off * np.cos(yaw) - offsets[:, None]
-        cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
-        future = np.stack([cos * x + sin * y, cos * y - sin * x, yaw + heading - angles[:, None]], axis=-1)
+        x, y = _seen_from(x - off * np.sin(yaw), y + off * np.cos(yaw), offsets, angles)
         images = np.stack(
             [
-                _perturb_images(self.contract.cameras, *sample)
+                _perturb_images(self.config.camera_names, *sample)
                 for sample in zip(self.images, offsets, angles, strict=True)
             ]
         )
-        return replace(self, images=images, future=future)
+        future = np.stack([x, y, yaw + heading - angles[:, None]], axis=-1)
+        routes = np.stack(_seen_from(self.routes[..., 0], self.routes[..., 1], offsets, angles), axis=-1)
+        return replace(self, images=images, future=future, routes=routes, truth_known=np.zeros(len(self), bool))
+
+    def speeds(self) -> Array:
+        """Speeds (n,) at t0 in m/s, from which `actions` are driven."""
+        history = planar_pose(*np.moveaxis(self.history, -1, 0))
+        return estimate_initial_speed(history[..., :3, 3], history[..., :3, :3])
 
     def actions(self) -> Array:
         """Normalised actions (n, 64, 2) that drive the futures."""
         history, future = (planar_pose(*np.moveaxis(planar, -1, 0)) for planar in (self.history, self.future))
         return trajectory_to_actions(history[..., :3, 3], history[..., :3, :3], future[..., :3, 3], future[..., :3, :3])
+
+
+def _seen_from(x: Array, y: Array, offsets: Array, angles: Array) -> tuple[Array, Array]:
+    """Points (n, k) as the vehicle sees them that is so far to the left and so turned."""
+    y = y - offsets[:, None]
+    cos, sin = np.cos(angles)[:, None], np.sin(angles)[:, None]
+    return cos * x + sin * y, cos * y - sin * x
 
 
 def _perturb_images(

@@ -17,6 +17,7 @@ from olt_sft_recipes.toy.action_expert import draw_training_times
 from olt_sft_recipes.toy.checkpoint import ToyModel
 from olt_sft_recipes.toy.inputs import PolicyInputs, encode_inputs
 from olt_sft_recipes.toy.tokens import FUTURE_TOKENS, encode_actions
+from olt_sft_recipes.training.auxiliary import SightTruth, plan_errors, sight_errors
 from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_sft_recipes.training.stage_config import StageConfig
 from olt_toolkit.policy.contract import FUTURE_STEPS
@@ -37,12 +38,16 @@ class TrainingBatch:
         inputs: what the prefix is made of.
         actions: (n, 64, 2) normalised actions that drive the futures.
         tokens: (n, 128) of them.
+        speeds: (n,) at t0, m/s, from which the actions are driven.
+        truth: what is where, for the heads of the image encoder.
         draws: rows of the draws of the step, as tensors.
     """
 
     inputs: PolicyInputs
     actions: Tensor
     tokens: Tensor
+    speeds: Tensor
+    truth: SightTruth
     draws: dict[str, Tensor]
 
 
@@ -84,9 +89,15 @@ def prepare_batch(samples: DrivingSamples, draws: StepDraws) -> TrainingBatch:
     samples = augment(samples, draws)
     actions = samples.actions()
     return TrainingBatch(
-        encode_inputs(samples.images, samples.history),
+        encode_inputs(samples.images, samples.history, samples.routes, samples.config),
         torch.from_numpy(actions.astype(np.float32)),
         torch.from_numpy(encode_actions(actions)[0]),
+        torch.from_numpy(samples.speeds().astype(np.float32)),
+        SightTruth(
+            torch.from_numpy(samples.truth_known.copy()),
+            torch.from_numpy(samples.truth_route.copy()),
+            torch.from_numpy(samples.truth_world.copy()),
+        ),
         {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in draws.items()},
     )
 
@@ -94,21 +105,24 @@ def prepare_batch(samples: DrivingSamples, draws: StepDraws) -> TrainingBatch:
 def sample_losses(model: ToyModel, stage: StageConfig, batch: TrainingBatch, warmup: bool) -> Tensor:
     """Loss (n,) of each sample.
 
-    Of the regression head alone (warm-up), of tokens and regression head (Stage 1), or flow matching (Stage 2).
+    Of the regression head and the sight (warm-up), of tokens, regression head and sight (Stage 1), or flow matching
+    (Stage 2).
     """
-    if warmup:
-        return _squared_errors(model.vlm.regress(batch.inputs), batch.actions)
     if stage.stage == 2:
-        cache = model.vlm.prefix_cache(batch.inputs)
-        return model.expert.loss(batch.actions, batch.draws["time"], batch.draws["noise"], cache)
-    states, regressed = model.vlm(batch.inputs, batch.tokens, batch.draws["hidden"])
+        prefix = model.vlm.read_prefix(batch.inputs)
+        return model.expert.loss(batch.actions, batch.draws["time"], batch.draws["noise"], prefix)
+    if warmup:
+        regressed, sight = model.vlm.regress(batch.inputs)
+        return plan_errors(regressed, batch.actions, batch.speeds) + stage.sight_weight * sight_errors(
+            sight, batch.truth
+        )
+    states, regressed, sight = model.vlm(batch.inputs, batch.tokens, batch.draws["hidden"])
     chosen = batch.draws["chosen"]
     logits = model.vlm.logits(states.gather(1, chosen[..., None].expand(-1, -1, states.shape[-1])))
     tokens = batch.tokens.gather(1, chosen)
     token_losses = functional.cross_entropy(logits.transpose(1, 2), tokens, reduction="none").mean(dim=1)
-    return token_losses + _squared_errors(regressed, batch.actions)
-
-
-def _squared_errors(actions: Tensor, wanted: Tensor) -> Tensor:
-    """Mean squared error (n,) of the actions (n, 64, 2) of each sample."""
-    return (actions - wanted).square().mean(dim=(1, 2))
+    return (
+        token_losses
+        + plan_errors(regressed, batch.actions, batch.speeds)
+        + stage.sight_weight * sight_errors(sight, batch.truth)
+    )

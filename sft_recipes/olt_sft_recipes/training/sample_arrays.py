@@ -49,7 +49,7 @@ def gather_samples(
             _decode(keys, load_samples, config, temporary)
             (temporary / _ABOUT_FILE).write_text(json.dumps({"samples": name, "count": len(keys)}) + "\n")
     arrays = {path.stem: np.load(path, mmap_mode="r") for path in sorted(find_whole_folder(folder).glob("*.npy"))}
-    return DrivingSamples(contract=config.contract, **arrays)
+    return DrivingSamples(config=config, **arrays)
 
 
 def _decode(keys: Sequence[SampleKey], load_samples: LoadSamples, config: ToyPolicyConfig, folder: Path) -> None:

@@ -42,13 +42,14 @@ class StageConfig(BaseModel):
         mirror_probability: share of batches that are mirrored, left for right. Toy only.
         move_metres, turn_degrees: samples are perturbed by up to this much, off the path and in heading
             (`DrivingSamples.perturbed`). Toy only.
-        regression_warmup_epochs: of the epochs of Stage 1, the first so many train the regression head alone. They
+        regression_warmup_epochs: of the epochs of Stage 1, the first so many train regression and sight alone. They
             stand in for the pre-training that the real model brings along, and cost a fraction. Toy only.
         hidden_token_probability: share of future tokens that are hidden from later ones in Stage 1. Toy only.
         invented_pixel_weight: how much an invented pixel of a sample's images counts, between nothing and as much as
             one that a camera saw. A sample counts in the loss by the mean over its pixels (`DrivingSamples.weights`),
             and the weights of an optimizer step are divided by their sum. 1, the default: all samples alike, as in the
             real recipe. Toy only.
+        sight_weight: of the loss of what is where (`training.auxiliary`) in Stage 1. Toy only.
         save_steps: a checkpoint is written after every so many optimizer steps, and at the end; also before each
             evaluation.
         save_total_limit: so many of the newest checkpoints are kept, and the best besides.
@@ -75,6 +76,7 @@ class StageConfig(BaseModel):
     regression_warmup_epochs: NonNegativeInt = 0
     hidden_token_probability: float = Field(default=0.0, ge=0.0, le=1.0)
     invented_pixel_weight: float = Field(default=1.0, ge=0.0, le=1.0)
+    sight_weight: NonNegativeFloat = 1.0
     save_steps: PositiveInt = 500
     save_total_limit: PositiveInt = 2
     eval_steps: PositiveFloat = 0.25

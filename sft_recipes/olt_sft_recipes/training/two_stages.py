@@ -2,7 +2,7 @@
 
 Stage 1 trains the vision-language model on trajectory tokens. Its loss is the mean cross-entropy over the future
 tokens; the real recipe adds a second mean over the other labelled tokens (reasoning, end of message), which the toy
-does not have, and the toy adds the squared error of its regression head. Stage 2 takes that model, freezes it, and
+does not have, and the toy adds losses of its own (`training.auxiliary`). Stage 2 takes that model, freezes it, and
 trains the action expert alone by flow matching (docs/formats/alpamayo.md, docs/formats/sft_recipes.md).
 
 `OUT/stage1` and `OUT/stage2` hold checkpoints, a status and curves; `OUT/policy` is what drives
@@ -112,7 +112,8 @@ def train_on_mixture(
     first, second = (stage.model_copy(update={"seed": seed}) for stage in stages)
     config = model_config or ToyPolicyConfig()
     weighted = any(stage.invented_pixel_weight < 1.0 for stage in stages)
-    dataset = MixtureDataset(mixture, image_size=None, contract=config.contract, with_origin=weighted)
+    told = any(stage.stage == 1 and stage.sight_weight > 0.0 for stage in stages)
+    dataset = MixtureDataset(mixture, image_size=None, contract=config.contract, with_origin=weighted, with_truth=told)
     return train_two_stages(
         (first, second), mixture.epoch, dataset.load_batch, out, config, on_progress, validation, only
     )

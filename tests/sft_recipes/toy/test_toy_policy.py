@@ -5,7 +5,9 @@ import pytest
 import torch
 
 from olt_generator.errors import InputError
+from olt_sft_recipes.toy.action_expert import SPREAD
 from olt_sft_recipes.toy.checkpoint import ToyModel, read_model, save_model
+from olt_sft_recipes.toy.image_encoder import IMAGE_TOKENS
 from olt_sft_recipes.toy.inputs import encode_inputs
 from olt_sft_recipes.toy.policy import ToyPolicy, load_toy
 from olt_sft_recipes.training.driving_samples import DrivingSamples
@@ -23,7 +25,7 @@ def model(tiny_config):
 @pytest.fixture(scope="module")
 def inputs(drives, tiny_config):
     samples = DrivingSamples.gather(list(drives.values())[:2], tiny_config)
-    return encode_inputs(samples.images, samples.history)
+    return encode_inputs(samples.images, samples.history, samples.routes, tiny_config)
 
 
 def observe(sample, seed):
@@ -44,8 +46,8 @@ def test_a_token_depends_only_on_the_tokens_before_it(model, inputs):
     changed[:, 60] = 1234
     nothing_hidden = torch.zeros(2, 128, dtype=torch.bool)
     with torch.no_grad():
-        before, _ = model.vlm(inputs, tokens, nothing_hidden)
-        after, _ = model.vlm(inputs, changed, nothing_hidden)
+        before, *_ = model.vlm(inputs, tokens, nothing_hidden)
+        after, *_ = model.vlm(inputs, changed, nothing_hidden)
     assert torch.equal(before[:, :61], after[:, :61])
     assert not torch.allclose(before[:, 61:], after[:, 61:])
 
@@ -61,8 +63,8 @@ def test_a_hidden_token_is_not_seen(model, inputs):
 
 
 def test_the_expert_sees_the_prefix_and_nothing_after_it(model, inputs, tiny_config):
-    prefix_length = tiny_config.image_tokens + 48 + 1
-    for keys, values in model.vlm.prefix_cache(inputs):
+    prefix_length = IMAGE_TOKENS + 48 + 1
+    for keys, values in model.vlm.read_prefix(inputs).cache:
         assert keys.shape == values.shape == (2, tiny_config.heads, prefix_length, tiny_config.head_width)
         assert not keys.requires_grad
 
@@ -124,3 +126,22 @@ def test_a_checkpoint_with_a_damaged_file_for_long(fuzzer, model, tmp_path, name
 def test_the_policy_needs_a_folder():
     with pytest.raises(InputError, match="toy:FOLDER"):
         load_toy(None)
+
+
+def test_before_stage_2_the_expert_plans_what_the_frozen_model_regresses(model, inputs):
+    prefix = model.vlm.read_prefix(inputs)
+    planned = model.expert.sample(torch.zeros(2, 64, 2), prefix)
+    assert torch.allclose(planned, prefix.regressed, atol=1e-5)
+
+
+def test_draws_of_an_untrained_expert_spread_around_the_regression(model, drives, tiny_config):
+    sample = DrivingSamples.gather(list(drives.values())[:1], tiny_config)
+    prefix = model.vlm.read_prefix(encode_inputs(sample.images, sample.history, sample.routes, tiny_config))
+    prefix = prefix.repeated(400)
+    fine = model.expert
+    fine.integration_steps, before = 50, fine.integration_steps
+    try:
+        drawn = fine.sample(torch.randn(400, 64, 2, generator=torch.Generator().manual_seed(0)), prefix)
+    finally:
+        fine.integration_steps = before
+    assert (drawn - prefix.regressed).std() == pytest.approx(SPREAD, rel=0.1)

@@ -14,6 +14,13 @@ def samples(drives, tiny_config):
     return DrivingSamples.gather(list(drives.values()), tiny_config)
 
 
+def drive_along(future, config):
+    """One drive without history, images and truth along a future (1, 64, 3) and its route."""
+    images, history = np.zeros((1, 4, 2, 3, 16, 32), np.uint8), np.zeros((1, 16, 3))
+    truth = np.zeros(1, bool), np.zeros((1, 10, 32, 14), np.uint8), np.zeros((1, 9, 24, 24), np.uint8)
+    return DrivingSamples(images, history, future, future[:, ::4, :2], config, np.zeros(1), *truth)
+
+
 def test_mirror_twice_is_the_same(samples):
     twice = samples.mirrored().mirrored()
     assert np.array_equal(twice.images, samples.images)
@@ -33,7 +40,7 @@ def test_mirror_swaps_left_and_right_cameras(drives, tiny_config):
 @pytest.mark.parametrize(("weight", "expected"), [(1.0, 1.0), (0.0, 0.25), (0.5, 0.625)])
 def test_weights_follow_the_invented_share_of_the_images_used(drives, tiny_config, weight, expected):
     origin = np.zeros((4, 4, 8, 8), np.uint8)
-    origin[:, -1, 4:, 4:] = 1  # of the newest frame, the only one used, a quarter is seen
+    origin[:, [0, 3], 4:, 4:] = 1  # of the oldest and the newest frame, which are used, a quarter is seen
     sample = next(iter(drives.values()))
     samples = DrivingSamples.gather([replace(sample, image_origin=origin), sample], tiny_config)
     assert samples.weights(weight).tolist() == [expected, 1.0]
@@ -53,10 +60,10 @@ def test_no_turn_changes_nothing(samples):
     assert np.allclose(turned.future, samples.future)
 
 
-@given(st.floats(-0.1, 0.1))
-def test_a_turned_drive_leaves_along_its_heading_and_returns_to_the_path(angle):
+@given(angle=st.floats(-0.1, 0.1))
+def test_a_turned_drive_leaves_along_its_heading_and_returns_to_the_path(tiny_config, angle):
     straight = np.stack([np.arange(1, 65) * 1.0, np.zeros(64), np.zeros(64)], axis=-1)[None]
-    drive = DrivingSamples(np.zeros((1, 4, 1, 3, 16, 32), np.uint8), np.zeros((1, 16, 3)), straight)
+    drive = drive_along(straight, tiny_config)
     future = drive.perturbed(np.zeros(1), np.array([angle])).future[0]
     # A metre of drive has already turned the vehicle back a little.
     first = np.arctan2(future[0, 1], future[0, 0])
@@ -68,9 +75,9 @@ def test_a_turned_drive_leaves_along_its_heading_and_returns_to_the_path(angle):
     assert np.abs(off).max() <= abs(angle) * 8.0 / np.e + 1e-9
 
 
-def test_a_drive_beside_its_path_starts_there_and_returns():
+def test_a_drive_beside_its_path_starts_there_and_returns(tiny_config):
     straight = np.stack([np.arange(1, 65) * 1.0, np.zeros(64), np.zeros(64)], axis=-1)[None]
-    drive = DrivingSamples(np.zeros((1, 4, 1, 3, 16, 32), np.uint8), np.zeros((1, 16, 3)), straight)
+    drive = drive_along(straight, tiny_config)
     future = drive.perturbed(np.array([0.5]), np.zeros(1)).future[0]
     assert abs(future[0, 1]) < 0.02 and abs(future[0, 2]) < 0.02
     assert future[-1, 1] == pytest.approx(-0.5, abs=0.01)

@@ -20,8 +20,8 @@ AUGMENTED = {"mirror_probability": 0.5, "turn_degrees": 4.0, "move_metres": 0.5,
 
 def main(out: Path) -> None:
     config = ToyPolicyConfig(
-        image_height=16, image_width=32, image_channels=4, tokens_per_image=1, width=16, layers=2, heads=2,
-        expert_width=16,
+        image_height=16, image_width=32, image_top=0, image_channels=4, precision="float32",
+        width=16, layers=2, heads=2, expert_width=16,
     )  # fmt: skip
     keys = [SampleKey("store", f"clip{index:02d}", 2_000_000) for index in range(11)]
     drives = {key: make_sample(0.005 * (index - 5), 5.0 + index % 4) for index, key in enumerate(keys)}
