@@ -39,10 +39,19 @@ def scene_of(source: str) -> Scene:
     Raises:
         InputError: there is no such event, or the seed is no number.
     """
-    name, colon, seed = source.removeprefix(PREFIX).partition(":")
+    return make_scene(*name_and_seed(source, PREFIX))
+
+
+def name_and_seed(source: str, prefix: str) -> tuple[str, int]:
+    """The event and the seed that PREFIX/NAME or PREFIX/NAME:SEED stands for; the seed is 0 where none is given.
+
+    Raises:
+        InputError: the seed is no number.
+    """
+    name, colon, seed = source.removeprefix(prefix).partition(":")
     if colon and not seed.isdecimal():
-        raise InputError(f"scene {source!r}: {seed!r} is no seed; give {PREFIX}NAME or {PREFIX}NAME:SEED")
-    return make_scene(name, int(seed) if colon else 0)
+        raise InputError(f"scene {source!r}: {seed!r} is no seed; give {prefix}NAME or {prefix}NAME:SEED")
+    return name, int(seed) if colon else 0
 
 
 @lru_cache(maxsize=8)

@@ -30,7 +30,7 @@ from olt_closed_loop.suite.recorded_drives import (
     speed_at,
     truth_of_event,
 )
-from olt_closed_loop.suite.scenes import scene_of_event
+from olt_closed_loop.suite.scenes import name_and_seed, scene_of_event
 from olt_closed_loop.suite.training_roads import TrainingRoads
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
@@ -118,10 +118,7 @@ def training_scene_of(source: str) -> Scene:
     Raises:
         InputError: there is no such event, or the seed is no number.
     """
-    name, colon, seed = source.removeprefix(PREFIX).partition(":")
-    if colon and not seed.isdecimal():
-        raise InputError(f"scene {source!r}: {seed!r} is no seed; give {PREFIX}NAME or {PREFIX}NAME:SEED")
-    return make_training_scene(name, int(seed) if colon else 0)
+    return make_training_scene(*name_and_seed(source, PREFIX))
 
 
 def find_legs(name: str, seed: int, disturbance: Disturbance | None) -> tuple[Leg, ...]:

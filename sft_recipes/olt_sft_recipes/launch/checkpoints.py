@@ -4,13 +4,16 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 from olt_generator.errors import InputError
 from olt_sft_recipes.launch.public_recipes import MAX_PIXELS, MIN_PIXELS
 from olt_sft_recipes.preflight.checkpoint_folder import CheckpointFolder, look_at_folder
 from olt_sft_recipes.preflight.rows import Verdict
 from olt_sft_recipes.preflight.safetensors_files import StoredTensor
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 VLM_PREFIX = "vlm."
 _NAME = re.compile(r"checkpoint-(\d+)")
@@ -147,15 +150,15 @@ class VlmComparison:
 def compare_vlm(stage1: Path, stage2: Path, base: Path, most_bytes: int | None = None) -> VlmComparison:
     """Compare tensor by tensor, at the precision of Stage 2's; `most_bytes` takes a sample spread over the names."""
     folders = [vlm_tensors(read_checkpoint(path)) for path in (stage1, stage2, base)]
-    ones, twos, bases = folders
-    names = _spread(ones, most_bytes)
+    names = _spread(folders[0], most_bytes)
     unlike, as_base, telling = [], 0, 0
     for name in names:
-        telling += not _same(ones, bases, name)
-        if not _same(ones, twos, name):
+        one, two, released = (_read(tensors, name) for tensors in folders)
+        telling += not _same(one, released)
+        if not _same(one, two):
             unlike.append(name)
-            as_base += _same(bases, twos, name)
-    return VlmComparison(len(ones), len(names), telling, tuple(unlike), as_base)
+            as_base += _same(released, two)
+    return VlmComparison(len(folders[0]), len(names), telling, tuple(unlike), as_base)
 
 
 def _spread(tensors: Mapping[str, StoredTensor], most_bytes: int | None) -> Sequence[str]:
@@ -167,20 +170,19 @@ def _spread(tensors: Mapping[str, StoredTensor], most_bytes: int | None) -> Sequ
     return names[::step]
 
 
-def _same(left: Mapping[str, StoredTensor], right: Mapping[str, StoredTensor], name: str) -> bool:
-    """Whether two stored tensors are equal, the left one at the precision of the right one."""
-    import torch
-
-    if name not in left or name not in right or left[name].shape != right[name].shape:
+def _same(left: "Tensor | None", right: "Tensor | None") -> bool:
+    """Whether two tensors are there and equal, the left one at the precision of the right one."""
+    if left is None or right is None or left.shape != right.shape:
         return False
-    one, two = _read(left[name], name), _read(right[name], name)
-    return torch.equal(one.to(two.dtype), two)
+    return left.to(right.dtype).equal(right)
 
 
-def _read(tensor: StoredTensor, name: str) -> Any:
+def _read(tensors: Mapping[str, StoredTensor], name: str) -> "Tensor | None":
     from safetensors import safe_open
 
-    with safe_open(tensor.file, framework="pt") as file:
+    if name not in tensors:
+        return None
+    with safe_open(tensors[name].file, framework="pt") as file:
         stored = name if name in file.keys() else f"{VLM_PREFIX}{name}"  # noqa: SIM118 - not a dict
         return file.get_tensor(stored)
 

@@ -208,7 +208,7 @@ class StageTraining:
         if self.accelerator.is_main_process:
             with self._timed("saving"):
                 save_checkpoint(self.folder, self.model, self.trained, self.optimizer, self._timed_state())
-                prune_checkpoints(self.folder, self.stage.save_total_limit, self.state.best_model_checkpoint)
+                self._prune()
         self.accelerator.wait_for_everyone()
 
     def _judge_if_due(self) -> None:
@@ -225,9 +225,13 @@ class StageTraining:
             best = min(self.state.evaluations, key=rank)
             self.state.best_model_checkpoint = checkpoint_name(best["step"])
             update_state(checkpoint, self._timed_state())
+            self._prune()
             draw_curves(self.folder / "curves.png", self.state)
             self.accelerator.log(_numbers(evaluation), step=step)
         self.accelerator.wait_for_everyone()
+
+    def _prune(self) -> None:
+        prune_checkpoints(self.folder, self.stage.save_total_limit, self.state.best_model_checkpoint)
 
     @contextmanager
     def _timed(self, what: str) -> Iterator[None]:

@@ -316,7 +316,7 @@ def test_a_served_policy_drives_as_it_does_here(spec):
 
 EVENTS = {  # events of the suite by what the peer's drivers are shown
     "longtail/closed_lane": "none",
-    "longtail/officer_stops_straight": "none",
+    "longtail/officer_overrules_light": "none",
     "longtail/riders_on_curve": "none",
     "longtail/tractor_ahead": FRONT_WIDE,
 }

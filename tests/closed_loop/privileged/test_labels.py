@@ -42,7 +42,7 @@ def test_a_light_holds_the_way_until_it_is_green():
 
 
 def test_a_hand_holds_the_way():
-    holds = label_holds(make_scene("officer_stops_straight"), 0)
+    holds = label_holds(make_scene("officer_overrules_light"), 0)
     assert holds.is_held.any() and not holds.is_held[-1]
 
 

@@ -184,7 +184,7 @@ def test_the_motion_comes_from_where_it_is_said_to(tmp_path, drive):
     assert summary["trajectory"]["length"] == 0.0
     assert summary["scale_sigma"] is None
     assert "odometry" not in summary["seconds"]
-    assert summary["sources"] == {"poses": "reference", "depth": "geometric"}
+    assert summary["sources"] == {"poses": "reference", "depth": "geometric", "views": "geometric"}
     for arguments in (("--poses", "mapanything"), ("--mapanything-weights", tmp_path)):
         result = build(drive, "--out", tmp_path / "clips", *arguments)
         assert "belong together" in str(result.exception)

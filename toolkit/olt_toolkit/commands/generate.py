@@ -84,6 +84,7 @@ def describe(
         _print_tables(result, parts, cost)
 
 
+app.command(help="Make the missing views of recordings, of those of a folder, or of a data set, as clips.")(clips)
 app.command(help="Train an engine on drives, its own synthetic ones by default; goes on where it stopped.")(train)
 app.command(help="Score an engine on clips kept from its training: the tables of the paper.")(evaluate)
 
@@ -122,6 +123,3 @@ def _print_tables(result: dict[str, Any], parts: "tuple[PartSize, ...]", cost: "
     print_table("The clip", ("what", "how much"), rows)
     for left_out in result["left_out"]:
         print_line(f"left out: {word_omission(Omission(**left_out))}")
-
-
-app.command(help="Make the missing views of recordings, of those of a folder, or of a data set, as clips.")(clips)

@@ -26,6 +26,7 @@ from olt_closed_loop.scenes.sources.argoverse2_files import (
 from olt_closed_loop.scenes.sources.roads import NO_ROAD, edges, route_along
 from olt_closed_loop.scenes.sources.tracks import (
     MOST_GAP_US,
+    Track,
     agents_of,
     check_motion,
     check_times,
@@ -124,7 +125,7 @@ def read_sensor_log(folder: Path) -> Scene:
             continue
         label = _look_up(_SENSOR_LABELS, kind, path, track)
         length, width, height = (float(boxes[name][rows[0]]) for name in ("length_m", "width_m", "height_m"))
-        tracks.append(Agent(track, label, length, width, height, sampled_us[rows], poses[rows]))
+        tracks.append(Track(track, label, length, width, height, sampled_us[rows], poses[rows]))
     return _scene(
         folder.name.removeprefix("argoverse2_sensor_log_"),
         ego,
@@ -162,7 +163,7 @@ def read_motion_scenario(folder: Path) -> Scene:
             continue
         label, length, width, height = _look_up(_MOTION_CLASSES, kind, path, track)
         poses = np.column_stack([x[rows], y[rows], np.full(len(rows), 0.5 * height), heading[rows]])
-        agents.append(Agent(track, label, length, width, height, times_us[rows], poses))
+        agents.append(Track(track, label, length, width, height, times_us[rows], poses))
     return _scene(
         tracks["scenario_id"][0],
         ego,
@@ -179,7 +180,7 @@ def read_motion_scenario(folder: Path) -> Scene:
     )
 
 
-def _in_stretches(tracks: list[Agent], ego: Trajectory, path: Path) -> tuple[list[Agent], list[str]]:
+def _in_stretches(tracks: list[Track], ego: Trajectory, path: Path) -> tuple[list[Agent], list[str]]:
     """The agents without gaps while the ego drives, and what is to be said of them."""
     parts = {
         track.id: list(agents_of(track, int(ego.timestamps_us[-1]), f"{path}: track {track.id:.80}"))

@@ -13,6 +13,7 @@ from olt_closed_loop.scenes.sources.roads import NO_ROAD, edges, outlines, route
 from olt_closed_loop.scenes.sources.swath import ego_swath
 from olt_closed_loop.scenes.sources.tracks import (
     FARTHEST_FROM_EGO,
+    Track,
     agents_of,
     check_motion,
     check_times,
@@ -51,7 +52,7 @@ class RecordedDrive:
     name: str
     vehicle: VehicleDimensions
     ego: Trajectory
-    agents: Sequence[Agent]
+    agents: Sequence[Track]
     lanes: Sequence[Lane]
     areas: Sequence[shapely.Polygon]
     assumptions: tuple[str, ...]
@@ -170,7 +171,7 @@ def _moved(lane: Lane, origin: Array) -> Lane:
     return replace(lane, center=center, left=left, right=right)
 
 
-def _agents(tracks: Sequence[Agent], origin: Array, end_us: int) -> tuple[list[Agent], list[str]]:
+def _agents(tracks: Sequence[Track], origin: Array, end_us: int) -> tuple[list[Agent], list[str]]:
     """The agents without gaps while the ego drives, from the origin, and what is to be said of them."""
     agents: list[Agent] = []
     apart, away = [], []

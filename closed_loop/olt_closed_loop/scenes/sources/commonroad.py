@@ -16,7 +16,7 @@ import shapely
 
 from olt_closed_loop.scenes.maps.lanes import Control, Crossing, Lane, LaneType, Light, LightState, Marking, StopLine
 from olt_closed_loop.scenes.polylines import without_repeats
-from olt_closed_loop.scenes.scene import Agent, Scene
+from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scenes.sources.assembly import (
     RecordedDrive,
     assemble_scene,
@@ -26,7 +26,7 @@ from olt_closed_loop.scenes.sources.assembly import (
     usable_line,
 )
 from olt_closed_loop.scenes.sources.roads import lane_between
-from olt_closed_loop.scenes.sources.tracks import LARGEST_BOX, longest_stretch
+from olt_closed_loop.scenes.sources.tracks import LARGEST_BOX, Track, longest_stretch
 from olt_closed_loop.scenes.sources.xml_files import child, number_of, parse_number, read_xml, text_of
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission, word_omission
@@ -152,7 +152,7 @@ def _read(root: Element, ego: str | None) -> Scene:
     )
 
 
-def _choose_ego(tracks: list[tuple[Agent, str]], ego: str | None) -> tuple[Agent, str]:
+def _choose_ego(tracks: list[tuple[Track, str]], ego: str | None) -> tuple[Track, str]:
     cars = [track for track, kind in tracks if kind not in _NO_DRIVERS and len(track.timestamps_us) > 2]
     if ego is not None:
         found = next((car for car in cars if car.id == ego), None)
@@ -173,13 +173,13 @@ def _choose_ego(tracks: list[tuple[Agent, str]], ego: str | None) -> tuple[Agent
     return next(car for car in cars if car.id == farthest), why
 
 
-def _shifted(track: Agent, start_us: int, last_us: int) -> Agent:
+def _shifted(track: Track, start_us: int, last_us: int) -> Track:
     """The agent with its times from the ego's start on; one that stands is there all the time."""
     times_us, poses = track.timestamps_us, track.poses
     if len(times_us) == 1:
         steps = np.arange(0, max(last_us, 1) + 100_001, 100_000, dtype=np.int64)
         times_us, poses = steps, np.repeat(poses, len(steps), axis=0)
-    return Agent(track.id, track.label, track.length, track.width, track.height, times_us - start_us, poses)
+    return Track(track.id, track.label, track.length, track.width, track.height, times_us - start_us, poses)
 
 
 def _obstacles(root: Element) -> Iterator[Element]:
@@ -190,7 +190,7 @@ def _obstacles(root: Element) -> Iterator[Element]:
             raise InputError(f"<{element.tag}> {element.get('id', '')} is not read")
 
 
-def _read_obstacle(element: Element, step: float) -> tuple[Agent, str]:
+def _read_obstacle(element: Element, step: float) -> tuple[Track, str]:
     """An obstacle with all its samples, and its type."""
     name = text_of(element, "id", f"<{element.tag}>")
     where = f"obstacle {name:.40}"
@@ -213,7 +213,7 @@ def _read_obstacle(element: Element, step: float) -> tuple[Agent, str]:
         raise InputError(f"{where}: a time that is no whole number of steps")
     times_us = np.round(steps * step * 1e6).astype(np.int64)
     poses = np.column_stack([x, y, np.full(len(x), 0.5 * height), yaw])
-    return Agent(name, label, length, width, height, times_us, poses), kind
+    return Track(name, label, length, width, height, times_us, poses), kind
 
 
 def _read_shape(shape: Element, where: str) -> tuple[float, float]:

@@ -15,13 +15,13 @@ import shapely
 
 from olt_closed_loop.scenes.maps.lanes import Control, Lane, StopLine
 from olt_closed_loop.scenes.polylines import without_repeats
-from olt_closed_loop.scenes.scene import Agent, Scene
+from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scenes.sources.archives import Archive
 from olt_closed_loop.scenes.sources.assembly import RecordedDrive, assemble_scene, lane_area, usable_line
 from olt_closed_loop.scenes.sources.fields import coordinates, expect, member, numbers
 from olt_closed_loop.scenes.sources.georeference import map_in_world
 from olt_closed_loop.scenes.sources.roads import lane_between, link_by_place
-from olt_closed_loop.scenes.sources.tracks import Times, check_times, longest_stretch
+from olt_closed_loop.scenes.sources.tracks import Times, Track, check_times, longest_stretch
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, pose_from_quaternion, yaw_of
 from olt_generator.trajectory import Trajectory
@@ -161,7 +161,7 @@ def _read_box(box: Any, where: str) -> tuple[VehicleDimensions, str]:
     )
 
 
-def _read_tracks(sequences: Any, start_us: int) -> Iterator[Agent]:
+def _read_tracks(sequences: Any, start_us: int) -> Iterator[Track]:
     where = "sequence_tracks.json"
     if len(expect(sequences, dict, where)) != 1:
         raise InputError(f"{where}: {len(sequences)} sequences; one is read")
@@ -188,7 +188,7 @@ def _read_tracks(sequences: Any, start_us: int) -> Iterator[Agent]:
             raise InputError(f"{here}: a quaternion whose length is not 1")
         length, width, height = coordinates([size], f"{here}: cuboids_dims", columns=3)[0].tolist()
         yaw = yaw_of(pose_from_quaternion(rows[:, 3:], rows[:, :3]))
-        yield Agent(
+        yield Track(
             str(name), label.lower(), length, width, height, times_us - start_us, np.column_stack([rows[:, :3], yaw])
         )
 

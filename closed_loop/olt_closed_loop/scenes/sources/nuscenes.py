@@ -28,6 +28,7 @@ from olt_closed_loop.scenes.sources.tracks import (
     FARTHEST_FROM_EGO,
     MOST_GAP_US,
     Times,
+    Track,
     agents_of,
     check_motion,
     check_times,
@@ -268,7 +269,7 @@ def _read_agent(
         float(np.median(_column(state, size, where, len(times_us))[valid])) for size in ("length", "width", "height")
     )
     poses = np.column_stack([motion[:, :2] - origin, np.full(len(valid), 0.5 * height), motion[:, 2]])
-    yield from agents_of(Agent(name, label, length, width, height, times_us[valid], poses), end_us, where)
+    yield from agents_of(Track(name, label, length, width, height, times_us[valid], poses), end_us, where)
 
 
 def _read_lanes(features: dict[str, Any], origin: Array) -> tuple[list[Lane], list[shapely.Polygon]]:

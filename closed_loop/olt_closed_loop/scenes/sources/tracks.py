@@ -6,7 +6,7 @@ ghost is driven around, filmed or hit. The ego has one drive: of one with such a
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,19 @@ _SHORTEST_WAY = 5.0
 _ALONG = float(np.cos(np.pi / 4.0))
 
 Times = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Track:
+    """What a file says of a road user or object, before it is checked; the fields are those of `scene.Agent`."""
+
+    id: str
+    label: str
+    length: float
+    width: float
+    height: float
+    timestamps_us: Times
+    poses: Array
 
 
 def check_times(times_us: Times, where: str) -> None:
@@ -73,8 +86,8 @@ def longest_stretch(times_us: Times) -> slice:
     return max(stretches, key=lambda part: int(times_us[part][-1] - times_us[part][0]))
 
 
-def agents_of(agent: Agent, end_us: int, where: str) -> Iterator[Agent]:
-    """The agent in stretches without gaps, from time 0 to `end_us`, called `id`, `id#2`, `id#3`, ...
+def agents_of(track: Track, end_us: int, where: str) -> Iterator[Agent]:
+    """The agent of a track in stretches without gaps, from time 0 to `end_us`, called `id`, `id#2`, `id#3`, ...
 
     Samples are those of the drive's frame, whose origin is the ego's first position.
 
@@ -82,33 +95,32 @@ def agents_of(agent: Agent, end_us: int, where: str) -> Iterator[Agent]:
         InputError: times do not increase, a sample is not finite or too far away, or the box has no usual size.
     """
     # A row that is there twice is one.
-    same = np.all(np.diff(agent.poses, axis=0) == 0.0, axis=1) & (np.diff(agent.timestamps_us) == 0)
+    same = np.all(np.diff(track.poses, axis=0) == 0.0, axis=1) & (np.diff(track.timestamps_us) == 0)
     once = np.concatenate([[True], ~same])
-    agent = replace(agent, timestamps_us=agent.timestamps_us[once], poses=agent.poses[once])
-    _check_agent(agent, where)
-    times_us, poses = agent.timestamps_us, agent.poses
+    times_us, poses = track.timestamps_us[once], track.poses[once]
+    size = track.length, track.width, track.height
+    _check_samples(times_us, poses, where)
+    if not all(0.0 < side <= LARGEST_BOX for side in size):
+        raise InputError(f"{where}: a box of {' x '.join(f'{side:g}' for side in size)} m")
     away = (np.diff(times_us) > MOST_GAP_US) | jumps(times_us, poses[:, :2])
     number = 0
     for part in stretches_between(away):
         inside = np.flatnonzero((times_us[part] >= 0) & (times_us[part] <= end_us)) + part.start
         if len(inside):
             number += 1
-            name = agent.id if number == 1 else f"{agent.id}#{number}"
-            yield replace(agent, id=name, timestamps_us=times_us[inside], poses=poses[inside])
+            name = track.id if number == 1 else f"{track.id}#{number}"
+            yield Agent(name, track.label, *size, times_us[inside], poses[inside])
 
 
-def _check_agent(agent: Agent, where: str) -> None:
-    wrong = ~(np.abs(agent.poses) <= FARTHEST_FROM_EGO).all(axis=1)
+def _check_samples(times_us: Times, poses: Array, where: str) -> None:
+    wrong = ~(np.abs(poses) <= FARTHEST_FROM_EGO).all(axis=1)
     if wrong.any():
         index = int(np.argmax(wrong))
-        place = ", ".join(f"{value:g}" for value in agent.poses[index])
-        raise InputError(f"{where} at {agent.timestamps_us[index] * 1e-6:.2f} s: x, y, z, heading {place} from the ego")
-    if np.any(np.diff(agent.timestamps_us) <= 0):
-        index = int(np.argmax(np.diff(agent.timestamps_us) <= 0))
-        raise InputError(f"{where}: two samples at {agent.timestamps_us[index] * 1e-6:.2f} s that differ")
-    size = agent.length, agent.width, agent.height
-    if not all(0.0 < side <= LARGEST_BOX for side in size):
-        raise InputError(f"{where}: a box of {' x '.join(f'{side:g}' for side in size)} m")
+        place = ", ".join(f"{value:g}" for value in poses[index])
+        raise InputError(f"{where} at {times_us[index] * 1e-6:.2f} s: x, y, z, heading {place} from the ego")
+    if np.any(np.diff(times_us) <= 0):
+        index = int(np.argmax(np.diff(times_us) <= 0))
+        raise InputError(f"{where}: two samples at {times_us[index] * 1e-6:.2f} s that differ")
 
 
 def listed(names: Sequence[str]) -> str:

@@ -15,7 +15,7 @@ from google.protobuf.message import DecodeError
 
 from olt_closed_loop.scenes.maps.lanes import Crossing, Lane, LaneType, Light, LightState, Marking
 from olt_closed_loop.scenes.polylines import without_repeats
-from olt_closed_loop.scenes.scene import Agent, Scene
+from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scenes.sources.assembly import (
     JAGUAR_I_PACE,
     RecordedDrive,
@@ -25,7 +25,7 @@ from olt_closed_loop.scenes.sources.assembly import (
 )
 from olt_closed_loop.scenes.sources.fields import coordinates
 from olt_closed_loop.scenes.sources.roads import lane_around
-from olt_closed_loop.scenes.sources.tracks import Times, check_times, longest_stretch, whole_microseconds
+from olt_closed_loop.scenes.sources.tracks import Times, Track, check_times, longest_stretch, whole_microseconds
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission, word_omission
 from olt_generator.poses import Array, planar_pose
@@ -216,7 +216,7 @@ def _read_ego(track: Any, times_us: Times) -> tuple[VehicleDimensions, Trajector
     return vehicle, ego, int(known_us[0]), [word_omission(left_out)] if missing else []
 
 
-def _read_track(track: Any, times_us: Times) -> Agent | None:
+def _read_track(track: Any, times_us: Times) -> Track | None:
     """A road user; None for one that is never there."""
     rows = _states(track, times_us)
     if len(rows) == 0:
@@ -225,7 +225,7 @@ def _read_track(track: Any, times_us: Times) -> Agent | None:
     length, width, height = np.median(rows[:, 4:], axis=0).tolist()
     poses = np.column_stack([x, y, np.full(len(x), 0.5 * height), heading])
     label = _LABELS[track.object_type]
-    return Agent(str(track.id), label, length, width, height, times_us[steps.astype(np.intp)], poses)
+    return Track(str(track.id), label, length, width, height, times_us[steps.astype(np.intp)], poses)
 
 
 def _points(points: Any, where: str) -> Array:

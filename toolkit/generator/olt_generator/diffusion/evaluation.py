@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from olt_generator.cameras import PinholeCamera
 from olt_generator.diffusion.engine_folder import Engine
 from olt_generator.diffusion.flow_training import collect_conditions, move
-from olt_generator.diffusion.sampling import guided_velocity, integrate, sigma_grid
+from olt_generator.diffusion.generation import GenerationSettings, sample_view
 from olt_generator.diffusion.training_clips import ClipVideos, TrainingClip
 from olt_generator.diffusion.view_graph import CONDITIONS, VIEWS
 from olt_generator.metrics.cross_view_consistency import PosedView, measure_consistency
@@ -62,14 +62,14 @@ def sample_views(
         views: ids in an order in which all that a view is conditioned on comes before it (`view_graph.order_views`).
         steps: Euler steps; one step from pure noise tells the mean of what the model holds possible.
     """
+    settings = GenerationSettings(steps=steps, cross_guidance=1.0, rear_guidance=1.0)
     latents = {0: clip.latents[0]}
     for view in views:
         seen = [[latents[condition] for condition in CONDITIONS[view]]]
         conditions = move(collect_conditions([clip], [view], engine.prompt.cpu(), seen, use_warp), engine.device)
         generator = torch.Generator().manual_seed(derive_seed("evaluation", seed, view))
         noise = torch.randn(clip.latents[:1].shape, generator=generator)
-        velocity = guided_velocity(engine.model, conditions)
-        latents[view] = integrate(velocity, noise.to(engine.device), sigma_grid(steps))[0].cpu()
+        latents[view] = sample_view(engine, view, conditions, noise, settings)[0]
     return {view: engine.codec.decode(latents[view][None])[0].cpu().numpy() for view in views}
 
 
