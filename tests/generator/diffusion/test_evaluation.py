@@ -6,7 +6,8 @@ import pytest
 from olt_generator.diffusion.backbone import build_autoencoder
 from olt_generator.diffusion.conditioned_model import build_model
 from olt_generator.diffusion.engine_folder import EngineFacts, load_engine, save_engine
-from olt_generator.diffusion.evaluation import keep_observed, sample_views, score_views
+from olt_generator.diffusion.evaluation import sample_views, score_views
+from olt_generator.diffusion.observed_pixels import keep_observed
 
 from . import toy_cache
 
@@ -21,10 +22,16 @@ def test_the_truth_scores_best_and_kept_pixels_are_those_of_the_warp():
     share = ((videos.origin[3] == 0) & videos.known[3]).sum() / (5 * videos.known[3].sum())
     assert scores[1].invented == pytest.approx(share)
     assert scores[0].lpips is None and scores[0].geokpm is None
-    kept = keep_observed(videos.truth[1], videos.filled[1], videos.origin[1])
-    invented = videos.origin[1] == 0
-    np.testing.assert_array_equal(kept[invented], videos.truth[1][invented])
-    np.testing.assert_array_equal(kept[~invented], videos.filled[1][~invented])
+
+
+def test_what_was_seen_is_kept_and_the_rest_fades_into_it():
+    generated, warped = np.full((1, 4, 288, 3), 200, np.uint8), np.zeros((1, 4, 288, 3), np.uint8)
+    free = np.zeros((1, 4, 288), bool)
+    free[..., 144:] = True
+    kept = keep_observed(generated, warped, free)
+    assert kept[0, 2, 140:150, 0].tolist() == [0, 0, 0, 0, 50, 100, 150, 200, 200, 200]
+    np.testing.assert_array_equal(keep_observed(generated, warped, ~np.zeros_like(free)), generated)
+    np.testing.assert_array_equal(keep_observed(generated, warped, np.zeros_like(free)), warped)
 
 
 def test_all_views_are_sampled_and_alike_for_a_seed(tmp_path):

@@ -113,8 +113,8 @@ def test_what_is_seen_where_windows_meet_hides_nothing_elsewhere(folder, monkeyp
     plain = start(folder, settings, 9).make(CROSS_LEFT)
     prior = generated_views.warp_prior
 
-    def see_the_end(images, origin):
-        shown, visible = prior(images, origin)
+    def see_the_end(images, origin, fill):
+        shown, visible = prior(images, origin, fill)
         visible[8:] = 1.0
         return shown, visible
 

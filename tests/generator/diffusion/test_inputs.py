@@ -141,6 +141,8 @@ def test_only_what_was_seen_is_in_the_prior():
     video, visible = warp_prior(images, origin.astype(np.uint8))
     assert visible.tolist() == [[[0.0, 1.0, 1.0, 0.0]]]
     assert (video[0, 0, :, 0] == [0, 200, 200, 0]).all()
+    filled, visible = warp_prior(images, origin.astype(np.uint8), fill=True)
+    assert visible.tolist() == [[[0.0, 1.0, 1.0, 0.0]]] and (filled == 200).all()
     _, same = warp_prior(images, origin.astype(np.uint8), other_frames=False)
     assert same.tolist() == [[[0.0, 1.0, 0.0, 0.0]]]
     _, trusted = warp_prior(images, origin.astype(np.uint8), confidence=np.full((1, 1, 4), 0.25, np.float32))

@@ -291,8 +291,15 @@ def build_clips(
     built = map_parallel(BuildJob.run, [first[clip_id] for clip_id in ordered], workers, on_progress, engine)
     ran = dict(zip(ordered, built, strict=True))
     results = [job if isinstance(job, BuildResult) else _result_of(job, first, ran) for job in identified]
+    _remove_empty(jobs[0].store / _GENERATED)
     ClipStore(jobs[0].store).commit([result.clip_id for result in results if result.clip_id is not None])
     return results
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove a folder in which nothing waits any more."""
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def _result_of(job: BuildJob, first: dict[str, BuildJob], ran: dict[str, BuildResult]) -> BuildResult:

@@ -4,6 +4,7 @@ Every stage is kept in the run's folder, and a run that was killed goes on where
 makes clips and latents, and the others read them.
 """
 
+import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor
 
 from olt_generator.diffusion.autoencoder_training import train_autoencoder
@@ -24,11 +25,11 @@ from olt_generator.diffusion.engine_folder import EngineFacts, save_engine
 from olt_generator.diffusion.flow_training import FlowTraining
 from olt_generator.diffusion.latents import LatentCodec
 from olt_generator.diffusion.splits import Split
+from olt_generator.diffusion.tensor_files import read_tensors
 from olt_generator.diffusion.training_cache import CacheFacts, TrainingCache, write_cache
-from olt_generator.diffusion.training_clips import ClipVideos, encode_clip
+from olt_generator.diffusion.training_clips import ClipVideos, encode_clip, warp_videos
 from olt_generator.diffusion.training_loop import train
 from olt_generator.diffusion.training_settings import TrainingSettings
-from olt_generator.diffusion.warp_control import warp_prior
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.progress import Progress, silent
@@ -87,7 +88,7 @@ def train_engine(
         cast(model, half)
         model.gradient_checkpointing = True
         prompt, empty = _read_texts(weights.text, config.backbone.text_dim)
-    made_by = _digest(autoencoder)
+    made_by = _digest(autoencoder, facts.config.conditioning.fill)
     with _first_process(), stages("latents") as on_progress:
         cache = _make_cache(dataset, windows, facts, settings, run, LatentCodec(autoencoder), made_by, on_progress)
     flow = FlowTraining(cache, settings.flow, seed, prompt, empty)
@@ -120,18 +121,19 @@ def _train_autoencoder(
     kept = [_read_videos(run / VIDEOS, number) for number, each in enumerate(windows) if each.split == "train"]
     with stages("autoencoder") as on_progress:
         autoencoder, measured = train_autoencoder(
-            _to_encode(kept), facts.config.autoencoder, settings.autoencoder, run / AUTOENCODER, seed, on_progress
+            _to_encode(kept, facts.config.conditioning.fill),
+            facts.config.autoencoder,
+            settings.autoencoder,
+            run / AUTOENCODER,
+            seed,
+            on_progress,
         )
     return replace(facts, config=replace(facts.config, autoencoder=measured), owns_backbone=True), autoencoder
 
 
-def _to_encode(clips: Sequence[ClipVideos]) -> NDArray[np.uint8]:
+def _to_encode(clips: Sequence[ClipVideos], fill: bool) -> NDArray[np.uint8]:
     """Videos (n, f, h, w, 3) of all that is encoded: true views, and warped ones."""
-    warps = [
-        warp_prior(image, origin)[0]
-        for clip in clips
-        for image, origin in zip(clip.filled[1:], clip.origin[1:], strict=True)
-    ]
+    warps = [image for clip in clips for image, _ in warp_videos(clip, fill)]
     return np.concatenate([*(clip.truth for clip in clips), np.stack(warps)])
 
 
@@ -159,7 +161,7 @@ def _make_cache(
 
     def encoded() -> Iterator[Any]:
         for done, clip in enumerate(videos):
-            yield encode_clip(clip, codec), clip
+            yield encode_clip(clip, codec, facts.config.conditioning.fill), clip
             on_progress((done + 1) / len(windows))
 
     splits: list[Split] = [each.split for each in windows]
@@ -183,7 +185,8 @@ def _keep_videos(
 
 
 def _read_videos(folder: Path, number: int) -> ClipVideos:
-    return ClipVideos(**{name: value.numpy() for name, value in load_file(_video_file(folder, number)).items()})
+    tensors = read_tensors(_video_file(folder, number), "remove it, and give the command again")
+    return ClipVideos(**{name: value.numpy() for name, value in tensors.items()})
 
 
 def _video_file(folder: Path, number: int) -> Path:
@@ -200,11 +203,9 @@ def _read_texts(path: Path, width: int) -> tuple[Tensor, Tensor]:
     return texts["prompt"], texts["empty"]
 
 
-def _digest(autoencoder: Any) -> str:
-    """A digest of the weights of an autoencoder."""
-    import hashlib
-
-    digest = hashlib.blake2b(digest_size=8)
+def _digest(autoencoder: Any, fill: bool) -> str:
+    """A digest of the weights of an autoencoder, and of what it encodes."""
+    digest = hashlib.blake2b(b"fill" if fill else b"", digest_size=8)
     for name, parameter in sorted(autoencoder.named_parameters()):
         digest.update(name.encode() + parameter.detach().float().cpu().numpy().tobytes())
     return digest.hexdigest()

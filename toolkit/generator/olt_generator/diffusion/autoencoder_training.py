@@ -1,6 +1,7 @@
 """Training of a small video autoencoder from random weights, for engines that own theirs."""
 
-from dataclasses import replace
+import hashlib
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -59,7 +60,11 @@ def train_autoencoder(
         lambda model, numbers: _losses(model, numbers, videos, seed),
         settings,
         run,
-        facts={"seed": seed, "videos": list(videos.shape)},
+        facts={
+            "seed": seed,
+            "autoencoder": asdict(config),
+            "videos": hashlib.blake2b(videos, digest_size=8).hexdigest(),
+        },
         on_progress=on_progress,
     )
     return measure_latents(autoencoder, videos, config)

@@ -97,6 +97,7 @@ class ConditioningConfig:
     Attributes:
         plucker, memory: whether tokens get their rays, and whether other views are remembered; False to measure what
             each is worth. (The warp is left out by `warp_control.no_warp`.)
+        fill: whether the warp shows what the geometric engine fills unseen parts with, and not black, as in the paper.
         hidden: hidden width of the MLPs of rays and ego motion.
         memory_layers: blocks of the DiT after which target tokens attend to the memory.
         adapter_blocks, adapter_expansion: residual blocks that make the dense memory, and the width of their hidden
@@ -108,6 +109,7 @@ class ConditioningConfig:
 
     plucker: bool = True
     memory: bool = True
+    fill: bool = False
     hidden: int = 256
     memory_layers: tuple[int, ...] = (4, 9, 14, 19, 24, 29)
     adapter_blocks: int = 2
@@ -157,7 +159,7 @@ CONFIGS: dict[str, EngineConfig] = {
         AutoencoderConfig(
             base_dim=8, dim_multiples=(1, 2, 4, 4), residual_blocks=1, latents_mean=(0.0,) * 16, latents_std=(1.0,) * 16
         ),
-        ConditioningConfig(hidden=64, memory_layers=(1, 3, 5), queries=16, window=1),
+        ConditioningConfig(fill=True, hidden=64, memory_layers=(1, 3, 5), queries=16, window=1),
         LoraConfig(rank=4, alpha=2),
     ),
 }

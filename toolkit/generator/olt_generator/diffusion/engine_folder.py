@@ -7,12 +7,12 @@ stay in their own folder.
 import hashlib
 import json
 from dataclasses import asdict, dataclass, fields
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from olt_generator.diffusion.backbone import build_autoencoder, load_autoencoder, load_backbone, read_config
@@ -25,6 +25,7 @@ from olt_generator.diffusion.config import (
     LoraConfig,
 )
 from olt_generator.diffusion.latents import LatentCodec
+from olt_generator.diffusion.tensor_files import read_tensors
 from olt_generator.diffusion.warp_control import Layout
 from olt_generator.errors import InputError
 from olt_generator.files import read_bounded, write_whole_folder
@@ -184,12 +185,19 @@ def digest_engine(folder: Path, backbone: Path | None = None) -> str:
     digest = hashlib.blake2b(digest_size=8)
     for name in (FACTS, MODEL, AUTOENCODER, TEXT):
         if (folder / name).is_file():
-            with (folder / name).open("rb") as file:
-                digest.update(hashlib.file_digest(file, "blake2b").digest())
+            state = (folder / name).stat()
+            digest.update(_digest_file(folder / name, state.st_size, state.st_mtime_ns))
     if backbone is not None:
         for path in sorted(path for path in backbone.rglob("*") if path.is_file()):
             digest.update(f"{path.relative_to(backbone).as_posix()}:{path.stat().st_size}".encode())
     return digest.hexdigest()
+
+
+@lru_cache(maxsize=16)  # every clip of a run asks for the digest of its engine
+def _digest_file(path: Path, size: int, changed_ns: int) -> bytes:
+    """A digest of a file; size and time of change tell whether it is still the same."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "blake2b").digest()
 
 
 def _kept(model: ConditionedModel, everything: bool) -> dict[str, Tensor]:
@@ -201,12 +209,7 @@ def _plain(tensors: dict[str, Any]) -> dict[str, Tensor]:
 
 
 def _load(path: Path) -> dict[str, Tensor]:
-    if not path.is_file():
-        raise InputError(f"{path}: is missing; copy the whole folder of the engine")
-    try:
-        return load_file(path)
-    except (SafetensorError, OSError) as error:
-        raise InputError(f"{path}: cannot be read as safetensors ({str(error).partition(chr(10))[0]})") from error
+    return read_tensors(path, "copy the whole folder of the engine")
 
 
 def _fill(module: nn.Module, found: dict[str, Tensor], wanted: dict[str, Any], path: Path) -> None:

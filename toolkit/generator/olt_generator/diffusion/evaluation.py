@@ -1,7 +1,7 @@
 """How close generated views come to the true ones: the paper's tables, beside the geometric engine on the same clips.
 
-Paper, tables of unseen scenes (PSNR, LPIPS, GeoKPM a view) and of seen ones (PSNR, SSIM, LPIPS, FID, FVD). FID and FVD
-need networks that are not part of this; they are not measured.
+Paper, tables of unseen scenes (PSNR, LPIPS, GeoKPM a view) and of seen ones (PSNR, SSIM, LPIPS). The paper's FID and
+FVD are left out: their networks are not part of this.
 """
 
 from collections.abc import Sequence
@@ -71,11 +71,6 @@ def sample_views(
         noise = torch.randn(clip.latents[:1].shape, generator=generator)
         latents[view] = sample_view(engine, view, conditions, noise, settings)[0]
     return {view: engine.codec.decode(latents[view][None])[0].cpu().numpy() for view in views}
-
-
-def keep_observed(generated: Video, filled: Video, origin: NDArray[np.uint8]) -> Video:
-    """The generated images where no warp saw anything, and what was seen elsewhere."""
-    return np.where((origin == PixelOrigin.INVENTED)[..., None], generated, filled)
 
 
 def score_views(

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -31,6 +30,7 @@ from olt_generator.diffusion.generation import (
     needed_pixels,
     sample_view,
 )
+from olt_generator.diffusion.observed_pixels import keep_observed
 from olt_generator.diffusion.rectified import latent_steps, rectified_camera
 from olt_generator.diffusion.tiled_decoding import decode_needed
 from olt_generator.diffusion.view_graph import VIEWS, conditions_of, order_views
@@ -48,15 +48,13 @@ from olt_generator.views.synthesis import SynthesisSettings, SynthesizedView
 Video = NDArray[np.uint8]
 Mask = NDArray[np.bool_]
 
-# Share of the width over which a generated part fades into what surrounds it.
-_FADE = 1 / 72
 # Share by which the time between frames may differ from that of training without a word.
 _NOTED_SPACING = 0.1
 
 
 @dataclass(frozen=True)
 class _Prior:
-    """What the warp shows of a view: (n, h, w, 3), black where nothing is visible (n, h, w)."""
+    """What the warp shows of a view (n, h, w, 3), and how far it is seen (n, h, w), of `warp_prior`."""
 
     images: Video
     visible: NDArray[np.float32]
@@ -145,7 +143,8 @@ class GeneratedViews:
     def _sample(self, view: int, on_progress: Progress) -> None:
         """Sample all windows of a view, each after the one before, whose last frames it goes on from."""
         warped = self._geometric.make_through(VIEWS[view], self._camera(view))
-        prior = _Prior(*warp_prior(warped.images, warped.origin))
+        fill = self._engine.facts.config.conditioning.fill
+        prior = _Prior(*warp_prior(warped.images, warped.origin, fill))
         sampled: list[Tensor] = []
         self._videos[view] = {}
         for number, window in enumerate(self._windows):
@@ -206,12 +205,10 @@ class GeneratedViews:
             remapper.remap(blend_windows(videos, self._windows)),
             self._notes(float(np.mean(remapper.seen))),
         )
-        images = np.empty_like(warped.images)
-        for index, here in enumerate(free):
-            if self._settings.keep_observed:
-                images[index] = _mix(warped.images[index], generated[index], here)
-            else:
-                images[index] = np.where(here[..., None], generated[index], warped.images[index])
+        if self._settings.keep_observed:
+            images = keep_observed(generated, warped.images, free)
+        else:
+            images = np.where(free[..., None], generated, warped.images)
         origin = np.where(free, np.uint8(PixelOrigin.INVENTED), warped.origin)
         return replace(warped, images=images, origin=origin, notes=notes)
 
@@ -254,14 +251,6 @@ def _cut(prior: _Prior, window: range, before: tuple[range, Video] | None) -> _P
         images[:shared][hidden] = before[1][len(before[1]) - shared :][hidden]
         visible[:shared] = 1.0
     return _Prior(images, visible)
-
-
-def _mix(warped: Video, generated: Video, free: Mask) -> Video:
-    """The generated image (h, w, 3) where it is free to be, fading into the warped one towards the edges of that."""
-    fade = max(1.0, _FADE * free.shape[1])
-    inside = cv2.distanceTransform(np.pad(free, 1, mode="edge").astype(np.uint8), cv2.DIST_L2, 5)[1:-1, 1:-1]
-    share = np.where(free, np.minimum(inside / fade, 1.0), 0.0)[..., None]
-    return np.rint((1.0 - share) * warped + share * generated).astype(np.uint8)
 
 
 def _load_kept(path: Path) -> Tensor | None:

@@ -11,17 +11,16 @@ videos too. Docs: docs/formats/generator.md.
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, cast, get_args
 
 import numpy as np
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
-from torch import Tensor
+from safetensors.torch import save_file
 
 from olt_generator.diffusion.splits import Split, Window, check_splits
+from olt_generator.diffusion.tensor_files import read_tensors
 from olt_generator.diffusion.training_clips import ClipVideos, TrainingClip
 from olt_generator.errors import InputError
 from olt_generator.files import read_bounded, write_whole, write_whole_folder
@@ -68,7 +67,7 @@ class TrainingCache:
         self.splits: list[Split] = [row["split"] for row in rows]
         self._files = [folder / Path(row["file"]).name for row in rows]
         check_splits(self.windows, self.splits)
-        self._load = lru_cache(maxsize=256)(_load_tensors)
+        self._load = lru_cache(maxsize=256)(partial(read_tensors, advice="make the cache again"))
 
     def numbers(self, split: Split) -> list[int]:
         """The clips of a split."""
@@ -164,10 +163,3 @@ def _read_facts(path: Path) -> CacheFacts:
         return CacheFacts(**told)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise InputError(f"{path}: not the facts of a training cache; make it again") from error
-
-
-def _load_tensors(path: Path) -> dict[str, Tensor]:
-    try:
-        return load_file(path)
-    except (SafetensorError, OSError) as error:
-        raise InputError(f"{path}: not a readable safetensors file; make the cache again") from error

@@ -129,9 +129,15 @@ def make_videos(
     )
 
 
-def encode_clip(videos: ClipVideos, codec: LatentCodec) -> TrainingClip:
-    """Encode true and warped videos."""
-    warps = [warp_prior(image, origin) for image, origin in zip(videos.filled[1:], videos.origin[1:], strict=True)]
+def warp_videos(videos: ClipVideos, fill: bool) -> list[tuple[Video, NDArray[np.float32]]]:
+    """What `warp_prior` makes of each of the five views that are generated."""
+    views = zip(videos.filled[1:], videos.origin[1:], strict=True)
+    return [warp_prior(image, origin, fill) for image, origin in views]
+
+
+def encode_clip(videos: ClipVideos, codec: LatentCodec, fill: bool) -> TrainingClip:
+    """Encode true and warped videos; `fill` as of `warp_prior`."""
+    warps = warp_videos(videos, fill)
     latents = torch.cat([codec.encode(torch.from_numpy(video)[None]) for video in videos.truth])
     warped = torch.cat([codec.encode(torch.from_numpy(image)[None]) for image, _ in warps])
     visibility = cell_visibility(torch.from_numpy(np.stack([visible for _, visible in warps])))

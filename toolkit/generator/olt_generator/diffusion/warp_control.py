@@ -24,16 +24,18 @@ Layout = Literal["released", "outpainting"]
 def warp_prior(
     images: NDArray[np.uint8],
     origin: NDArray[np.uint8],
+    fill: bool = False,
     other_frames: bool = True,
     confidence: NDArray[np.float32] | None = None,
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
-    """What the geometric engine really saw of a view: images (f, h, w, 3), black elsewhere, and how far each is seen.
+    """What the geometric engine shows of a view: images (f, h, w, 3), and how far each pixel was really seen.
 
     The paper warps one frame only: the same one for cross views, an earlier one for rear views. The geometric engine
     draws on several, and may know how far each pixel can be trusted.
 
     Args:
         images, origin: (f, h, w, 3) and (f, h, w) of `views.synthesis.SynthesizedView`.
+        fill: whether what it made up stays in the images; black otherwise.
         other_frames: whether pixels of other frames count as seen, or those of the same frame alone.
         confidence: (f, h, w) 0 to 1, trust in each pixel; all that is seen is trusted where it is None.
 
@@ -44,7 +46,7 @@ def warp_prior(
     if other_frames:
         seen |= origin == PixelOrigin.OTHER_FRAME
     visible = seen.astype(np.float32) if confidence is None else np.where(seen, confidence, np.float32(0.0))
-    return np.where(seen[..., None], images, np.uint8(0)), visible
+    return images if fill else np.where(seen[..., None], images, np.uint8(0)), visible
 
 
 def cell_visibility(visible: Tensor) -> Tensor:
