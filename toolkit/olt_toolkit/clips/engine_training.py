@@ -22,8 +22,9 @@ from olt_generator.diffusion.backbone import load_autoencoder, load_backbone, re
 from olt_generator.diffusion.conditioned_model import ConditionedModel, build_model, cast
 from olt_generator.diffusion.config import EngineConfig
 from olt_generator.diffusion.engine_folder import EngineFacts, save_engine
-from olt_generator.diffusion.flow_training import FlowTraining
-from olt_generator.diffusion.latents import LatentCodec
+from olt_generator.diffusion.flow_training import ClipSource, FlowTraining
+from olt_generator.diffusion.latents import CELL_PIXELS, LatentCodec
+from olt_generator.diffusion.released_cache import ReleasedCache
 from olt_generator.diffusion.splits import Split
 from olt_generator.diffusion.tensor_files import read_tensors
 from olt_generator.diffusion.training_cache import CacheFacts, TrainingCache, write_cache
@@ -52,6 +53,17 @@ class Weights:
     text: Path
 
 
+@dataclass(frozen=True)
+class _Networks:
+    """What is trained, the autoencoder beside it, and embeddings (l, text_dim) of the prompt and of none."""
+
+    facts: EngineFacts
+    model: ConditionedModel
+    autoencoder: Any
+    prompt: Tensor
+    empty: Tensor
+
+
 def train_engine(
     dataset: Dataset,
     config: EngineConfig,
@@ -66,39 +78,80 @@ def train_engine(
     Raises:
         InputError: weights are missing or needless, drives cannot be trained on, or see `training_loop.train`.
     """
-    if settings.whole_backbone != (weights is None):
-        raise InputError(
-            "this configuration trains its own backbone; leave the weights out"
-            if weights
-            else "this configuration needs the folder of Wan2.1-VACE and the embeddings of prompt and no prompt"
-        )
+    if settings.whole_backbone and weights is not None:
+        raise InputError("this configuration trains its own backbone; leave the weights out")
     windows = plan_windows(dataset, settings, seed)
     facts = EngineFacts(config, settings.width, settings.height, frame_time(dataset, windows))
-    if weights is None:
-        facts, autoencoder = _train_autoencoder(dataset, windows, facts, settings, run, seed, stages)
-        with torch.random.fork_rng():
-            model = build_model(facts.config, derive_seed("model", seed) % 2**63)
-        model.backbone.requires_grad_(True)
-        prompt, empty = tiny_texts(config.backbone.text_dim)
+    if settings.whole_backbone:
+        networks = _build_networks(dataset, windows, facts, settings, run, seed, stages)
     else:
-        half = torch.bfloat16 if settings.precision == "bfloat16" else torch.float32
-        backbone, autoencoder = load_backbone(weights.backbone, dtype=half), load_autoencoder(weights.backbone)
-        config = replace(config, backbone=read_config(backbone))
-        facts, model = replace(facts, config=config), ConditionedModel(backbone, config)
-        cast(model, half)
-        model.gradient_checkpointing = True
-        prompt, empty = _read_texts(weights.text, config.backbone.text_dim)
-    made_by = _digest(autoencoder, facts.config.conditioning.fill)
+        networks = _load_networks(facts, settings, weights)
+    made_by = _digest(networks.autoencoder, config.conditioning.fill)
     with _first_process(), stages("latents") as on_progress:
-        cache = _make_cache(dataset, windows, facts, settings, run, LatentCodec(autoencoder), made_by, on_progress)
-    flow = FlowTraining(cache, settings.flow, seed, prompt, empty)
+        codec = LatentCodec(networks.autoencoder)
+        cache = _make_cache(dataset, windows, networks.facts, settings, run, codec, made_by, on_progress)
+    return _train_model(cache, made_by, networks, settings, run, seed, stages)
+
+
+def train_on_released(
+    cache: ReleasedCache,
+    config: EngineConfig,
+    settings: TrainingSettings,
+    run: Path,
+    seed: int,
+    stages: Stages,
+    weights: Weights | None,
+) -> Path:
+    """Train an engine on latents in the released layout, or go on; returns its folder.
+
+    Raises:
+        InputError: weights are missing, the configuration makes its own latents, or see `training_loop.train`.
+    """
+    if settings.whole_backbone:
+        raise InputError(
+            "a released cache holds latents of Wan's autoencoder; give --config 1.3B or a file based on it"
+        )
+    rows, columns = cache.clip(0).latents.shape[-2:]
+    networks = _load_networks(EngineFacts(config, CELL_PIXELS * columns, CELL_PIXELS * rows), settings, weights)
+    told = f"{len(cache.numbers('train'))} released clips"
+    return _train_model(cache, told, networks, settings, run, seed, stages)
+
+
+def _train_model(
+    cache: ClipSource,
+    made_by: str,
+    networks: _Networks,
+    settings: TrainingSettings,
+    run: Path,
+    seed: int,
+    stages: Stages,
+) -> Path:
+    facts, model = networks.facts, networks.model
+    flow = FlowTraining(cache, settings.flow, seed, networks.prompt, networks.empty)
     with stages("model") as on_progress:
         told = {"engine": asdict(facts.config), "flow": asdict(settings.flow), "seed": seed, "cache": made_by}
         train(model, flow.losses, settings.optimizer, run, settings.precision, told, on_progress)
     with _first_process() as is_first:
         if is_first:
-            save_engine(run / ENGINE, facts, model, autoencoder, prompt, empty)
+            save_engine(run / ENGINE, facts, model, networks.autoencoder, networks.prompt, networks.empty)
     return run / ENGINE
+
+
+def _load_networks(facts: EngineFacts, settings: TrainingSettings, weights: Weights | None) -> _Networks:
+    """Wan's networks, of which adapters and new modules are trained."""
+    if weights is None:
+        raise InputError(
+            "this configuration needs --backbone, the folder of Wan2.1-VACE, and --text, a safetensors file with the "
+            "UMT5 embeddings (tokens, text_dim) `prompt` of the prompt and `empty` of no text"
+        )
+    half = torch.bfloat16 if settings.precision == "bfloat16" else torch.float32
+    backbone = load_backbone(weights.backbone, dtype=half)
+    facts = replace(facts, config=replace(facts.config, backbone=read_config(backbone)))
+    model = ConditionedModel(backbone, facts.config)
+    cast(model, half)
+    model.gradient_checkpointing = True
+    texts = _read_texts(weights.text, facts.config.backbone.text_dim)
+    return _Networks(facts, model, load_autoencoder(weights.backbone), *texts)
 
 
 def tiny_texts(width: int) -> tuple[Tensor, Tensor]:
@@ -107,7 +160,7 @@ def tiny_texts(width: int) -> tuple[Tensor, Tensor]:
     return torch.randn(_TEXT_TOKENS, width, generator=generator), torch.zeros(_TEXT_TOKENS, width)
 
 
-def _train_autoencoder(
+def _build_networks(
     dataset: Dataset,
     windows: Sequence[TrainingWindow],
     facts: EngineFacts,
@@ -115,20 +168,26 @@ def _train_autoencoder(
     run: Path,
     seed: int,
     stages: Stages,
-) -> tuple[EngineFacts, Any]:
+) -> _Networks:
+    """A model with random weights, all of which are trained, beside an autoencoder that is trained first."""
     with _first_process(), stages("drives") as on_progress:
         _keep_videos(dataset, windows, settings, run / VIDEOS, on_progress)
     kept = [_read_videos(run / VIDEOS, number) for number, each in enumerate(windows) if each.split == "train"]
+    config = facts.config
     with stages("autoencoder") as on_progress:
         autoencoder, measured = train_autoencoder(
-            _to_encode(kept, facts.config.conditioning.fill),
-            facts.config.autoencoder,
+            _to_encode(kept, config.conditioning.fill),
+            config.autoencoder,
             settings.autoencoder,
             run / AUTOENCODER,
             seed,
             on_progress,
         )
-    return replace(facts, config=replace(facts.config, autoencoder=measured), owns_backbone=True), autoencoder
+    facts = replace(facts, config=replace(config, autoencoder=measured), owns_backbone=True)
+    with torch.random.fork_rng():
+        model = build_model(facts.config, derive_seed("model", seed) % 2**63)
+    model.backbone.requires_grad_(True)
+    return _Networks(facts, model, autoencoder, *tiny_texts(config.backbone.text_dim))
 
 
 def _to_encode(clips: Sequence[ClipVideos], fill: bool) -> NDArray[np.uint8]:

@@ -29,7 +29,10 @@ def train(
     config: Annotated[str, typer.Option(help="tiny, 1.3B, or a YAML file that changes one of them.")] = "tiny",
     data: Annotated[
         Path | None,
-        typer.Option(help="Data set whose drives have all six views and motion; synthetic ones by default."),
+        typer.Option(
+            help="Data set whose drives have all six views and motion, or folder of a released cache; synthetic drives "
+            "by default."
+        ),
     ] = None,
     drives: Annotated[int, typer.Option(min=1, help="Synthetic drives of each of four kinds, without --data.")] = 12,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
@@ -38,12 +41,16 @@ def train(
     ] = None,
     backbone: Annotated[Path | None, typer.Option(help="Folder of Wan2.1-VACE as diffusers writes it.")] = None,
     text: Annotated[
-        Path | None, typer.Option(help="safetensors file with the embeddings `prompt` and `empty`, for --backbone.")
+        Path | None,
+        typer.Option(
+            help="safetensors file with the UMT5 embeddings `prompt` and `empty`, (tokens, width), for --backbone."
+        ),
     ] = None,
 ) -> None:
     """Make or read drives, warp their views, and train; the engine lies in the subfolder `engine`."""
+    from olt_generator.diffusion.released_cache import ReleasedCache, is_released_cache
     from olt_generator.errors import InputError
-    from olt_toolkit.clips.engine_training import Weights, train_engine
+    from olt_toolkit.clips.engine_training import Weights, train_engine, train_on_released
     from olt_toolkit.runtime.console import print_line
 
     engine, settings = read_training(config)
@@ -52,8 +59,11 @@ def train(
     if (backbone is None) != (text is None):
         raise InputError("--backbone and --text: give both or none")
     weights = None if backbone is None or text is None else Weights(backbone, text)
-    dataset = _open_drives(data, out, drives, seed)
-    folder = train_engine(dataset, engine, settings, out, seed, _show_stage, weights)
+    if data is not None and is_released_cache(data):
+        folder = train_on_released(ReleasedCache(data), engine, settings, out, seed, _show_stage, weights)
+    else:
+        dataset = _open_drives(data, out, drives, seed)
+        folder = train_engine(dataset, engine, settings, out, seed, _show_stage, weights)
     print_line(f"engine: {folder}")
 
 

@@ -5,7 +5,7 @@ z_sigma = (1 - sigma) z + sigma eps, the model tells eps - z (paper, section Tra
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from olt_generator.diffusion.conditioned_model import Conditions
 from olt_generator.diffusion.memory_bank import ConditionViews
 from olt_generator.diffusion.sampling import shift_sigma
-from olt_generator.diffusion.training_cache import TrainingCache
+from olt_generator.diffusion.splits import Split
 from olt_generator.diffusion.training_clips import TrainingClip
 from olt_generator.diffusion.training_settings import FlowSettings
 from olt_generator.diffusion.view_graph import CONDITIONS, MOST_CONDITIONS, VIEWS
@@ -23,6 +23,18 @@ from olt_generator.seeds import derive_seed, make_generator
 
 _GENERATED = len(VIEWS) - 1
 Tree = TypeVar("Tree")
+
+
+class ClipSource(Protocol):
+    """Where training clips come from: `training_cache.TrainingCache`, or `released_cache.ReleasedCache`."""
+
+    def numbers(self, split: Split) -> list[int]:
+        """The clips of a split."""
+        ...
+
+    def clip(self, number: int) -> TrainingClip:
+        """The tensors of a clip, in single precision."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -50,7 +62,7 @@ class FlowTraining:
         prompt, empty: (l, text_dim) embeddings of the prompt, and of none.
     """
 
-    def __init__(self, cache: TrainingCache, settings: FlowSettings, seed: int, prompt: Tensor, empty: Tensor) -> None:
+    def __init__(self, cache: ClipSource, settings: FlowSettings, seed: int, prompt: Tensor, empty: Tensor) -> None:
         self._cache, self._settings, self._seed = cache, settings, seed
         self._numbers = cache.numbers("train")
         self._prompt, self._empty = prompt, empty

@@ -5,6 +5,7 @@ and runs no code; a file that needs more is refused.
 """
 
 import pickle
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from torch import Tensor
 
 from olt_generator.cameras import PinholeCamera
 from olt_generator.diffusion.geometry_encoder import ego_motion_features
+from olt_generator.diffusion.splits import Split
 from olt_generator.diffusion.training_clips import TrainingClip
 from olt_generator.diffusion.view_graph import VIEWS
 from olt_generator.errors import InputError
@@ -21,6 +23,43 @@ from olt_generator.poses import invert
 from olt_generator.views.plucker import plucker_rays
 
 _CELL_PIXELS = 8
+
+
+class ReleasedCache:
+    """A folder of released clips, all of them to train on: they come without videos that a view could be scored by.
+
+    Raises:
+        InputError: there is none.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._files = _find_clips(folder)
+        if not self._files:
+            raise InputError(f"{folder}: holds no clip_NNNNNN.pt; give a released cache")
+        self._read = lru_cache(maxsize=64)(read_released_clip)
+
+    def numbers(self, split: Split) -> list[int]:
+        """The clips of a split."""
+        return list(range(len(self._files))) if split == "train" else []
+
+    def clip(self, number: int) -> TrainingClip:
+        """See `read_released_clip`; clips of another size than the first are refused."""
+        clip, first = self._read(self._files[number]), self._read(self._files[0])
+        if clip.latents.shape != first.latents.shape:
+            raise InputError(
+                f"{self._files[number]}: z_all is {tuple(clip.latents.shape)}, and {tuple(first.latents.shape)} in "
+                f"{self._files[0].name}; give clips of one size"
+            )
+        return clip
+
+
+def is_released_cache(folder: Path) -> bool:
+    """Whether a folder holds clips in the released layout."""
+    return bool(_find_clips(folder))
+
+
+def _find_clips(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("clip_*.pt") if path.stem.removeprefix("clip_").isdigit())
 
 
 def read_released_clip(path: Path) -> TrainingClip:
