@@ -225,34 +225,8 @@ def test_two_processes_have_the_losses_of_one(tmp_path):
     np.testing.assert_allclose(losses(tmp_path / "two"), losses(tmp_path / "one"), rtol=0, atol=1e-5)
 
 
-def write_released(folder, frames=2, rows=4, columns=6):
-    """A clip in the released layout with a lookback warp that sees more in the left half of the rear views."""
-    generator = torch.Generator().manual_seed(5)
-    size = (frames, rows, columns)
-    shape = (5, 16, *size)
-    poses = torch.eye(4).repeat(frames, 1, 1)
-    poses[:, 2, 3] = torch.arange(frames) * 2.0
-    K = torch.tensor([[30.0, 0.0, 24.0], [0.0, 30.0, 16.0], [0.0, 0.0, 1.0]]).repeat(6, 1, 1)
-    seen = torch.zeros(5, 1, *size)
-    earlier = seen.clone()
-    earlier[2:, ..., :3] = 1.0
-    parts = {
-        "": {"uuid": "u", "z_all": torch.randn(6, 16, *size, generator=generator).bfloat16(), "K": K}
-        | {"E": torch.eye(4).repeat(6, 1, 1), "clip_id": 1},
-        "_p4": {"T_anchor_front": poses},
-        "_warp": {"warped_target_latents": torch.zeros(shape).bfloat16(), "warped_target_visibility": seen.half()},
-        "_lookback": {
-            "adjacent_warped_target_latents": torch.ones(shape).bfloat16(),
-            "adjacent_warped_target_visibility": earlier.half(),
-        },
-    }
-    for part, content in parts.items():
-        torch.save(content, folder / f"clip_000001{part}.pt")
-    return folder / "clip_000001.pt"
-
-
 def test_a_released_clip_is_read(tmp_path):
-    clip = read_released_clip(write_released(tmp_path))
+    clip = read_released_clip(toy_cache.write_released(tmp_path))
     assert clip.latents.shape == (6, 16, 2, 4, 6) and clip.latents.dtype == torch.float32
     assert clip.rays.shape == (6, 6, 2, 2, 3)
     assert clip.motion[1].tolist() == [0.0, 0.0, 2.0, 0.0, 0.0, 0.0]
@@ -271,7 +245,7 @@ class Code:
 
 @pytest.mark.parametrize("odd", ["code", "missing", "shape"])
 def test_odd_released_clips_are_refused(tmp_path, odd):
-    path = write_released(tmp_path)
+    path = toy_cache.write_released(tmp_path)
     content = torch.load(path, weights_only=True)
     if odd == "missing":
         del content["K"]

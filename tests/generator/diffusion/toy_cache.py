@@ -71,3 +71,29 @@ def build_texts():
 def make_flow(cache, **settings):
     """Samples of that cache."""
     return FlowTraining(cache, FlowSettings(**settings), 0, *build_texts())
+
+
+def write_released(folder, frames=2, rows=4, columns=6):
+    """A clip in the released layout with a lookback warp that sees more in the left half of the rear views."""
+    generator = torch.Generator().manual_seed(5)
+    size = (frames, rows, columns)
+    shape = (5, 16, *size)
+    poses = torch.eye(4).repeat(frames, 1, 1)
+    poses[:, 2, 3] = torch.arange(frames) * 2.0
+    K = torch.tensor([[30.0, 0.0, 24.0], [0.0, 30.0, 16.0], [0.0, 0.0, 1.0]]).repeat(6, 1, 1)
+    seen = torch.zeros(5, 1, *size)
+    earlier = seen.clone()
+    earlier[2:, ..., :3] = 1.0
+    parts = {
+        "": {"uuid": "u", "z_all": torch.randn(6, 16, *size, generator=generator).bfloat16(), "K": K}
+        | {"E": torch.eye(4).repeat(6, 1, 1), "clip_id": 1},
+        "_p4": {"T_anchor_front": poses},
+        "_warp": {"warped_target_latents": torch.zeros(shape).bfloat16(), "warped_target_visibility": seen.half()},
+        "_lookback": {
+            "adjacent_warped_target_latents": torch.ones(shape).bfloat16(),
+            "adjacent_warped_target_visibility": earlier.half(),
+        },
+    }
+    for part, content in parts.items():
+        torch.save(content, folder / f"clip_000001{part}.pt")
+    return folder / "clip_000001.pt"
