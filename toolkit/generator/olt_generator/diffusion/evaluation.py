@@ -15,6 +15,7 @@ from olt_generator.cameras import PinholeCamera
 from olt_generator.diffusion.engine_folder import Engine
 from olt_generator.diffusion.flow_training import collect_conditions, move
 from olt_generator.diffusion.generation import GenerationSettings, sample_view
+from olt_generator.diffusion.observed_pixels import give_back_lost
 from olt_generator.diffusion.training_clips import ClipVideos, TrainingClip
 from olt_generator.diffusion.view_graph import CONDITIONS, VIEWS
 from olt_generator.metrics.cross_view_consistency import PosedView, measure_consistency
@@ -54,11 +55,18 @@ class ViewScore:
 
 @torch.inference_mode()
 def sample_views(
-    engine: Engine, clip: TrainingClip, views: Sequence[int], steps: int, seed: int, use_warp: bool = True
+    engine: Engine,
+    clip: TrainingClip,
+    videos: ClipVideos,
+    views: Sequence[int],
+    steps: int,
+    seed: int,
+    use_warp: bool = True,
 ) -> dict[int, Video]:
     """Generated videos (f, h, w, 3) by view id, each conditioned on those generated before it.
 
     Args:
+        clip, videos: the clip as the network takes it, and as the geometric engine makes it.
         views: ids in an order in which all that a view is conditioned on comes before it (`view_graph.order_views`).
         steps: Euler steps; one step from pure noise tells the mean of what the model holds possible.
     """
@@ -70,7 +78,11 @@ def sample_views(
         generator = torch.Generator().manual_seed(derive_seed("evaluation", seed, view))
         noise = torch.randn(clip.latents[:1].shape, generator=generator)
         latents[view] = sample_view(engine, view, conditions, noise, settings)[0]
-    return {view: engine.codec.decode(latents[view][None])[0].cpu().numpy() for view in views}
+    made = {view: engine.codec.decode(latents[view][None])[0].cpu().numpy() for view in views}
+    if not (engine.facts.config.conditioning.fill and use_warp):
+        return made
+    again = {view: engine.codec.decode(clip.warped[view][None])[0].cpu().numpy() for view in views}
+    return {view: give_back_lost(video, videos.filled[view], again[view]) for view, video in made.items()}
 
 
 def score_views(

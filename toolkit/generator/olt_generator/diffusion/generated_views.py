@@ -30,7 +30,7 @@ from olt_generator.diffusion.generation import (
     needed_pixels,
     sample_view,
 )
-from olt_generator.diffusion.observed_pixels import keep_observed
+from olt_generator.diffusion.observed_pixels import give_back_lost, keep_observed
 from olt_generator.diffusion.rectified import latent_steps, rectified_camera
 from olt_generator.diffusion.tiled_decoding import decode_needed
 from olt_generator.diffusion.view_graph import VIEWS, conditions_of, order_views
@@ -84,6 +84,7 @@ class GeneratedViews:
         self._geometric = GeometricViews(front, targets, self._indices, SynthesisSettings())
         self._windows = plan_windows(len(self._indices), settings.window, settings.overlap)
         self._latents: dict[int, tuple[Tensor, ...]] = {}
+        self._shown: dict[tuple[int, int], Video] = {}
         self._videos: dict[int, dict[int, Video]] = {}
         self._tiles = np.zeros(2, np.int64)
 
@@ -152,11 +153,14 @@ class GeneratedViews:
             if number > 0:
                 last = self._windows[number - 1]
                 hidden = (prior.visible[window.start : last.stop] == 0.0).any(axis=0)
-                before = last, self._decode(sampled[-1], hidden)
+                before = last, self._decode(view, number - 1, sampled[-1], hidden)
                 # Whole images serve the view too; of tiles it may need others.
                 if self._settings.tile is None and hidden.any():
                     self._videos[view][number - 1] = before[1]
-            sampled.append(self._sample_window(view, number, _cut(prior, window, before)))
+            cut = _cut(prior, window, before)
+            if fill:
+                self._shown[view, number] = cut.images
+            sampled.append(self._sample_window(view, number, cut))
             on_progress((number + 1) / len(self._windows))
         self._latents[view] = tuple(sampled)
 
@@ -180,11 +184,15 @@ class GeneratedViews:
                 save_file({"latents": found}, temporary)
         return found
 
-    def _decode(self, latents: Tensor, needed: Mask) -> Video:
-        """The video of latents, right where pixels (h, w) are needed."""
+    def _decode(self, view: int, window: int, latents: Tensor, needed: Mask) -> Video:
+        """The video of the latents of a window, right where pixels (h, w) are needed."""
         decoded = decode_needed(self._engine.codec, latents, needed, self._settings.tile)
         self._tiles += np.array([decoded.left_out, decoded.tiles])
-        return decoded.video
+        if not self._engine.facts.config.conditioning.fill:
+            return decoded.video
+        shown = self._shown[view, window]
+        again = decode_needed(self._engine.codec, self._encode(shown), needed, self._settings.tile)
+        return give_back_lost(decoded.video, shown, again.video)
 
     def _bend(self, name: str) -> SynthesizedView:
         """The view through the lens of the rig, generated where the front camera saw nothing."""
@@ -198,7 +206,9 @@ class GeneratedViews:
         videos = [
             known[number]
             if number in known
-            else self._decode(latents, self._look_up(view, target.camera, free[window.start : window.stop]))
+            else self._decode(
+                view, number, latents, self._look_up(view, target.camera, free[window.start : window.stop])
+            )
             for number, (latents, window) in enumerate(zip(self._latents[view], self._windows, strict=True))
         ]
         generated, notes = (
