@@ -559,19 +559,16 @@ def word_collision(collision: "Collision") -> str:
 
 
 def _print_scores(title: str, table: "ScoreTable") -> None:
-    from olt_toolkit.runtime.console import print_table
-
-    def interval(limits: tuple[float, float] | None) -> str | None:
-        return f"{limits[0]:.3f} to {limits[1]:.3f}" if limits else None
+    from olt_toolkit.runtime.console import print_table, word_interval
 
     rows = [
         [
             row.category,
             f"{row.valid} / {row.rollouts}",
             row.alpasim_score,
-            interval(row.alpasim_score_interval),
+            word_interval(row.alpasim_score_interval),
             row.collision_rate,
-            interval(row.collision_rate_interval),
+            word_interval(row.collision_rate_interval),
             f"{counts['solves_failed']} / {counts['solves_late']}" if (counts := row.rollout_incidents) else None,
         ]
         for row in table.rows

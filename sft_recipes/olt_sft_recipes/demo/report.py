@@ -14,6 +14,7 @@ from olt_generator.poses import yaw_of
 from olt_toolkit.report.blocks import Bullets, DrivenPath, Picture, Rollouts, Section, Table, Text
 from olt_toolkit.report.drawings import draw_losses
 from olt_toolkit.report.page import write_report
+from olt_toolkit.runtime.console import word_interval
 
 REPORT = "report.html"
 CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png", "trajectory.png"
@@ -83,9 +84,9 @@ def word_verdict(summary: dict[str, Any]) -> str:
     if pair["score"] is None:
         found = f"AS of {RECIPES[0]} and {RECIPES[1]} could not be compared: no scene has a score of both."
     else:
-        interval = _word_interval(pair["score_interval"]) or "not measured"
+        interval = word_interval(pair["score_interval"]) or "not measured"
         found = (
-            f"AS of {pair['first']} less that of {pair['second']}: {pair['score']:+.2f} (95 %: {interval}) on "
+            f"AS of {pair['first']} less that of {pair['second']}: {pair['score']:+.3f} (95 %: {interval}) on "
             f"{pair['scenes']} scenes."
         )
     if pair["separated"]:
@@ -103,9 +104,9 @@ def score_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
             name,
             row["category"],
             row["alpasim_score"],
-            _word_interval(row["alpasim_score_interval"]),
+            word_interval(row["alpasim_score_interval"]),
             row["collision_rate"],
-            _word_interval(row["collision_rate_interval"]),
+            word_interval(row["collision_rate_interval"]),
             f"{row['valid']} of {row['rollouts']}",
         )
         for name, row in rows
@@ -120,16 +121,12 @@ def difference_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
             pair["second"],
             pair["scenes"],
             pair["score"],
-            _word_interval(pair["score_interval"]),
+            word_interval(pair["score_interval"]),
             "yes" if pair["separated"] else "no",
         )
         for pair in summary["closed_loop"]["comparison"]["differences"]
         if pair["first"] in RECIPES
     ]
-
-
-def _word_interval(bounds: list[float] | None) -> str | None:
-    return None if bounds is None else f"{bounds[0]:.2f} to {bounds[1]:.2f}"
 
 
 def _input_sections(pictures: Path, clip: dict[str, Any]) -> list[Section]:
