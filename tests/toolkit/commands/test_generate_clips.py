@@ -73,6 +73,7 @@ def test_a_run_that_ended_goes_on_and_leaves_the_same_bytes(given, tmp_path, mon
     run(videos, "--out", tmp_path / "resumed", *asked)
     assert set(sampled[count:]) == {3}
     assert files_of(tmp_path / "resumed") == files_of(tmp_path / "whole")
+    assert not (tmp_path / "resumed" / ".generated").exists()
 
     assert run(videos, "--out", tmp_path / "whole", *asked)["recordings"][0]["state"] == "found"
     with pytest.raises(InputError, match="--steps 1"):
