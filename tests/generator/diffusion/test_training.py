@@ -197,18 +197,18 @@ def start(run, steps, extra=None):
 @pytest.mark.slow
 def test_a_killed_run_has_the_losses_that_it_would_have_had(tmp_path):
     toy_cache.make_cache(tmp_path / "cache")
-    assert start(tmp_path / "whole", 40).wait(900) == 0
-    killed = start(tmp_path / "killed", 40)
+    assert start(tmp_path / "whole", 16).wait(900) == 0
+    killed = start(tmp_path / "killed", 16)
     log = tmp_path / "killed" / "losses.jsonl"
-    while killed.poll() is None and not (log.exists() and log.read_text().count("\n") >= 13):
+    while killed.poll() is None and not (log.exists() and log.read_text().count("\n") >= 7):
         time.sleep(0.002)
     killed.send_signal(signal.SIGKILL)
     assert killed.wait() == -signal.SIGKILL
-    assert len(losses(tmp_path / "killed")) < 40
-    assert start(tmp_path / "killed", 40).wait(900) == 0
+    assert len(losses(tmp_path / "killed")) < 16
+    assert start(tmp_path / "killed", 16).wait(900) == 0
     assert losses(tmp_path / "killed") == losses(tmp_path / "whole")
     for name in ("model", "average", "optimizer"):
-        file = f"steps/step_000040/{name}.safetensors"
+        file = f"steps/step_000016/{name}.safetensors"
         assert (tmp_path / "killed" / file).read_bytes() == (tmp_path / "whole" / file).read_bytes()
 
 

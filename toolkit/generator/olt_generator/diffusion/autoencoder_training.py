@@ -63,7 +63,7 @@ def train_autoencoder(
         facts={
             "seed": seed,
             "autoencoder": asdict(config),
-            "videos": hashlib.blake2b(videos, digest_size=8).hexdigest(),
+            "videos": hashlib.blake2b(videos.tobytes(), digest_size=8).hexdigest(),
         },
         on_progress=on_progress,
     )
