@@ -239,13 +239,13 @@ def test_a_published_table_of_features_names_more_than_ours(published):
         (
             f"{{clip_id}}.{FRONT_WIDE}.mp4",
             f"{{clip_id}}.{FRONT_WIDE}.mkv",
-            f"name other files than the layout's: {FRONT_WIDE}",
+            f"name other files than the layout's, as {FRONT_WIDE}",
         ),
         ("chunk_id:04", "chunk_id:05", "name other files than the layout's"),
         ("frame_timestamps", "times", "name other files than the layout's"),
         ("chunk_id:04", "chunk_id:09999999999", "paths cannot be made"),
         ("{clip_id}.lidar", "../{clip_id}.lidar", "leads out of the folder"),
-        ("egomotion,labels", "egomotion.online,labels", "name other files than the layout's: egomotion"),
+        ("egomotion,labels", "egomotion.online,labels", "name other files than the layout's, as egomotion"),
     ],
 )
 def test_a_published_table_that_leads_elsewhere(published, old, new, said):
@@ -254,7 +254,7 @@ def test_a_published_table_that_leads_elsewhere(published, old, new, said):
     path.write_text(path.read_text().replace(old, new))
     status, out = run(published, "--checks", "tables", "--json")
     (failure,) = json.loads(out)["failures"]
-    assert status == 1 and failure["check"] == "features" and said in failure["found"], failure
+    assert status == 1 and failure["check"] == "features" and said in failure["detail"], failure
 
 
 def test_a_published_folder_with_a_fault(published, store):
