@@ -1,6 +1,6 @@
 """A policy judged on recorded samples, without driving (metrics of docs/formats/alpamayo.md)."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +26,18 @@ def evaluate_open_loop(
         plans_per_sample: planned trajectories drawn for each.
         seed: seed of the first of each; the next has the next number.
     """
+    return mean_errors(measure_open_loop(policy, samples, plans_per_sample, seed))
+
+
+def mean_errors(errors: Sequence[dict[str, float]]) -> dict[str, float]:
+    """The mean of each error over one or more samples."""
+    return {name: float(np.mean([error[name] for error in errors])) for name in errors[0]}
+
+
+def measure_open_loop(
+    policy: Policy, samples: Iterable[PolicySample], plans_per_sample: int = 1, seed: int = 0
+) -> list[dict[str, float]]:
+    """The errors of `evaluate_open_loop` of each sample by itself."""
     errors = []
     for sample in samples:
         observation = Observation(
@@ -43,7 +55,7 @@ def evaluate_open_loop(
         true_rotation = sample.ego_future_rot[0].astype(np.float64)
         corners = corner_distance(xyz, rotation, true_xyz, true_rotation)
         errors.append(displacement_errors(xyz, true_xyz) | {"corner_distance": corners})
-    return {name: float(np.mean([error[name] for error in errors])) for name in errors[0]}
+    return errors
 
 
 def spread_keys(store: ClipStore, split: str, samples: int) -> list[SampleKey]:

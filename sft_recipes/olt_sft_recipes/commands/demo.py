@@ -29,7 +29,7 @@ def demo(
     """Run the main job and print the score table and the path of the report."""
     from olt_generator.errors import InputError
     from olt_sft_recipes.demo.main_job import DemoSettings, run_demo
-    from olt_sft_recipes.demo.report import REPORT, SCORE_COLUMNS, score_rows
+    from olt_sft_recipes.demo.report import REPORT, SCORE_COLUMNS, score_rows, word_verdict
     from olt_toolkit.runtime.console import print_json, print_line, print_table
 
     if video is None and camera != CameraOptions():
@@ -47,5 +47,6 @@ def demo(
     if as_json:
         print_json(summary)
         return
+    print_line(word_verdict(summary))
     print_table("Closed-loop scores on held-out long-tail scenes", SCORE_COLUMNS, score_rows(summary))
     print_line(f"report: {out / REPORT}")

@@ -146,15 +146,19 @@ def evaluate(
     split: Annotated[str, typer.Option(help="Split whose clips are used.")] = "val",
     samples: Annotated[int, typer.Option(min=1, help="Samples a clip, spread over it.")] = 6,
     plans: Annotated[int, typer.Option(min=1, help="Plans drawn for each sample.")] = 6,
+    withhold: Annotated[
+        bool, typer.Option("--withhold", help="Also without each camera, earlier frames and the route in turn.")
+    ] = False,
     as_json: JsonOption = False,
 ) -> None:
     """Print displacement errors."""
     from olt_closed_loop import make_policy
     from olt_generator.errors import InputError
     from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
+    from olt_sft_recipes.withheld_inputs import measure_withheld
     from olt_toolkit import ClipStore
     from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
-    from olt_toolkit.runtime.console import print_json, print_table
+    from olt_toolkit.runtime.console import print_json, print_table, word_interval
 
     chosen = make_policy(policy)
     opened = [ClipStore(store) for store in stores]
@@ -167,7 +171,12 @@ def evaluate(
             f"{', '.join(map(str, stores))}: no clip of split {split!r} gives a sample; choose another split"
         )
     errors = evaluate_open_loop(chosen, loaded, plans)
+    withheld = measure_withheld(chosen, loaded, plans) if withhold else ()
     if as_json:
-        print_json({"policy": policy, "samples": len(loaded), "plans_per_sample": plans, "errors_m": errors})
-    else:
-        print_table(f"{policy}: {len(loaded)} samples of split {split}", ("error", "m"), list(errors.items()))
+        found = {"policy": policy, "samples": len(loaded), "plans_per_sample": plans, "errors_m": errors}
+        print_json(found | ({"withheld": [vars(each) for each in withheld]} if withhold else {}))
+        return
+    print_table(f"{policy}: {len(loaded)} samples of split {split}", ("error", "m"), list(errors.items()))
+    if withhold:
+        rows = [(each.name, each.min_ade, each.increase, word_interval(each.increase_interval)) for each in withheld]
+        print_table("min_ade without an input, as it was trained", ("withheld", "m", "more", "95 %"), rows)

@@ -14,11 +14,15 @@ from olt_generator.poses import yaw_of
 from olt_toolkit.report.blocks import Bullets, DrivenPath, Picture, Rollouts, Section, Table, Text
 from olt_toolkit.report.drawings import draw_losses
 from olt_toolkit.report.page import write_report
+from olt_toolkit.runtime.console import word_interval
 
 REPORT = "report.html"
 CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png", "trajectory.png"
 # What each policy is trained on: as many samples, from nominal drives alone or with long-tail Syn.
 RECIPES: tuple[str, ...] = ("toy_nominal", "toy_nominal_long_tail")
+WHERE_ONE_IS_SHOWN = (
+    "Commands that show one, on more drives and all scenes of the suite, stand in docs/toy.md; they take hours."
+)
 COLORS = {"toy_nominal": "#d1742f", "toy_nominal_long_tail": "#1f6feb", "recording": "#4b5563"}
 AGENT_COLOR = "#9a3412"
 Drive = tuple[Rollout, dict[str, Any]]
@@ -52,6 +56,7 @@ def draw_report(out: Path, summary: dict[str, Any]) -> None:
         Section(
             "Closed-loop scores",
             [
+                Text(word_verdict(summary)),
                 Table(SCORE_COLUMNS, score_rows(summary), note),
                 Table(
                     DIFFERENCE_COLUMNS, difference_rows(summary), "Paired by scene; bootstrap intervals over scenes."
@@ -69,6 +74,26 @@ def draw_report(out: Path, summary: dict[str, Any]) -> None:
     write_report(out / REPORT, "OpenLongTail: the main job", lead, sections)
 
 
+def word_verdict(summary: dict[str, Any]) -> str:
+    """Whether the scores of the two policies differ by more than chance explains, and where to look if not."""
+    (pair,) = (
+        pair
+        for pair in summary["closed_loop"]["comparison"]["differences"]
+        if {pair["first"], pair["second"]} == set(RECIPES)
+    )
+    if pair["score"] is None:
+        found = f"AS of {RECIPES[0]} and {RECIPES[1]} could not be compared: no scene has a score of both."
+    else:
+        interval = word_interval(pair["score_interval"]) or "not measured"
+        found = (
+            f"AS of {pair['first']} less that of {pair['second']}: {pair['score']:+.3f} (95 %: {interval}) on "
+            f"{pair['scenes']} scenes."
+        )
+    if pair["separated"]:
+        return f"The mixtures differ. {found}"
+    return f"No difference between the mixtures is supported. {found} {WHERE_ONE_IS_SHOWN}"
+
+
 def score_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
     """Rows of the score table: policy, category, AS and CR with their intervals, rollouts; baselines last."""
     closed_loop = summary["closed_loop"]
@@ -79,9 +104,9 @@ def score_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
             name,
             row["category"],
             row["alpasim_score"],
-            _word_interval(row["alpasim_score_interval"]),
+            word_interval(row["alpasim_score_interval"]),
             row["collision_rate"],
-            _word_interval(row["collision_rate_interval"]),
+            word_interval(row["collision_rate_interval"]),
             f"{row['valid']} of {row['rollouts']}",
         )
         for name, row in rows
@@ -96,16 +121,12 @@ def difference_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
             pair["second"],
             pair["scenes"],
             pair["score"],
-            _word_interval(pair["score_interval"]),
+            word_interval(pair["score_interval"]),
             "yes" if pair["separated"] else "no",
         )
         for pair in summary["closed_loop"]["comparison"]["differences"]
         if pair["first"] in RECIPES
     ]
-
-
-def _word_interval(bounds: list[float] | None) -> str | None:
-    return None if bounds is None else f"{bounds[0]:.2f} to {bounds[1]:.2f}"
 
 
 def _input_sections(pictures: Path, clip: dict[str, Any]) -> list[Section]:

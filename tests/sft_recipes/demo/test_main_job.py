@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import replace
 
 import pytest
@@ -8,6 +9,7 @@ from olt_generator.omissions import Omission, word_omission
 from olt_generator.video import write_video
 from olt_sft_recipes.demo.job_log import JobLog
 from olt_sft_recipes.demo.main_job import DemoSettings, list_left_out, plan_scenes, run_demo
+from olt_sft_recipes.demo.report import RECIPES, word_verdict
 from olt_toolkit.rigs.rig import FRONT_WIDE
 
 SMALL = DemoSettings(
@@ -125,3 +127,21 @@ def test_a_five_frame_video_runs_to_the_end(tmp_path, make_textured_drive):
     assert summary["input"]["clip"]["no_sample_reason"]
     assert summary["input"]["clip"]["views"][FRONT_WIDE]["kind"] == "observed"
     assert any(record["what"] == "policy samples of the input clip" for record in summary["left_out"])
+
+
+@pytest.mark.parametrize(
+    ("score", "interval", "separated", "said"),
+    [
+        (-0.3, [-0.4, -0.2], True, r"The mixtures differ. .*-0.300 \(95 %: -0.400 to -0.200\) on 9 scenes.$"),
+        (0.1, [-0.1, 0.3], False, r"No difference between the mixtures is supported. .*\+0.100 .*docs/toy.md"),
+        (0.1, None, False, r"No difference .*\(95 %: not measured\)"),
+        (None, None, False, r"No difference .* could not be compared: no scene"),
+    ],
+)
+def test_the_verdict_says_whether_a_difference_is_supported(score, interval, separated, said):
+    pair = {"scenes": 9, "score": score, "score_interval": interval, "separated": separated}
+    pairs = [
+        {"first": RECIPES[0], "second": "standing", "separated": True},
+        {"first": RECIPES[0], "second": RECIPES[1], **pair},
+    ]
+    assert re.search(said, word_verdict({"closed_loop": {"comparison": {"differences": pairs}}}))

@@ -44,6 +44,11 @@ def format_cell(value: object) -> str:
     return str(value)
 
 
+def word_interval(limits: Sequence[float] | None) -> str | None:
+    """An interval for a cell of a table; None, "not measured", as it is."""
+    return None if limits is None else f"{limits[0]:.3f} to {limits[1]:.3f}"
+
+
 @contextmanager
 def show_progress(label: str, total: int = 100) -> Iterator[tuple[Callable[[float], None], Callable[[str], None]]]:
     """Show a progress bar; yields what to tell the share that is done, of so many parts, and the step that is next."""
