@@ -492,6 +492,7 @@ READERS = {
     "clip tables": _scan_tables,
     "clip video": _read_clip_video,
     "dataset": _read_dataset,
+    "features": _function("olt_toolkit.clips.feature_table:read_feature_table"),
     "labels": _function("olt_datasets.tables.labels:read_labels"),
     "masks": _read_masks,
     "holds": _read_bytes("read_holds"),

@@ -9,25 +9,16 @@ import pytest
 
 import olt_toolkit.recordings.drives
 from olt_datasets.tables.clip_frame import SCHEMA, SHARES
-from olt_generator.poses import planar_pose
-from olt_generator.trajectory import Trajectory
 from olt_toolkit.clips.clip import (
-    CameraStream,
-    Clip,
     ClipInfo,
     ClipKind,
     ClipOrigin,
-    EgoMotion,
     Split,
-    ViewProvenance,
-    make_clip_id,
 )
-from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.table import CLIP_TABLE, write_clip_table
 from olt_toolkit.recordings.drives import DatasetPlace
-from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS
-from olt_toolkit.rigs.rig_files import pav_rig
 
+from ..straight_clips import straight_clip, write_clips
 from .toy_drives import ToyDataset, ToyReader
 
 MakeClip = Callable[..., ClipInfo]
@@ -127,32 +118,5 @@ def toy_table(make_clip: MakeClip, make_table: MakeTable) -> pl.DataFrame:
 
 @pytest.fixture(scope="session")
 def real_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A clip store with one clip of 9 s at 10 Hz: straight driving at 5 m/s, grey images of 64 x 36 pixels."""
-    timestamps_us = 100_000 * np.arange(90, dtype=np.int64)
-    still = np.zeros(90)
-    poses = planar_pose(5e-6 * timestamps_us, still, still)
-    rig = pav_rig().fitted(64, 36)
-    frames = np.full((90, 36, 64, 3), 128, np.uint8)
-    streams = {
-        name: CameraStream(frames, timestamps_us, 10.0, rig[name].camera, rig[name].T_rig_camera)
-        for name in POLICY_CAMERAS
-    }
-    clip = Clip(
-        clip_id=make_clip_id("straight"),
-        name="straight",
-        scene_id="straight",
-        source="test",
-        origin=ClipOrigin("straight", 0, 8_900_000),
-        kind="GT",
-        category="nominal",
-        factors=(),
-        split="train",
-        streams=streams,
-        ego_motion=EgoMotion.from_trajectory(Trajectory(timestamps_us, poses)),
-        vehicle=DEFAULT_VEHICLE,
-        provenance={name: ViewProvenance("rendered", "test", "1", None, 1.0, 0.0) for name in streams},
-    )
-    store = ClipStore(tmp_path_factory.mktemp("clips"))
-    store.prepare(clip)
-    store.commit([clip.clip_id])
-    return store.root
+    """A clip store with one straight clip of 9 s, filmed throughout."""
+    return write_clips(tmp_path_factory.mktemp("clips"), [straight_clip("straight", images=slice(0, 90))])

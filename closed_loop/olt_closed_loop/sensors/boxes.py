@@ -44,9 +44,8 @@ class Boxes:
     def __len__(self) -> int:
         return len(self.center)
 
-    def select(self, chosen: NDArray[np.bool_]) -> "Boxes":
-        """The boxes that a mask (n,) chooses."""
-        index = np.flatnonzero(chosen)
+    def select(self, index: NDArray[np.intp]) -> "Boxes":
+        """The boxes of an index (m,)."""
         return Boxes(*(values.take(index, axis=0) for values in vars(self).values()))
 
     @classmethod

@@ -42,11 +42,11 @@ def boxes_in_view(boxes: Boxes, position: Array, axis: Array, field: float, fine
     offset = boxes.center - position
     away = np.sqrt(np.einsum("ni,ni->n", offset, offset))
     radius = np.sqrt(np.einsum("ni,ni->n", boxes.half, boxes.half))
+    near = np.flatnonzero((away - radius < _FARTHEST) & (radius > np.sin(_SMALLEST * 0.5 * finest) * away))
+    offset, away, radius = offset[near], away[near], radius[near]
     off_axis = np.arccos(np.clip(offset @ axis / np.maximum(away, 1e-9), -1.0, 1.0))
     apparent = np.arcsin(np.minimum(radius / np.maximum(away, 1e-9), 1.0))
-    inside = (away <= radius) | (off_axis - apparent <= field)
-    large = apparent > _SMALLEST * 0.5 * finest
-    return boxes.select(inside & large & (away - radius < _FARTHEST))
+    return boxes.select(near[(away <= radius) | (off_axis - apparent <= field)])
 
 
 def cast(

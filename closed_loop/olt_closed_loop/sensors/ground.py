@@ -27,6 +27,9 @@ _LEVELS = 6
 _KERB_WIDTH = 0.5
 _SUBPIXEL_BITS = 4
 
+# Of a place in the map, its level's first row is added to the row, and half a pixel taken off both.
+_TOP_AND_HALF = np.array([[0.0, -0.5], [1.0, -0.5]])
+
 _SHADOW_RESOLUTION = 0.2
 _SHADOW_MARGIN = 30.0
 _SHADOW_DEPTH = 0.5
@@ -109,8 +112,7 @@ class Ground:
     def materials(self, places: "MapPlaces", stand: Stand) -> Image:
         """Values (r, 512) of the material map."""
         turn = stand.affine(self._raster.origin, self._raster.resolution)
-        matrix = np.column_stack([turn, [0.0, 1.0], [-0.5, -0.5]])
-        found = cv2.transform(places.scaled, matrix)
+        found = cv2.transform(places.scaled, np.hstack([turn, _TOP_AND_HALF]))
         rows = found[..., 1]
         np.maximum(rows, places.first, out=rows)
         np.minimum(rows, places.last, out=rows)

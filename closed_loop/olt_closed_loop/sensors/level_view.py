@@ -6,6 +6,7 @@ only moves and turns the places (`Stand`).
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -44,22 +45,28 @@ class Stand:
     @property
     def T_level_world(self) -> Array:  # noqa: N802
         """The pose (4, 4) of the world in level axes."""
-        turn = _about_z(-self.heading)
-        return make_pose(turn, -turn @ self.position)
+        return make_pose(self.R_level_world, -self.R_level_world @ self.position)
 
-    @property
+    @cached_property
     def R_world_level(self) -> Array:  # noqa: N802
         """The turn (3, 3) of level axes in the world."""
         return _about_z(self.heading)
 
+    @cached_property
+    def R_level_world(self) -> Array:  # noqa: N802
+        """The turn (3, 3) of the world in level axes."""
+        return _about_z(-self.heading)
+
     def level(self, vectors: Array) -> Array:
         """Vectors (..., 3) of the world, or columns of a matrix (3, 3), in level axes."""
-        return _about_z(-self.heading) @ vectors
+        return self.R_level_world @ vectors
 
     def affine(self, origin: Array, resolution: float) -> Array:
         """Matrix (2, 3) from level x and y to x and y of the world from `origin` (2,), in steps of `resolution`."""
-        start = (self.position[:2] - origin) / resolution
-        return np.column_stack([_about_z(self.heading)[:2, :2] / resolution, start])
+        matrix = np.empty((2, 3))
+        matrix[:, :2] = self.R_world_level[:2, :2] / resolution
+        matrix[:, 2] = (self.position[:2] - origin) / resolution
+        return matrix
 
 
 @dataclass(frozen=True)

@@ -4,18 +4,15 @@ That reader finds files by `features.csv` alone, takes clips by the number of th
 `clip_is_valid` nor at `split` (docs/formats/physicalai_av.md).
 """
 
-import json
-from dataclasses import dataclass
 from functools import cached_property
-from io import BytesIO
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from olt_generator.errors import InputError
-from olt_generator.files import read_bounded
 from olt_toolkit.clips.chunk_archive import ByteRange, ChunkArchive
+from olt_toolkit.clips.feature_table import FeatureRow, read_feature_table
 from olt_toolkit.clips.pai_layout import CLIP_INDEX, EGOMOTION, FEATURE_TABLE, FRAME_TIMESTAMPS, VIDEO
 from olt_toolkit.clips.pai_tables import read_egomotion, read_indexed, read_timestamps
 from olt_toolkit.clips.video import check_video, decode_images
@@ -23,29 +20,7 @@ from olt_toolkit.policy.sample import KEYFRAME_US
 from olt_toolkit.policy.window import IMAGE_OFFSETS_US, Coverage, check_sample_window, newest_frames
 from olt_toolkit.rigs.contracts import CameraContract
 
-_LARGEST_TABLE = 1 << 20
-_COLUMNS = ("feature", "directory", "chunk_path", "clip_files_in_zip")
 EVENTS = "event_t0s"
-
-
-@dataclass(frozen=True)
-class RecipeFeature:
-    """A row of `features.csv`: members of zips are alias to template of a name."""
-
-    name: str
-    directory: str
-    chunk_path: str
-    members: dict[str, str]
-
-    def chunk_file(self, root: Path, chunk: int) -> Path:
-        """File of one chunk."""
-        return root / self.chunk_path.format(chunk_id=chunk)
-
-    def member(self, alias: str, clip_id: str) -> str:
-        """Name of a clip's member; an `InputError` where the row has no such alias."""
-        if alias not in self.members:
-            raise InputError(f"{FEATURE_TABLE}: {self.name} has no member {alias!r} in clip_files_in_zip; export again")
-        return self.members[alias].format(clip_id=clip_id)
 
 
 class RecipeFolder:
@@ -56,21 +31,9 @@ class RecipeFolder:
         self._archives: dict[Path, ChunkArchive] = {}
 
     @cached_property
-    def features(self) -> dict[str, RecipeFeature]:
+    def features(self) -> dict[str, FeatureRow]:
         """The rows of `features.csv` by name."""
-        path = self.root / FEATURE_TABLE
-        content = read_bounded(path, "table of features", _LARGEST_TABLE)
-        try:
-            table = pd.read_csv(BytesIO(content), dtype=str)
-        except ValueError as error:
-            raise InputError(f"{path}: not a readable table ({' '.join(str(error).split())}); export again") from error
-        missing = [name for name in _COLUMNS if name not in table]
-        if missing:
-            raise InputError(f"{path}: column {', '.join(missing)} is missing; export again")
-        if table["feature"].duplicated().any():
-            raise InputError(f"{path}: a feature is there twice; remove one row")
-        rows = table.astype(object).where(table.notna(), None).to_dict("records")
-        return {str(row["feature"]): _read_feature(row, path) for row in rows}
+        return read_feature_table(self.root / FEATURE_TABLE)
 
     @cached_property
     def index(self) -> pd.DataFrame:
@@ -162,21 +125,3 @@ def selected_numbers(chunk_ids: str) -> range:
     if not (first.strip().isdecimal() and last.strip().isdecimal()):
         raise InputError(f"chunk_ids {chunk_ids!r}: write FIRST-END, two whole numbers; END itself is left out")
     return range(int(first), int(last))
-
-
-def _read_feature(row: dict[str, str | None], path: Path) -> RecipeFeature:
-    name, directory, chunk_path = (str(row[key] or "") for key in _COLUMNS[:3])
-    try:
-        members = {} if row["clip_files_in_zip"] is None else json.loads(row["clip_files_in_zip"])
-        templates = [chunk_path, *members.values()]
-        named = [PurePosixPath(text.format(chunk_id=0, clip_id="")) for text in templates]
-    except (ValueError, KeyError, IndexError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path}: row {name}: paths cannot be made of it ({error!r}); export again") from error
-    if any(each.is_absolute() or ".." in each.parts for each in named):
-        raise InputError(f"{path}: row {name} leads out of the folder; export again")
-    # The reader takes a feature for a zip by the ending of its file, and {} for a zip without members.
-    if (chunk_path.endswith(".zip") and not members) or (
-        chunk_path.endswith(".parquet") and row["clip_files_in_zip"] is not None
-    ):
-        raise InputError(f"{path}: row {name}: clip_files_in_zip must name members of a zip and be empty elsewhere")
-    return RecipeFeature(name, directory, chunk_path, members)

@@ -125,7 +125,7 @@ def test_lights_of_lanes_that_the_map_lacks_show_to_all_sides():
 def test_poles_stand_on_hills():
     scene = put_on_hills(lit_scene(), lay_crest(0.0, 0.0, 6.0, 200.0))
     standing = SignalHeads(scene).standing
-    poles = standing.select(standing.half[:, 2] > 1.0)
+    poles = standing.select(np.flatnonzero(standing.half[:, 2] > 1.0))
     assert len(poles) == 4 and scene.hills is not None
     np.testing.assert_allclose(poles.center[:, 2] - poles.half[:, 2], scene.hills.height(poles.center), atol=1e-6)
 

@@ -12,53 +12,12 @@ import pandas as pd
 import pytest
 from scipy.spatial.transform import Rotation
 
-from olt_generator.poses import planar_pose
-from olt_generator.trajectory import Trajectory
-from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
-from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, DEFAULT_VEHICLE, POLICY_CAMERAS, REAR_LEFT, REAR_RIGHT
+from olt_toolkit.rigs.rig import CROSS_LEFT, CROSS_RIGHT, REAR_LEFT, REAR_RIGHT
 from olt_toolkit.rigs.rig_files import pav_rig
 
-WIDTH, HEIGHT = 64, 36
+from ...straight_clips import HEIGHT, WIDTH, straight_clip, write_clips
+
 REVISION = "0" * 40
-
-
-def _make_clip(name: str, seconds: float = 9.0, split: str = "train", kind: str = "GT", grey: int = 60) -> Clip:
-    """A straight drive at 5 m/s with ego motion from 0 s and images from 1.4 to 2.1 s; each frame one grey level."""
-    ego_us = 100_000 * np.arange(round(10 * seconds), dtype=np.int64)
-    still = np.zeros(len(ego_us))
-    motion = EgoMotion.from_trajectory(Trajectory(ego_us, planar_pose(5e-6 * ego_us, still, still)))
-    image_us = ego_us[14:22]
-    rig = pav_rig().fitted(WIDTH, HEIGHT)
-    streams = {}
-    for index, camera in enumerate(POLICY_CAMERAS):
-        levels = (grey + 20 * index + 2 * np.arange(len(image_us))).astype(np.uint8)
-        frames = np.broadcast_to(levels[:, None, None, None], (len(levels), HEIGHT, WIDTH, 3))
-        streams[camera] = CameraStream(frames, image_us, 10.0, rig[camera].camera, rig[camera].T_rig_camera)
-    return Clip(
-        clip_id=make_clip_id(name),
-        name=name,
-        scene_id=name,
-        source="world",
-        origin=ClipOrigin(name, 0, 1_000_000, "DE", "CC BY 4.0"),
-        kind=kind,
-        category="nominal" if kind == "GT" else "work_zone",
-        factors=(),
-        split=split,
-        streams=streams,
-        ego_motion=motion,
-        vehicle=DEFAULT_VEHICLE,
-        provenance={camera: ViewProvenance("rendered", "test", "1", None, 1.0, 0.0) for camera in streams},
-    )
-
-
-def _write_store(root: Path, *chunks: list[Clip]) -> Path:
-    store = ClipStore(root)
-    for clips in chunks:
-        for clip in clips:
-            store.prepare(clip)
-        store.commit([clip.clip_id for clip in clips])
-    return root
 
 
 @pytest.fixture(scope="session")
@@ -66,12 +25,14 @@ def stores(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """Two stores: `real` with a chunk of two GT clips and a mixed one (one GT, one held out, one too short), and
     `made` with two Syn clips. Every clip that gives samples does so at 1.7 to 2.1 s."""
     folder = tmp_path_factory.mktemp("stores")
-    real = _write_store(
+    real = write_clips(
         folder / "real",
-        [_make_clip("a", grey=20), _make_clip("b", grey=40)],
-        [_make_clip("c", grey=60), _make_clip("held out", split="val"), _make_clip("short", seconds=5.0)],
+        [straight_clip("a", grey=20), straight_clip("b", grey=40)],
+        [straight_clip("c", grey=60), straight_clip("held out", split="val"), straight_clip("short", rows=50)],
     )
-    made = _write_store(folder / "made", [_make_clip("d", kind="Syn", grey=80), _make_clip("e", kind="Syn", grey=100)])
+    made = write_clips(
+        folder / "made", [straight_clip("d", kind="Syn", grey=80), straight_clip("e", kind="Syn", grey=100)]
+    )
     return real, made
 
 
@@ -83,7 +44,7 @@ def masked_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """
     clips = []
     for name in ("four", "six"):
-        clip = _make_clip(name, kind="Syn")
+        clip = straight_clip(name, kind="Syn")
         left = clip.streams[CROSS_LEFT]
         columns = np.arange(WIDTH) < np.arange(len(left.frames))[:, None]
         origin = np.repeat(np.where(columns, 1, 0).astype(np.uint8)[:, None], HEIGHT, axis=1)
@@ -96,7 +57,7 @@ def masked_store(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 streams[rear] = replace(streams[cross], camera=mounted.camera, T_rig_camera=mounted.T_rig_camera)
             provenance |= {REAR_LEFT: provenance[CROSS_LEFT], REAR_RIGHT: provenance[CROSS_RIGHT]}
         clips.append(replace(clip, streams=streams, provenance=provenance))
-    return _write_store(tmp_path_factory.mktemp("masked") / "masked", clips)
+    return write_clips(tmp_path_factory.mktemp("masked") / "masked", clips)
 
 
 class RecipeReader:

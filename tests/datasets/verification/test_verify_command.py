@@ -26,6 +26,8 @@ from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.clips.table import CLIP_TABLE
 from olt_toolkit.rigs.rig import FRONT_WIDE
 
+from ...published_features import write_published_features
+
 SIZE = (36, 64)
 
 
@@ -223,6 +225,36 @@ def test_a_published_folder_is_looked_at_and_what_is_not_told_is_named(published
     assert checks["video decodes"]["passed"] == 8 and checks["safe member names"]["passed"] == 5
     assert checks["clip table"]["not_compared"] == 1
     assert not {"checksums", "duration", "sample times"} & set(checks)
+
+
+def test_a_published_table_of_features_names_more_than_ours(published):
+    write_published_features(published)
+    status, out = run(published, "--json")
+    assert status == 0 and json.loads(out)["checks"]["features"]["passed"] == 1
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            f"{{clip_id}}.{FRONT_WIDE}.mp4",
+            f"{{clip_id}}.{FRONT_WIDE}.mkv",
+            f"name other files than the layout's, as {FRONT_WIDE}",
+        ),
+        ("chunk_id:04", "chunk_id:05", "name other files than the layout's"),
+        ("frame_timestamps", "times", "name other files than the layout's"),
+        ("chunk_id:04", "chunk_id:09999999999", "paths cannot be made"),
+        ("{clip_id}.lidar", "../{clip_id}.lidar", "leads out of the folder"),
+        ("egomotion,labels", "egomotion.online,labels", "name other files than the layout's, as egomotion"),
+    ],
+)
+def test_a_published_table_that_leads_elsewhere(published, old, new, said):
+    write_published_features(published)
+    path = published / "features.csv"
+    path.write_text(path.read_text().replace(old, new))
+    status, out = run(published, "--checks", "tables", "--json")
+    (failure,) = json.loads(out)["failures"]
+    assert status == 1 and failure["check"] == "features" and said in failure["detail"], failure
 
 
 def test_a_published_folder_with_a_fault(published, store):

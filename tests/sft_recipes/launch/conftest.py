@@ -10,12 +10,7 @@ import pytest
 import yaml
 from safetensors.numpy import save_file
 
-from olt_generator.poses import planar_pose
-from olt_generator.trajectory import Trajectory
-from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
-from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, POLICY_CAMERAS
-from olt_toolkit.rigs.rig_files import pav_rig
+from ...straight_clips import straight_clip, write_clips
 
 # The configurations as docs/formats/sft_recipes.md and the recipes' README tell their keys and values.
 BASE = {
@@ -219,43 +214,11 @@ def pai(tmp_path):
     return folder
 
 
-def _make_clip(name, braking=0.0):
-    """A straight drive at 20 m/s with ego motion from 0 to 9 s and images from 1.4 to 2.1 s; it brakes from 2.5 s."""
-    times = 0.1 * np.arange(90)
-    slowing = np.clip(times - 2.5, 0.0, 20.0 / braking if braking else 0.0)
-    along = 20.0 * times - braking * slowing * (times - 2.5 - 0.5 * slowing)
-    still = np.zeros(len(times))
-    ego_us = np.round(times * 1e6).astype(np.int64)
-    motion = EgoMotion.from_trajectory(Trajectory(ego_us, planar_pose(along, still, still)))
-    rig = pav_rig().fitted(64, 36)
-    frames = np.full((8, 36, 64, 3), 90, np.uint8)
-    streams = {
-        camera: CameraStream(frames, ego_us[14:22], 10.0, rig[camera].camera, rig[camera].T_rig_camera)
-        for camera in POLICY_CAMERAS
-    }
-    return Clip(
-        clip_id=make_clip_id(name),
-        name=name,
-        scene_id=name,
-        source="world",
-        origin=ClipOrigin(name, 0, 1_000_000, "DE", "CC BY 4.0"),
-        kind="GT",
-        category="nominal",
-        factors=(),
-        split="train",
-        streams=streams,
-        ego_motion=motion,
-        vehicle=DEFAULT_VEHICLE,
-        provenance={camera: ViewProvenance("rendered", "test", "1", None, 1.0, 0.0) for camera in streams},
-    )
-
-
 @pytest.fixture(scope="session")
 def braking_store(tmp_path_factory):
-    """Two clips, of which the second brakes at 9 m/s², beyond what tokens can say."""
-    store = ClipStore(tmp_path_factory.mktemp("stores") / "drives")
-    clips = [_make_clip("steady"), _make_clip("braking", 9.0)]
-    for clip in clips:
-        store.prepare(clip)
-    store.commit([clip.clip_id for clip in clips])
-    return store.root
+    """Two clips at 20 m/s, of which the second brakes from 2.5 s on at 9 m/s², beyond what tokens can say."""
+    times = 0.1 * np.arange(90)
+    slowing = np.clip(times - 2.5, 0.0, 20.0 / 9.0)
+    braking = 20.0 * times - 9.0 * slowing * (times - 2.5 - 0.5 * slowing)
+    clips = [straight_clip("steady", along=20.0 * times), straight_clip("braking", along=braking)]
+    return write_clips(tmp_path_factory.mktemp("stores") / "drives", clips)

@@ -6,62 +6,27 @@ import stat
 import sys
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
 
 from olt_datasets import contents_of_stores, export_pai
-from olt_generator.poses import planar_pose
-from olt_generator.trajectory import Trajectory
 from olt_sft_recipes.preflight.check import check
 from olt_sft_recipes.preflight.plan import PreflightPlan, recipe_stages
 from olt_sft_recipes.preflight.profiles import PROFILES
-from olt_toolkit.clips.clip import CameraStream, Clip, ClipOrigin, EgoMotion, ViewProvenance, make_clip_id
-from olt_toolkit.clips.store import ClipStore
 from olt_toolkit.rigs.contracts import find_contract
-from olt_toolkit.rigs.rig import DEFAULT_VEHICLE
-from olt_toolkit.rigs.rig_files import pav_rig
 
-SIZE = (36, 64)
+from ...straight_clips import straight_clip, write_clips
+
 WIDTH, LAYERS, HEADS, HEAD = 8, 3, 2, 4
 
 
-def _make_clip(name, policy="alpamayo-r1"):
-    """A straight drive of 12.5 s at 5 m/s, with images from 4.6 to 5.4 s, so that 5.1 s is a sample."""
-    ego_us = 100_000 * np.arange(126, dtype=np.int64)
-    still = np.zeros(len(ego_us))
-    image_us = ego_us[46:55]
-    rig = pav_rig().fitted(SIZE[1], SIZE[0])
-    streams = {}
-    for number, camera in enumerate(find_contract(policy).cameras):
-        grey = (40 + 10 * number + 3 * np.arange(len(image_us))).astype(np.uint8)
-        frames = np.ascontiguousarray(np.broadcast_to(grey[:, None, None, None], (len(grey), *SIZE, 3)))
-        streams[camera] = CameraStream(frames, image_us, 10.0, rig[camera].camera, rig[camera].T_rig_camera)
-    return Clip(
-        clip_id=make_clip_id(name),
-        name=name,
-        scene_id=name,
-        source="world",
-        origin=ClipOrigin(name, 0, 12_500_000, "DE", "CC BY 4.0"),
-        kind="GT",
-        category="nominal",
-        factors=(),
-        split="train",
-        streams=streams,
-        ego_motion=EgoMotion.from_trajectory(Trajectory(ego_us, planar_pose(5e-6 * ego_us, still, still))),
-        vehicle=DEFAULT_VEHICLE,
-        provenance={camera: ViewProvenance("rendered", "test", "1", None, 1.0, 0.0) for camera in streams},
-    )
-
-
 def _export(folder, policy, *chunks):
-    store = ClipStore(folder / "store")
-    for names in chunks:
-        for name in names:
-            store.prepare(_make_clip(name, policy))
-        store.commit([make_clip_id(name) for name in names])
-    export_pai(contents_of_stores([store.root], "train", find_contract(policy)), folder / "pai", verify=False)
+    """Straight drives of 12.5 s with images from 4.6 to 5.4 s, so that 5.1 s is a sample, in the recipe's layout."""
+    contract = find_contract(policy)
+    clips = [[straight_clip(name, 126, slice(46, 55), cameras=contract.cameras) for name in names] for names in chunks]
+    store = write_clips(folder / "store", *clips)
+    export_pai(contents_of_stores([store], "train", contract), folder / "pai", verify=False)
     return folder / "pai"
 
 

@@ -18,6 +18,8 @@ from olt_sft_recipes.preflight.recipe_folder import selected_numbers
 from olt_sft_recipes.preflight.rows import Verdict
 from olt_toolkit.clips.clip import make_clip_id
 
+from ...published_features import write_published_features
+
 TELE = "camera_front_tele_30fov"
 
 
@@ -74,6 +76,11 @@ def test_a_clean_export_has_no_failures(clean_export):
     assert "images of 3 decoded (36 x 64)" in told["train clips"] and told["verified"].startswith("3 of 3 clips")
 
 
+def test_a_published_table_of_features_is_read(export):
+    write_published_features(export)
+    assert not failures(export)
+
+
 @pytest.mark.parametrize(
     ("change", "said"),
     [
@@ -83,6 +90,7 @@ def test_a_clean_export_has_no_failures(clean_export):
         (lambda table: table.replace("frame_timestamps", "times", regex=True), "no member 'frame_timestamps'"),
         (lambda table: table.replace("camera/", "../camera/", regex=True), "leads out of the folder"),
         (lambda table: table.replace("chunk_id:04d", "chunk", regex=True), "paths cannot be made"),
+        (lambda table: table.replace(":04d", ":099999999d", regex=True), "paths cannot be made"),
         (lambda table: table.drop(columns="directory"), "column directory is missing"),
         (lambda table: pd.concat([table, table.iloc[:1]]), "a feature is there twice"),
     ],

@@ -10,6 +10,7 @@ from olt_toolkit.clips import pai_layout as layout
 from olt_toolkit.clips import pai_tables as tables
 from olt_toolkit.clips.chunk_archive import ChunkArchive
 from olt_toolkit.clips.clip import ClipInfo
+from olt_toolkit.clips.feature_table import read_feature_table
 from olt_toolkit.clips.files import has_feature
 from olt_toolkit.clips.pai_layout import FEATURES, STORED, Feature
 from olt_toolkit.clips.store import ClipStore
@@ -94,12 +95,11 @@ def _check_presence(path: Path, table: pd.DataFrame, clips: Sequence[ClipInfo]) 
 def check_features(root: Path) -> Finding:
     """Whether `features.csv` names the files of the layout."""
     path = root / layout.FEATURE_TABLE
-    expected = pd.DataFrame(layout.feature_rows()).fillna("").set_index("feature")
     try:
-        found = pd.read_csv(path).fillna("").set_index("feature").reindex(expected.index)[expected.columns]
-    except (OSError, ValueError, KeyError) as error:
-        return state("features", str(path), False, f"cannot be read ({error}); write it again")
-    wrong = expected.index[(found != expected).any(axis=1)].tolist()
+        rows = read_feature_table(path)
+    except InputError as error:
+        return state("features", str(path), False, str(error))
+    wrong = [name for name, feature in FEATURES.items() if name not in rows or not rows[name].leads_to(feature)]
     return _list("features", str(path), wrong, "rows that are missing or name other files than the layout's")
 
 

@@ -1,0 +1,9 @@
+from typing import Any
+
+from torch import Tensor, nn
+
+class AutoencoderKLWan(nn.Module):
+    config: Any
+    def __init__(self, **config: Any) -> None: ...
+    def encode(self, x: Tensor) -> Any: ...
+    def decode(self, z: Tensor) -> Any: ...
