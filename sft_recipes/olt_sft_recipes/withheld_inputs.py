@@ -45,7 +45,7 @@ def measure_withheld(
     found = []
     for name, withhold in list_withholdings(samples):
         errors = _min_ades(policy, [withhold(sample) for sample in samples], plans_per_sample)
-        by_clip = np.stack([np.bincount(clips, errors - whole), np.bincount(clips)], axis=-1)
+        by_clip = np.stack([np.bincount(clips, errors - whole), np.bincount(clips, np.ones(len(clips)))], axis=-1)
         interval = bootstrap_interval(by_clip, "withheld", name)
         found.append(WithheldInput(name, float(errors.mean()), float((errors - whole).mean()), interval))
     return tuple(found)

@@ -9,7 +9,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from olt_closed_loop.scenes.scene import Agent, Scene
+from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.scenes.sources.assembly import RecordedDrive, assemble_scene
 from olt_closed_loop.scenes.sources.opendrive import RoadNetwork, read_road_network
 from olt_closed_loop.scenes.sources.openscenario.entities import ROOT, Catalogues, Entity, beside, read_entity
@@ -17,6 +17,7 @@ from olt_closed_loop.scenes.sources.openscenario.motion import Mover, Roads
 from olt_closed_loop.scenes.sources.openscenario.parameters import declared, resolve
 from olt_closed_loop.scenes.sources.openscenario.storyboard import Storyboard
 from olt_closed_loop.scenes.sources.openscenario.world import STEP, World
+from olt_closed_loop.scenes.sources.tracks import Track
 from olt_closed_loop.scenes.sources.xml_files import child, read_xml, text_of
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
@@ -138,7 +139,7 @@ def _drive(
     )
 
 
-def _agent(entity: Entity, track: Array) -> Agent:
+def _agent(entity: Entity, track: Array) -> Track:
     times, x, y, heading = track.T
     cos, sin = np.cos(heading), np.sin(heading)
     poses = np.column_stack(
@@ -149,7 +150,7 @@ def _agent(entity: Entity, track: Array) -> Agent:
             heading,
         ]
     )
-    return Agent(entity.name, entity.label, entity.length, entity.width, entity.height, _microseconds(times), poses)
+    return Track(entity.name, entity.label, entity.length, entity.width, entity.height, _microseconds(times), poses)
 
 
 def _microseconds(seconds: Array) -> np.ndarray:
