@@ -45,7 +45,8 @@ def measure_withheld(
     found = []
     for name, withhold in list_withholdings(samples):
         errors = _min_ades(policy, [withhold(sample) for sample in samples], plans_per_sample)
-        by_clip = np.stack([np.bincount(clips, errors - whole), np.bincount(clips, np.ones(len(clips)))], axis=-1)
+        sums = [np.bincount(clips, weights) for weights in (errors - whole, np.ones(len(clips)))]
+        by_clip = np.stack(sums, axis=-1).astype(np.float64)
         interval = bootstrap_interval(by_clip, "withheld", name)
         found.append(WithheldInput(name, float(errors.mean()), float((errors - whole).mean()), interval))
     return tuple(found)
