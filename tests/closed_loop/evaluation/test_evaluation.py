@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from olt_closed_loop import commands
-from olt_closed_loop.commands import app
+from olt_closed_loop.commands import app, options
 from olt_closed_loop.control.nonlinear import NonlinearSolver
 from olt_closed_loop.control.tracking import ControlMethod, ControlSettings
 from olt_closed_loop.evaluation import evaluation
@@ -256,9 +255,9 @@ def test_the_scene_command_converts_and_reports_the_gate(tmp_path):
 
 
 def test_controller_and_integrator_are_options_of_the_names_that_there_are():
-    assert (get_args(commands.Controller), get_args(commands.Integrator)) == (get_args(ControlMethod), get_args(Method))
-    assert (get_args(commands.Traffic), get_args(commands.Vehicle)) == (get_args(Traffic), get_args(VehicleKind))
-    assert get_args(commands.Definition) == get_args(DefinitionName)
+    assert (get_args(options.Controller), get_args(options.Integrator)) == (get_args(ControlMethod), get_args(Method))
+    assert (get_args(options.Traffic), get_args(options.Vehicle)) == (get_args(Traffic), get_args(VehicleKind))
+    assert get_args(options.Definition) == get_args(DefinitionName)
 
 
 @pytest.mark.parametrize(

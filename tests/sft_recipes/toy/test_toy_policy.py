@@ -144,4 +144,4 @@ def test_draws_of_an_untrained_expert_spread_around_the_regression(model, drives
         drawn = fine.sample(torch.randn(400, 64, 2, generator=torch.Generator().manual_seed(0)), prefix)
     finally:
         fine.integration_steps = before
-    assert (drawn - prefix.regressed).std() == pytest.approx(SPREAD, rel=0.1)
+    assert (drawn - prefix.regressed).std().item() == pytest.approx(SPREAD, rel=0.1)

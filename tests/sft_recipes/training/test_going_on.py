@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import traceback
 
 import numpy as np
 import pytest
@@ -49,8 +50,10 @@ def in_child(work):
     if child == 0:
         try:
             work()
-        finally:
-            os._exit(0)
+        except BaseException:
+            traceback.print_exc()
+            os._exit(1)
+        os._exit(0)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
