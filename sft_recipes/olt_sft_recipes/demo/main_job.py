@@ -71,7 +71,7 @@ STEPS = {
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """Sizes of the main job; with the defaults it takes four to five minutes on two cores.
+    """Sizes of the main job; with the defaults it takes six to seven minutes on two cores.
 
     Attributes:
         seed: the one seed from which every other follows.

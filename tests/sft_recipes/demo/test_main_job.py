@@ -133,7 +133,7 @@ def test_a_five_frame_video_runs_to_the_end(tmp_path, make_textured_drive):
     ("score", "interval", "separated", "said"),
     [
         (-0.3, [-0.4, -0.2], True, r"The mixtures differ. .*-0.300 \(95 %: -0.400 to -0.200\) on 9 scenes.$"),
-        (0.1, [-0.1, 0.3], False, r"No difference between the mixtures is supported. .*\+0.100 .*docs/toy.md"),
+        (0.1, [-0.1, 0.3], False, r"No difference between the mixtures is supported. .*\+0.100 .*launch_sft.md"),
         (0.1, None, False, r"No difference .*\(95 %: not measured\)"),
         (None, None, False, r"No difference .* could not be compared: no scene"),
     ],
