@@ -21,7 +21,8 @@ CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png"
 # What each policy is trained on: as many samples, from nominal drives alone or with long-tail Syn.
 RECIPES: tuple[str, ...] = ("toy_nominal", "toy_nominal_long_tail")
 WHERE_ONE_IS_SHOWN = (
-    "Five scenes cannot tell; docs/tutorials/launch_sft.md has the commands for more drives and the suite, which take hours."
+    "Five scenes cannot tell; docs/tutorials/launch_sft.md has the commands for more drives and the suite, "
+    "which take hours."
 )
 COLORS = {"toy_nominal": "#d1742f", "toy_nominal_long_tail": "#1f6feb", "recording": "#4b5563"}
 AGENT_COLOR = "#9a3412"
