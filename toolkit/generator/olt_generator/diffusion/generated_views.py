@@ -84,7 +84,7 @@ class GeneratedViews:
         self._geometric = GeometricViews(front, targets, self._indices, SynthesisSettings())
         self._windows = plan_windows(len(self._indices), settings.window, settings.overlap)
         self._latents: dict[int, tuple[Tensor, ...]] = {}
-        self._shown: dict[tuple[int, int], Video] = {}
+        self._shown: dict[tuple[int, int], tuple[Video, Tensor]] = {}
         self._videos: dict[int, dict[int, Video]] = {}
         self._tiles = np.zeros(2, np.int64)
 
@@ -158,16 +158,18 @@ class GeneratedViews:
                 if self._settings.tile is None and hidden.any():
                     self._videos[view][number - 1] = before[1]
             cut = _cut(prior, window, before)
+            encoded = self._encode(cut.images)
             if fill:
-                self._shown[view, number] = cut.images
-            sampled.append(self._sample_window(view, number, cut))
+                self._shown[view, number] = cut.images, encoded
+            sampled.append(self._sample_window(view, number, encoded, cut.visible))
             on_progress((number + 1) / len(self._windows))
         self._latents[view] = tuple(sampled)
 
-    def _sample_window(self, view: int, number: int, prior: _Prior) -> Tensor:
+    def _sample_window(self, view: int, number: int, encoded: Tensor, visible: NDArray[np.float32]) -> Tensor:
+        """The latents of a window, from those of its warp and how far each of its pixels (n, h, w) is seen."""
         engine, geometry, window = self._engine, self._geometries[number], self._windows[number]
-        visibility = cell_visibility(torch.from_numpy(prior.visible)[None])
-        control = vace_control(self._encode(prior.images), visibility, engine.facts.layout)
+        visibility = cell_visibility(torch.from_numpy(visible)[None])
+        control = vace_control(encoded, visibility, engine.facts.layout)
         memory = [self._memorize(each, number) for each in conditions_of(view, self._most)]
         conditions = gather_conditions(engine, view, self._rays(view, geometry), geometry.motion(), control, memory)
         shape = (len(geometry.T_world_front), *cells_of(*self._size))
@@ -190,8 +192,8 @@ class GeneratedViews:
         self._tiles += np.array([decoded.left_out, decoded.tiles])
         if not self._engine.facts.config.conditioning.fill:
             return decoded.video
-        shown = self._shown[view, window]
-        again = decode_needed(self._engine.codec, self._encode(shown), needed, self._settings.tile)
+        shown, encoded = self._shown[view, window]
+        again = decode_needed(self._engine.codec, encoded, needed, self._settings.tile)
         return give_back_lost(decoded.video, shown, again.video)
 
     def _bend(self, name: str) -> SynthesizedView:

@@ -15,14 +15,13 @@ from torch import Tensor
 
 from olt_generator.cameras import PinholeCamera
 from olt_generator.diffusion.geometry_encoder import ego_motion_features
+from olt_generator.diffusion.latents import CELL_PIXELS
 from olt_generator.diffusion.splits import Split
 from olt_generator.diffusion.training_clips import TrainingClip
 from olt_generator.diffusion.view_graph import VIEWS
 from olt_generator.errors import InputError
 from olt_generator.poses import invert
 from olt_generator.views.plucker import plucker_rays
-
-_CELL_PIXELS = 8
 
 
 class ReleasedCache:
@@ -88,7 +87,7 @@ def read_released_clip(path: Path) -> TrainingClip:
     T_anchor_front = _tensor(poses, "T_anchor_front", path, (frames, 4, 4)).double().numpy()
     matrices = _tensor(clip, "K", path, (len(VIEWS), 3, 3)).double().numpy()
     mountings = _tensor(clip, "E", path, (len(VIEWS), 4, 4)).double().numpy()
-    width, height = _CELL_PIXELS * columns, _CELL_PIXELS * rows
+    width, height = CELL_PIXELS * columns, CELL_PIXELS * rows
     rays = []
     for K, T_rig_camera in zip(matrices, mountings, strict=True):
         camera = PinholeCamera(width, height, float(K[0, 0]), float(K[1, 1]), float(K[0, 2]), float(K[1, 2]))
