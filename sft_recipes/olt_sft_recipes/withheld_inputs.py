@@ -37,14 +37,19 @@ class WithheldInput:
 
 
 def measure_withheld(
-    policy: Policy, samples: Sequence[PolicySample], plans_per_sample: int = 1
+    policy: Policy, samples: Sequence[PolicySample], measured: Sequence[dict[str, float]], plans_per_sample: int = 1
 ) -> tuple[WithheldInput, ...]:
-    """Judge a policy on the same samples and seeds without each input that they have, one at a time."""
-    whole = _min_ades(policy, samples, plans_per_sample)
+    """Judge a policy on the same samples and seeds without each input that they have, one at a time.
+
+    Args:
+        measured: errors with all inputs (`measure_open_loop`) of as many plans.
+    """
+    whole = _min_ades(measured)
     clips = np.unique([sample.clip_id for sample in samples], return_inverse=True)[1]
     found = []
     for name, withhold in list_withholdings(samples):
-        errors = _min_ades(policy, [withhold(sample) for sample in samples], plans_per_sample)
+        without = [withhold(sample) for sample in samples]
+        errors = _min_ades(measure_open_loop(policy, without, plans_per_sample))
         sums = [np.bincount(clips, weights) for weights in (errors - whole, np.ones(len(clips)))]
         by_clip = np.stack(sums, axis=-1).astype(np.float64)
         interval = bootstrap_interval(by_clip, "withheld", name)
@@ -63,8 +68,8 @@ def list_withholdings(samples: Sequence[PolicySample]) -> Iterator[tuple[str, Wi
         yield "no route", lambda sample: replace(sample, route_xy=None)
 
 
-def _min_ades(policy: Policy, samples: Sequence[PolicySample], plans_per_sample: int) -> Array:
-    return np.array([errors["min_ade"] for errors in measure_open_loop(policy, samples, plans_per_sample)])
+def _min_ades(measured: Sequence[dict[str, float]]) -> Array:
+    return np.array([errors["min_ade"] for errors in measured])
 
 
 def _blackened(sample: PolicySample, places: Sequence[int]) -> PolicySample:

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from olt_sft_recipes.open_loop import measure_open_loop
 from olt_sft_recipes.withheld_inputs import measure_withheld
 from olt_toolkit import PolicySample
 from olt_toolkit.policy.contract import PlannedTrajectory
@@ -49,6 +50,10 @@ class Reader:
         return PlannedTrajectory(*straight(float(self.read(observation))))
 
 
+def withhold(policy, samples):
+    return measure_withheld(policy, samples, measure_open_loop(policy, samples))
+
+
 SAMPLES = [sample_at(speed, clip) for speed, clip in ((4, "a"), (8, "b"), (6, "b"), (10, "c"))]
 MEAN = float(np.mean([4, 8, 6, 10]) * TIMES.mean())
 
@@ -65,7 +70,7 @@ MEAN = float(np.mean([4, 8, 6, 10]) * TIMES.mean())
     ],
 )
 def test_what_a_policy_relies_on_is_found(read, felt):
-    found = {each.name: each for each in measure_withheld(Reader(read), SAMPLES)}
+    found = {each.name: each for each in withhold(Reader(read), SAMPLES)}
     assert set(found) == {
         f"{CROSS_LEFT} black",
         f"{FRONT_WIDE} black",
@@ -83,5 +88,5 @@ def test_what_a_policy_relies_on_is_found(read, felt):
 
 def test_samples_without_a_route_have_none_to_withhold():
     samples = [sample_at(4, "a", with_route=False)]
-    (*_, last) = measure_withheld(Reader(lambda seen: 4.0), samples)
+    (*_, last) = withhold(Reader(lambda seen: 4.0), samples)
     assert last.name == "earlier frames as the last" and last.increase_interval is None

@@ -154,7 +154,7 @@ def evaluate(
     """Print displacement errors."""
     from olt_closed_loop import make_policy
     from olt_generator.errors import InputError
-    from olt_sft_recipes.open_loop import evaluate_open_loop, spread_keys
+    from olt_sft_recipes.open_loop import mean_errors, measure_open_loop, spread_keys
     from olt_sft_recipes.withheld_inputs import measure_withheld
     from olt_toolkit import ClipStore
     from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
@@ -170,8 +170,9 @@ def evaluate(
         raise InputError(
             f"{', '.join(map(str, stores))}: no clip of split {split!r} gives a sample; choose another split"
         )
-    errors = evaluate_open_loop(chosen, loaded, plans)
-    withheld = measure_withheld(chosen, loaded, plans) if withhold else ()
+    measured = measure_open_loop(chosen, loaded, plans)
+    errors = mean_errors(measured)
+    withheld = measure_withheld(chosen, loaded, measured, plans) if withhold else ()
     if as_json:
         found = {"policy": policy, "samples": len(loaded), "plans_per_sample": plans, "errors_m": errors}
         print_json(found | ({"withheld": [vars(each) for each in withheld]} if withhold else {}))
