@@ -3,6 +3,7 @@
 The choices are those of the modules named beside them, which are loaded only when a command runs.
 """
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -29,6 +30,12 @@ PolicyTimeoutOption = Annotated[
 PolicyMemoryOption = Annotated[
     float | None, typer.Option(help="GiB that it may allocate there; 8 by default, 0 for any.")
 ]
+
+
+def check_picture(path: Path | None) -> None:
+    """Refuse the name of a picture that cannot be drawn; None is no picture."""
+    if path is not None and path.suffix not in (".png", ".svg", ".pdf"):
+        raise typer.BadParameter(f"{path}: give a file ending in .png, .svg or .pdf")
 
 
 def policy_limits(isolate: Isolation, timeout: float | None, memory: float | None) -> "PolicyLimits":

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from olt_closed_loop.commands.options import Controller, Definition, Vehicle
+from olt_closed_loop.commands.options import Controller, Definition, Vehicle, check_picture
 
 if TYPE_CHECKING:
     from olt_closed_loop.evaluation.gate import GateResult
@@ -27,8 +27,7 @@ def gate(
     from olt_closed_loop.evaluation.evaluation import find_scenes, gate_scene
     from olt_toolkit.runtime.console import make_progress, print_json, print_table
 
-    if picture and picture.suffix not in (".png", ".svg", ".pdf"):
-        raise typer.BadParameter(f"{picture}: give a file ending in .png, .svg or .pdf")
+    check_picture(picture)
     settings = SimulationSettings(vehicle=vehicle, control=ControlSettings(method=controller))
     sources = find_scenes(scenes)
     with make_progress() as progress:
@@ -118,8 +117,7 @@ def faults(
     from olt_toolkit.runtime.console import print_json, print_line, print_table
 
     for path in (picture, sweeps):
-        if path and path.suffix not in (".png", ".svg", ".pdf"):
-            raise typer.BadParameter(f"{path}: give a file ending in .png, .svg or .pdf")
+        check_picture(path)
     rows = judge_all()
     swept = sweep_all() if sweeps else ()
     if picture:

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from olt_closed_loop.commands.options import check_picture
 from olt_toolkit.commands.parallel_options import WorkersOption
 
 if TYPE_CHECKING:
@@ -131,8 +132,7 @@ def picture(
     from olt_closed_loop.suite.picture import draw_suite
     from olt_toolkit.runtime.console import make_progress, print_line
 
-    if out.suffix not in (".png", ".svg", ".pdf"):
-        raise typer.BadParameter(f"{out}: give a file ending in .png, .svg or .pdf")
+    check_picture(out)
     with make_progress() as progress:
         sources = _suite(suite, only).sources
         scenes = [load_scene(source) for source in progress.track(sources, description="scenes")]
