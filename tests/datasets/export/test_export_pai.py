@@ -135,7 +135,7 @@ def test_the_torch_dataset_yields_the_dict_of_the_public_loader(mixture, mixed):
         "absolute_timestamps": ((4, 4), torch.int64),
     }
     # The route is the one field that the public loader has not.
-    assert item.keys() - {"route_xy"} == expected.keys() | {"t0_us", "clip_id"}
+    assert item.keys() == expected.keys() | {"t0_us", "clip_id", "route_xy"}
     assert {name: (tuple(item[name].shape), item[name].dtype) for name in expected} == expected
     assert item["camera_indices"].tolist() == [0, 1, 2, 6] and (item["t0_us"], item["clip_id"]) == (
         int(mixture.samples["t0_us"][row]),
