@@ -5,7 +5,8 @@ One object:
 - `timestamps_us` [T]; `render_start_us` and `force_gt_duration_us`, whose sum is the hand-over;
 - `ego` {length, width, height, rear_axle_to_center, poses [T][x, y, yaw]}: poses of the rig;
 - `agents` {id: {length, width, height, timestamps_us [n], poses [n][x, y, yaw] or [x, y, yaw, z]}}: box centres;
-  without z they stand on the ground z = 0, as the ego does. Only samples at one of the ego's times count;
+  without z they stand on the ground z = 0, as the ego does. Only samples at one of the ego's times count, and of whom
+  none does is left out of the score, which says so;
 - `gt` {timestamps_us [n], poses [n][x, y, yaw]}: the recorded ego, poses of the rig;
 - `map` {lanes [{id, center, left?, right?, red_us?}], road_edges [polyline], resample_m?} or null; polylines are points
   [x, y] or [x, y, z] and get more until none is farther than `resample_m` from the next (2 m when absent, 0: none);
@@ -63,6 +64,7 @@ def parse_rollout(values: dict[str, Any], name: str) -> RolloutRecord:
     times = _times(values["timestamps_us"], "timestamps_us")
     ego, recorded, road = values["ego"], values["gt"], values.get("map") or {}
     recorded_us = _times(recorded["timestamps_us"], "gt timestamps_us")
+    agents = {key: _agent(key, value, times) for key, value in values["agents"].items()}
     resample_m = float(road.get("resample_m", RESAMPLE_M))
     if not resample_m >= 0.0:
         raise InputError(f"map resample_m is {resample_m}; give 0 or more")
@@ -72,11 +74,7 @@ def parse_rollout(values: dict[str, Any], name: str) -> RolloutRecord:
         timestamps_us=times,
         poses=_on_ground(_rows(ego["poses"], (3,), len(times), "ego poses")),
         box=EgoBox(*_sizes(ego, "ego"), _finite(ego["rear_axle_to_center"], "ego rear_axle_to_center")),
-        agents=tuple(
-            agent
-            for name, agent in ((key, _agent(key, value, times)) for key, value in values["agents"].items())
-            if agent
-        ),
+        agents=tuple(agent for agent in agents.values() if agent),
         recorded_us=recorded_us,
         recorded_poses=_on_ground(_rows(recorded["poses"], (3,), len(recorded_us), "gt poses")),
         lanes=tuple(_lane(lane, resample_m) for lane in road.get("lanes", ())),
@@ -84,6 +82,7 @@ def parse_rollout(values: dict[str, Any], name: str) -> RolloutRecord:
         plans=tuple(_plan(index, plan) for index, plan in enumerate(values["plans"]) if plan["poses"]),
         failure=_choice(values, "failure", str, None),
         driver_ended=_choice(values, "driver_ended", bool, False),
+        absent=tuple(key for key, agent in agents.items() if agent is None),
     )
 
 
