@@ -231,9 +231,9 @@ def halved(values: dict[str, Any]) -> dict[str, Any]:
     """The same rollout, sampled twice as often: its boxes are in the same places at all times."""
 
     def halve(times: list[int], poses: list[list[float]]) -> dict[str, Any]:
-        rows = np.array(poses, dtype=np.float64).reshape(len(times), -1)
         if len(times) < 2:
             return {"timestamps_us": times, "poses": poses}
+        rows = np.array(poses, dtype=np.float64)
         rows[:, 2] = np.unwrap(rows[:, 2])
         finer = np.union1d(times, np.array(times[:-1]) + STEP_US // 2)
         at_finer = np.stack([np.interp(finer, times, column) for column in rows.T], axis=-1)

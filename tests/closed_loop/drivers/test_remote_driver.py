@@ -1,7 +1,6 @@
 """Drivers behind `grpc://` drive our scenes; what they do wrong is the named event of their rollout."""
 
 import io
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -168,9 +167,8 @@ def test_a_driver_that_does_wrong_is_an_event_of_its_rollout(straight_scene, nam
     change, kind, words = BAD[name]
     driver = SteadyDriver(change, from_call=5)
     with driver_at(driver) as policy:
-        began = time.monotonic()
-        rollouts = [rollout for rollout, _ in run_closed_loop([straight_scene()], policy, 2, settings=HASTY)]
-        assert time.monotonic() - began < 15.0
+        limited = HASTY if name == "hangs" else SHORT
+        rollouts = [rollout for rollout, _ in run_closed_loop([straight_scene()], policy, 2, settings=limited)]
     assert driver.closed == [session.session_uuid for session in driver.sessions]
     assert len(driver.sessions) == 2
     for rollout in rollouts:

@@ -108,7 +108,7 @@ NO_SCENES = {
     "edge of a point": (with_line("road_edges", [1.0, 2.0, 0.0]), "road edge 0: 2 or more points"),
     "no edge": (with_line("road_edges", []), "road edge 0: 2 or more points"),
     "outline of two points": (with_line("drivable", [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), "outline 0: 3 or more"),
-    "outline far away": (with_line("drivable", [[1e300, 0, 0], [0, 1e300, 0], [0, 0, 0]]), "outline 0: a point"),
+    "outline far away": (with_line("drivable", [[1e30, 0, 0], [0, 1e30, 0], [0, 0, 0]]), "outline 0: a point"),
     "route of a point": (lambda scene: replace(scene, route=scene.route[:1]), "the route: 2 or more points"),
     "hills without step": (lambda scene: replace(scene, hills=Hills(0.0, 0.0, 0.0, np.zeros(3))), "hills: "),
     "hills without height": (lambda scene: replace(scene, hills=Hills(0.0, 0.0, 1.0, np.zeros(0))), "hills: "),
