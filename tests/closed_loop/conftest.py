@@ -198,6 +198,56 @@ def turned(values: dict[str, Any], yaw: float, x: float = 0.0, y: float = 0.0) -
     }
 
 
+def mirrored(values: dict[str, Any]) -> dict[str, Any]:
+    """The same rollout in a mirror along the x axis: left is right, and traffic keeps to the other side."""
+
+    def mirror(rows: list[list[float]]) -> list[list[float]]:
+        """Points x, y, z or poses x, y, yaw, z: what is no pose has z = 0 here."""
+        return (np.array(rows, dtype=np.float64) * [1.0, -1.0, -1.0, 1.0][: len(rows[0])]).tolist() if rows else []
+
+    def mirror_poses(track: dict[str, Any]) -> dict[str, Any]:
+        samples = {"samples": [mirror(rows) for rows in track["samples"]]} if "samples" in track else {}
+        return track | {"poses": mirror(track["poses"])} | samples
+
+    sides = {"left": "right", "right": "left", "center": "center"}
+    road = values["map"] and values["map"] | {
+        "lanes": [
+            {key: value for key, value in lane.items() if key not in sides}
+            | {sides[key]: mirror(lane[key]) for key in sides if lane.get(key)}
+            for lane in values["map"]["lanes"]
+        ],
+        "road_edges": [mirror(edge) for edge in values["map"]["road_edges"]],
+    }
+    return values | {
+        "ego": mirror_poses(values["ego"]),
+        "gt": mirror_poses(values["gt"]),
+        "agents": {name: mirror_poses(agent) for name, agent in values["agents"].items()},
+        "map": road,
+        "plans": [mirror_poses(plan) for plan in values["plans"]],
+    }
+
+
+def halved(values: dict[str, Any]) -> dict[str, Any]:
+    """The same rollout, sampled twice as often: its boxes are in the same places at all times."""
+
+    def halve(times: list[int], poses: list[list[float]]) -> dict[str, Any]:
+        if len(times) < 2:
+            return {"timestamps_us": times, "poses": poses}
+        rows = np.array(poses, dtype=np.float64)
+        rows[:, 2] = np.unwrap(rows[:, 2])
+        finer = np.union1d(times, np.array(times[:-1]) + STEP_US // 2)
+        at_finer = np.stack([np.interp(finer, times, column) for column in rows.T], axis=-1)
+        return {"timestamps_us": finer.tolist(), "poses": at_finer.tolist()}
+
+    ego = halve(values["timestamps_us"], values["ego"]["poses"])
+    agents = {name: agent | halve(agent["timestamps_us"], agent["poses"]) for name, agent in values["agents"].items()}
+    return values | {
+        "timestamps_us": ego["timestamps_us"],
+        "ego": values["ego"] | {"poses": ego["poses"]},
+        "agents": agents,
+    }
+
+
 def random_rollout(seed: int) -> dict[str, Any]:
     """A drive with a wandering ego, agents that come late and go early, and perhaps a map and plans."""
     generator = np.random.default_rng(seed)
@@ -249,5 +299,7 @@ def texts() -> SimpleNamespace:
         along_x=along_x,
         agent=agent_text,
         turned=turned,
+        mirrored=mirrored,
+        halved=halved,
         random=random_rollout,
     )

@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
 INCIDENT_WORDS = {
     "plans_refused": "a plan was refused and the last one held",
+    "plans_out_of_reach": "a plan was beyond what any tyres can hold",
     "policy_errors": "the policy raised an error",
     "policy_exits": "the policy called for an exit",
     "policy_deaths": "the policy's process died",

@@ -19,6 +19,7 @@ LISTED = {
     "reason": "reason",
     "plans_asked": "plans",
     "plans_refused": "refused",
+    "plans_out_of_reach": "out of reach",
     "solves": "solves",
     "solves_failed": "failed",
     "solves_late": "late",

@@ -11,6 +11,8 @@ from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_US, PlannedTrajectory
 
 MAX_PLAN_SPEED = 65.0
 """m/s over any second of a plan. Vehicle and control are made for 60 m/s; the rest is room to catch up."""
+REACH = 0.5 * 9.81
+"""Metres by which tyres with a friction of 1 bring a vehicle, within a second, from where its velocity leads."""
 _SECOND_US = 1_000_000
 
 
@@ -63,6 +65,12 @@ class WorldPlan:
     def at(self, timestamps_us: NDArray[np.int64]) -> Array:
         """Poses (m, 3) at the given times, linear in between; after its end the plan stands at its last pose."""
         return TimedPoses(self.timestamps_us, self.poses).at(timestamps_us)
+
+
+def is_out_of_reach(plan: WorldPlan, velocity: Array) -> bool:
+    """Whether a plan is, after a second, farther than `REACH` from where a velocity (2,) in m/s in the world leads."""
+    after = plan.at(plan.timestamps_us[:1] + _SECOND_US)[0, :2]
+    return bool(np.linalg.norm(after - plan.poses[0, :2] - velocity) > REACH)
 
 
 def place_plan(plan: PlannedTrajectory, x: float, y: float, yaw: float, time_us: int) -> WorldPlan:

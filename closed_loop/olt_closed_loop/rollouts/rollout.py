@@ -23,6 +23,8 @@ class Incidents:
         plans_asked: calls of the policy.
         plans_refused: plans of a wrong shape, not finite, no rotations, or faster than any vehicle; the last feasible
             plan was held. Where the first, too many in a row or too large a share was, the rollout has failed.
+        plans_out_of_reach: plans that no tyres can hold (`control.plans.is_out_of_reach`), as those that go back from a
+            car in motion or begin elsewhere; they were followed as far as the vehicle can.
         policy_errors: the policy raised; as each of the next seven this ends the rollout.
         policy_exits: it called for an exit.
         policy_deaths: its process ended or crashed.
@@ -40,6 +42,7 @@ class Incidents:
 
     plans_asked: int = 0
     plans_refused: int = 0
+    plans_out_of_reach: int = 0
     policy_errors: int = 0
     policy_exits: int = 0
     policy_deaths: int = 0

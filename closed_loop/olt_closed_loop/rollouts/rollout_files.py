@@ -5,7 +5,8 @@ One object:
 - `timestamps_us` [T]; `render_start_us` and `force_gt_duration_us`, whose sum is the hand-over;
 - `ego` {length, width, height, rear_axle_to_center, poses [T][x, y, yaw]}: poses of the rig;
 - `agents` {id: {length, width, height, timestamps_us [n], poses [n][x, y, yaw] or [x, y, yaw, z]}}: box centres;
-  without z they stand on the ground z = 0, as the ego does. Only samples at one of the ego's times count;
+  without z they stand on the ground z = 0, as the ego does. Only samples at one of the ego's times count, and of whom
+  none does is left out of the score, which says so;
 - `gt` {timestamps_us [n], poses [n][x, y, yaw]}: the recorded ego, poses of the rig;
 - `map` {lanes [{id, center, left?, right?, red_us?}], road_edges [polyline], resample_m?} or null; polylines are points
   [x, y] or [x, y, z] and get more until none is farther than `resample_m` from the next (2 m when absent, 0: none);
@@ -23,11 +24,15 @@ from numpy.typing import NDArray
 
 from olt_closed_loop.rollouts.rollout_record import PLAN_STEP_US, EgoBox, LaneLines, PlanRecord, RolloutRecord
 from olt_closed_loop.scenes.scene import Agent
+from olt_closed_loop.scenes.sources.fields import FARTHEST
 from olt_generator.errors import InputError
 from olt_generator.poses import Array
 from olt_toolkit.runtime.json_files import read_json
 
 RESAMPLE_M = 2.0
+LARGEST = 10_000.0
+"""Metres of a box: no wall beside a road is longer."""
+_LATEST_US = 2**53
 _MOST_POINTS = 1_000_000
 
 
@@ -57,26 +62,23 @@ def parse_rollout(values: dict[str, Any], name: str) -> RolloutRecord:
     """The rollout that `values` describe.
 
     Raises:
-        InputError: times do not increase, numbers are not finite, counts do not fit, or a size is not positive.
+        InputError: times do not increase, numbers are not finite or no metres, counts do not fit, or a size is none.
         KeyError: a field is missing.
     """
     times = _times(values["timestamps_us"], "timestamps_us")
     ego, recorded, road = values["ego"], values["gt"], values.get("map") or {}
     recorded_us = _times(recorded["timestamps_us"], "gt timestamps_us")
+    agents = {key: _agent(key, value, times) for key, value in values["agents"].items()}
     resample_m = float(road.get("resample_m", RESAMPLE_M))
     if not resample_m >= 0.0:
         raise InputError(f"map resample_m is {resample_m}; give 0 or more")
     return RolloutRecord(
         name=name,
-        handover_us=int(values["render_start_us"]) + int(values["force_gt_duration_us"]),
+        handover_us=_time(values, "render_start_us", "rollout") + _time(values, "force_gt_duration_us", "rollout"),
         timestamps_us=times,
         poses=_on_ground(_rows(ego["poses"], (3,), len(times), "ego poses")),
         box=EgoBox(*_sizes(ego, "ego"), _finite(ego["rear_axle_to_center"], "ego rear_axle_to_center")),
-        agents=tuple(
-            agent
-            for name, agent in ((key, _agent(key, value, times)) for key, value in values["agents"].items())
-            if agent
-        ),
+        agents=tuple(agent for agent in agents.values() if agent),
         recorded_us=recorded_us,
         recorded_poses=_on_ground(_rows(recorded["poses"], (3,), len(recorded_us), "gt poses")),
         lanes=tuple(_lane(lane, resample_m) for lane in road.get("lanes", ())),
@@ -84,6 +86,7 @@ def parse_rollout(values: dict[str, Any], name: str) -> RolloutRecord:
         plans=tuple(_plan(index, plan) for index, plan in enumerate(values["plans"]) if plan["poses"]),
         failure=_choice(values, "failure", str, None),
         driver_ended=_choice(values, "driver_ended", bool, False),
+        absent=tuple(key for key, agent in agents.items() if agent is None),
     )
 
 
@@ -129,10 +132,10 @@ def _red(values: dict[str, Any], where: str) -> NDArray[np.int64] | None:
 def _plan(index: int, values: dict[str, Any]) -> PlanRecord:
     where = f"plan {index}"
     times = _times(values["timestamps_us"], f"{where} timestamps_us")
-    now_us = int(values["now_us"])
+    now_us = _time(values, "now_us", where)
     return PlanRecord(
         now_us=now_us,
-        query_us=int(values.get("query_us", now_us + PLAN_STEP_US)),
+        query_us=_time(values, "query_us", where) if "query_us" in values else now_us + PLAN_STEP_US,
         timestamps_us=times,
         poses=_rows(values["poses"], (3,), len(times), f"{where} poses"),
         samples=tuple(_rows(s, (3,), len(times), f"{where} samples") for s in values.get("samples") or ()),
@@ -165,11 +168,19 @@ def _times(values: list[int], where: str) -> NDArray[np.int64]:
         raise InputError(
             f"{where}: time {late[0] + 1} ({times[late[0] + 1]}) is not after the one before it; sort them"
         )
+    if max(abs(int(times[0])), abs(int(times[-1]))) > _LATEST_US:
+        raise InputError(f"{where}: a time is beyond 2^53 us, 285 years; is it another unit?")
     return times.astype(np.int64)
 
 
+def _time(values: dict[str, Any], name: str, where: str) -> int:
+    if not abs(float(values[name])) <= _LATEST_US:
+        raise InputError(f"{where}: {name} is {float(values[name]):g}; give integer microseconds")
+    return int(values[name])
+
+
 def _rows(values: list[list[float]], columns: tuple[int, ...], count: int, where: str) -> Array:
-    """Finite numbers (count, c) where c is one of `columns`."""
+    """Numbers (count, c), no farther from 0 than any map projection reaches, where c is one of `columns`."""
     rows = np.array(values, dtype=np.float64)
     if rows.ndim != 2 or rows.shape[1] not in columns:
         raise InputError(f"{where}: give rows of {' or '.join(map(str, columns))} numbers")
@@ -177,19 +188,23 @@ def _rows(values: list[list[float]], columns: tuple[int, ...], count: int, where
         raise InputError(f"{where}: {len(rows)} rows for {count} times; give one each")
     if not np.isfinite(rows).all():
         raise InputError(f"{where}: row {int(np.argmin(np.isfinite(rows).all(axis=1)))} is not finite")
+    if rows.size and np.abs(rows).max() > FARTHEST:
+        raise InputError(f"{where}: {np.abs(rows).max():g} is no place in metres or heading in radians")
     return rows
 
 
 def _sizes(values: dict[str, Any], where: str) -> tuple[float, float, float]:
     length, width, height = (_finite(values[key], f"{where} {key}") for key in ("length", "width", "height"))
-    if min(length, width, height) <= 0.0:
-        raise InputError(f"{where}: box {length} x {width} x {height} m; sizes must be positive")
+    if min(length, width, height) <= 0.0 or max(length, width, height) > LARGEST:
+        raise InputError(
+            f"{where}: box {length:g} x {width:g} x {height:g} m; sizes must be positive and at most {LARGEST:g} m"
+        )
     return length, width, height
 
 
 def _finite(value: float, where: str) -> float:
-    if not np.isfinite(float(value)):
-        raise InputError(f"{where} is {value}; give a finite number")
+    if not abs(float(value)) <= FARTHEST:
+        raise InputError(f"{where} is {value}; give a finite number of metres")
     return float(value)
 
 

@@ -73,6 +73,7 @@ class RolloutRecord:
         plans: what the policy planned, in order of time.
         failure: why the rollout broke off, or None.
         driver_ended: whether the policy itself asked for the end of the drive.
+        absent: names of agents that the source has, of which no sample counts.
     """
 
     name: str
@@ -89,6 +90,7 @@ class RolloutRecord:
     plans: tuple[PlanRecord, ...] = ()
     failure: str | None = None
     driver_ended: bool = False
+    absent: tuple[str, ...] = ()
 
 
 def record_rollout(scene: Scene, rollout: Rollout) -> RolloutRecord:

@@ -12,7 +12,7 @@ are custom attributes in the namespace `olt:` and keep double precision; USD's o
 precision, so those are written for viewers and never read back.
 """
 
-# pxr is compiled and has no type stubs: this is the one module that touches it.
+# pxr is compiled and has no type stubs: this module and `scenes.layers` are the ones that touch it.
 # pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Callable, Iterable, Iterator
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, Vt
 
+from olt_closed_loop.scenes.layers import open_layer, payload_beside
 from olt_closed_loop.scenes.looks import Looks, SceneryBox, generate_looks
 from olt_closed_loop.scenes.maps.attributes import (
     LANE_OPTIONS,
@@ -39,6 +40,7 @@ from olt_closed_loop.scenes.maps.attributes import (
     stop_line_values,
 )
 from olt_closed_loop.scenes.scene import Agent, Hills, Scene
+from olt_closed_loop.scenes.scene_checks import check_scene
 from olt_generator.errors import InputError
 from olt_generator.files import write_whole
 from olt_generator.poses import Array
@@ -52,6 +54,7 @@ Part = TypeVar("Part")
 # Time codes are microseconds, which a double holds exactly for 285 years.
 TIME_CODES_PER_SECOND = 1e6
 _LATEST_US = 2.0**53
+_LOOKS = "/World/Looks"
 _TEXTS = ("name", "category", "factors", "assumptions")
 _COLORS = ("zenith", "horizon", "grass", "gravel", "asphalt", "paint")
 
@@ -72,7 +75,7 @@ def write_scene(scene: Scene, path: Path) -> Path:
     for index, agent in enumerate(scene.agents):
         # The prim's name is only a number, because ids of recorded data need not be valid prim names.
         _write_agent(stage, f"/World/Agents/agent_{index:03d}", agent)
-    stage.DefinePrim("/World/Looks").GetPayloads().AddPayload(f"./{looks_path.name}")
+    stage.DefinePrim(_LOOKS).GetPayloads().AddPayload(f"./{looks_path.name}")
     _write_looks(looks, looks_path)
     _save(stage, path)
     return path
@@ -192,10 +195,16 @@ def read_scene(path: Path) -> Scene:
     """Read a scene without its looks.
 
     Raises:
-        InputError: the file is not a scene file, is damaged, or lacks a prim or attribute.
+        InputError: the file is not a scene file, is damaged, lacks a prim or attribute, points to other files or prims
+            (`scenes.layers`), or holds what no scene can (`scenes.scene_checks`).
     """
     with _refusing_damage(path):
-        return _read_scene(path)
+        scene = _read_scene(path)
+        try:
+            check_scene(scene)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from error
+        return scene
 
 
 def _read_scene(path: Path) -> Scene:
@@ -236,7 +245,7 @@ def read_looks(path: Path) -> Looks:
 
 def _read_looks(path: Path) -> Looks:
     reader = _Reader(path, with_payloads=True)
-    prim = reader.prim("/World/Looks")
+    prim = reader.prim(_LOOKS)
 
     def triples(*names: str) -> list[list[Triple]]:
         return [[(x, y, z) for x, y, z in rows.tolist()] for rows in reader.values(prim, *names)]
@@ -270,12 +279,10 @@ class _Reader:
     """Reads prims of one scene file; every complaint is an `InputError` that names the file and the prim."""
 
     def __init__(self, path: Path, with_payloads: bool = False) -> None:
-        if not path.is_file():
-            raise InputError(f"{path}: no such file; give the .usda or .usdc file of a scene")
-        try:
-            stage = Usd.Stage.Open(str(path), Usd.Stage.LoadAll if with_payloads else Usd.Stage.LoadNone)
-        except Tf.ErrorException as error:
-            raise InputError(f"{path}: not a USD stage; give the .usda or .usdc file of a scene") from error
+        layer = open_layer(path, payload_at=_LOOKS)
+        if with_payloads:
+            open_layer(payload_beside(layer, _LOOKS, path))
+        stage = Usd.Stage.Open(layer, Usd.Stage.LoadAll if with_payloads else Usd.Stage.LoadNone)
         found = (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage), stage.GetTimeCodesPerSecond())
         if found != (1.0, UsdGeom.Tokens.z, TIME_CODES_PER_SECOND):
             raise InputError(

@@ -215,7 +215,13 @@ def _score(record: RolloutRecord, unscored: RolloutScore, skip: bool) -> Rollout
     if int((record.timestamps_us >= record.handover_us).sum()) < 2:
         return replace(unscored, reason="the drive ends before the hand-over")
     version = alpasim_version(unscored.definition)
-    return replace(unscored, **(_score_as_alpasim(record, version) if version else _score_strictly(record, skip)))
+    if version is None and not _is_recorded(record):
+        return replace(unscored, reason="nothing was recorded after the hand-over, so progress cannot be measured")
+    given = _score_as_alpasim(record, version) if version else _score_strictly(record, skip)
+    if record.absent:
+        absent, total = len(record.absent), len(record.absent) + len(record.agents)
+        given["left_out"] += (Omission("agents", "no sample at a time of the drive", absent, total),)
+    return replace(unscored, **given)
 
 
 def _score_strictly(record: RolloutRecord, skip: bool) -> dict[str, Any]:
@@ -290,6 +296,12 @@ def _score_as_alpasim(record: RolloutRecord, version: AlpasimVersion) -> dict[st
 def _scored_span(record: RolloutRecord) -> tuple[int, int]:
     """First and last microsecond that count."""
     return max(record.handover_us, int(record.timestamps_us[0])), int(record.timestamps_us[-1])
+
+
+def _is_recorded(record: RolloutRecord) -> bool:
+    """Whether the recording has some of the time that counts."""
+    start_us, end_us = _scored_span(record)
+    return int(record.recorded_us[0]) < end_us and int(record.recorded_us[-1]) > start_us
 
 
 def _measure_progress(record: RolloutRecord, recorded_m: float) -> tuple[float, int | None]:

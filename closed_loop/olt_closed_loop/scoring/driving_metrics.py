@@ -38,6 +38,7 @@ def measure_driving(
 
     Returns:
         distance_m: driven.
+        reversed_m: of it, against the ego's heading.
         mean_speed, max_speed: m/s.
         min_acceleration, max_acceleration: along the ego, m/s^2.
         max_lateral_acceleration: m/s^2.
@@ -52,11 +53,14 @@ def measure_driving(
     driven = record.timestamps_us >= record.handover_us
     times, poses = record.timestamps_us[driven], record.poses[driven]
     seconds, positions, yaws = (times - times[0]) * 1e-6, poses[:, :2], np.unwrap(poses[:, 3])
-    steps, spans = np.linalg.norm(np.diff(positions, axis=0), axis=1), np.diff(seconds)
+    ways, spans = np.diff(positions, axis=0), np.diff(seconds)
+    steps, middle = np.linalg.norm(ways, axis=1), 0.5 * (yaws[1:] + yaws[:-1])
+    ahead = ways[:, 0] * np.cos(middle) + ways[:, 1] * np.sin(middle)
     yaw_rates = np.diff(yaws) / spans
     distance, time_to_collision = _nearness(ego, others, times)
     return {
         "distance_m": float(steps.sum()),
+        "reversed_m": float(np.maximum(-ahead, 0.0).sum()),
         "mean_speed": float(steps.sum() / seconds[-1]),
         "max_speed": float((steps / spans).max()),
         "max_yaw_rate": float(np.abs(yaw_rates).max()),

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from olt_closed_loop.control.plans import PlanRefused, WorldPlan, place_plan
+from olt_closed_loop.control.plans import PlanRefused, WorldPlan, is_out_of_reach, place_plan
 from olt_closed_loop.control.tracking import TrackingController
 from olt_closed_loop.rollouts.rollout import Incidents, Rollout
 from olt_closed_loop.scenes.conditions import CLEAR_DAY
@@ -169,8 +169,11 @@ class RunningRollout:
         try:
             if isinstance(answer, PlanRefused):
                 raise answer
-            x, y, yaw = self._states[step, : STATE.yaw + 1]
-            self._plans.append(place_plan(answer, x, y, yaw, int(self.times[step])))
+            x, y, yaw, speed = self._states[step, : STATE.speed + 1]
+            plan = place_plan(answer, x, y, yaw, int(self.times[step]))
+            velocity = speed * np.array([np.cos(yaw), np.sin(yaw)])
+            self.incidents["plans_out_of_reach"] += is_out_of_reach(plan, velocity)
+            self._plans.append(plan)
             self._refused_in_a_row = 0
         except PlanRefused as refusal:
             self._refuse(str(refusal), step)

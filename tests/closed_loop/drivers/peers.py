@@ -106,6 +106,49 @@ def put(value):
     return change
 
 
+def delay(by_us):
+    """The plan begins later, and ends when it did."""
+
+    def change(driver, response):
+        kept = list(response.trajectory.poses)
+        begin_us = kept[0].timestamp_us + by_us
+        del response.trajectory.poses[:]
+        response.trajectory.poses.extend(pose for pose in kept if pose.timestamp_us >= begin_us)
+        return response
+
+    return change
+
+
+def set_time(index, from_index):
+    def change(driver, response):
+        poses = response.trajectory.poses
+        poses[index].timestamp_us = poses[from_index].timestamp_us
+        return response
+
+    return change
+
+
+def go_back(driver, response):
+    now = driver.poses[-1].pose.vec.x
+    for pose in response.trajectory.poses:
+        pose.pose.vec.x = 2.0 * now - pose.pose.vec.x
+    return response
+
+
+def go_beside(driver, response):
+    for pose in response.trajectory.poses:
+        pose.pose.vec.y += 5.5
+    return response
+
+
+def answer_in_the_rig(driver, response):
+    now = driver.poses[-1].pose.vec
+    for pose in response.trajectory.poses:
+        pose.pose.vec.x -= now.x
+        pose.pose.vec.y -= now.y
+    return response
+
+
 def reverse_times(driver, response):
     poses = list(response.trajectory.poses)[::-1]
     del response.trajectory.poses[:]

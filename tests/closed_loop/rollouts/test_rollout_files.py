@@ -90,6 +90,16 @@ BROKEN = {
         {"agents": {"a": {"length": 1, "width": 1, "height": 1, "timestamps_us": [5, 5], "poses": [[0, 0, 0]] * 2}}},
         "agent a timestamps_us: time 1",
     ),
+    "a pose beyond the map": ({"gt": {"timestamps_us": [0], "poses": [[1e300, 0.0, 0.0]]}}, "1e\\+300 is no place"),
+    "a heading in no unit": ({"gt": {"timestamps_us": [0], "poses": [[0.0, 0.0, 1e12]]}}, "1e\\+12 is no place"),
+    "a lane beyond the map": ({"map": {"lanes": [], "road_edges": [[[0, 0], [1e30, 0]]]}}, "1e\\+30 is no place"),
+    "a box as long as a country": ({"agents": {"a": {"length": 1e6, "width": 1, "height": 1}}}, "at most 10000 m"),
+    "nanoseconds": ({"gt": {"timestamps_us": [10**18], "poses": [[0.0] * 3]}}, "is it another unit"),
+    "no end of time": ({"render_start_us": 1e30}, "render_start_us is 1e\\+30"),
+    "a plan of no time": (
+        {"plans": [{"now_us": 10**30, "timestamps_us": [0], "poses": [[0.0] * 3]}]},
+        "plan 0: now_us is 1e\\+30",
+    ),
 }
 
 

@@ -26,7 +26,7 @@ from olt_closed_loop.scenes.sources.assembly import (
     usable_line,
 )
 from olt_closed_loop.scenes.sources.roads import lane_between
-from olt_closed_loop.scenes.sources.tracks import LARGEST_BOX, Track, longest_stretch
+from olt_closed_loop.scenes.sources.tracks import LARGEST_BOX, Track, check_times, longest_stretch
 from olt_closed_loop.scenes.sources.xml_files import child, number_of, parse_number, read_xml, text_of
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission, word_omission
@@ -120,6 +120,7 @@ def _read(root: Element, ego: str | None) -> Scene:
     times_us, poses = chosen.timestamps_us[kept], chosen.poses[kept]
     if len(times_us) < 2:
         raise InputError(f"obstacle {chosen.id}: one pose; the ego drives")
+    check_times(times_us, f"obstacle {chosen.id}")
     x, y = behind(poses[:, :2], poses[:, 3], vehicle.rear_axle_to_bbox_center).T
     start_us = int(times_us[0])
     lanes, areas, crossings, skipped = _read_lanelets(root)

@@ -132,7 +132,8 @@ def _read_rig(drive: dict[str, Any], where: str) -> tuple[Times, Array]:
     coordinates(poses[:, :3, 3], f"{where}: T_rig_worlds", columns=3)
     rotations = poses[:, :3, :3]
     upright = np.abs(rotations @ np.swapaxes(rotations, 1, 2) - np.eye(3)) <= _UNIT_TOLERANCE
-    if not upright.all() or not np.all(np.linalg.det(rotations) > 0.0):
+    rigid = np.allclose(poses[:, 3], [0.0, 0.0, 0.0, 1.0])
+    if not (rigid and upright.all() and np.all(np.linalg.det(rotations) > 0.0)):
         raise InputError(f"{where}: a pose of T_rig_worlds is no rotation and translation")
     return times_us, poses
 

@@ -99,9 +99,8 @@ def agents_of(track: Track, end_us: int, where: str) -> Iterator[Agent]:
     once = np.concatenate([[True], ~same])
     times_us, poses = track.timestamps_us[once], track.poses[once]
     size = track.length, track.width, track.height
-    _check_samples(times_us, poses, where)
-    if not all(0.0 < side <= LARGEST_BOX for side in size):
-        raise InputError(f"{where}: a box of {' x '.join(f'{side:g}' for side in size)} m")
+    check_samples(times_us, poses, where)
+    check_box(size, where)
     away = (np.diff(times_us) > MOST_GAP_US) | jumps(times_us, poses[:, :2])
     number = 0
     for part in stretches_between(away):
@@ -112,7 +111,14 @@ def agents_of(track: Track, end_us: int, where: str) -> Iterator[Agent]:
             yield Agent(name, track.label, *size, times_us[inside], poses[inside])
 
 
-def _check_samples(times_us: Times, poses: Array, where: str) -> None:
+def check_box(size: tuple[float, float, float], where: str) -> None:
+    """Raise an `InputError` unless length, width and height in metres are those of something on a road."""
+    if not all(0.0 < side <= LARGEST_BOX for side in size):
+        raise InputError(f"{where}: a box of {' x '.join(f'{side:g}' for side in size)} m")
+
+
+def check_samples(times_us: Times, poses: Array, where: str) -> None:
+    """Raise an `InputError` unless poses (n, 4) from the ego's start are finite and near, at times (n,) that rise."""
     wrong = ~(np.abs(poses) <= FARTHEST_FROM_EGO).all(axis=1)
     if wrong.any():
         index = int(np.argmax(wrong))

@@ -232,8 +232,9 @@ def _follow(kind: Element, mover: Mover, world: World) -> Running:
     relative = timing.get("domainAbsoluteRelative", "relative") == "relative"
     scale, offset = number_of(timing, "scale", "Timing", 1.0), number_of(timing, "offset", "Timing", 0.0)
     seconds = np.array(times) * scale + offset + (world.time if relative else 0.0)
-    if np.any(np.diff(seconds) < 0.0):
-        raise InputError("a Trajectory whose times run back")
+    waits = np.diff(seconds)
+    if np.any(waits < 0.0) or np.any((waits == 0.0) & (np.diff(arc) > 0.0)):
+        raise InputError("a Trajectory whose times run back, or one time at two places")
 
     def run(world: World) -> bool:
         if not isinstance(mover.place, OnPath):
