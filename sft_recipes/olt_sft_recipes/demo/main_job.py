@@ -74,7 +74,7 @@ STEPS = {
 
 @dataclass(frozen=True)
 class DemoSettings:
-    """Sizes of the main job; with the defaults it takes about five minutes on two cores.
+    """Sizes of the main job, chosen for five minutes on two cores.
 
     Attributes:
         seed: the one seed from which every other follows.

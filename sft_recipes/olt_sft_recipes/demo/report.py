@@ -240,7 +240,8 @@ def _training_section(summary: dict[str, Any]) -> Section:
         for index, title in enumerate(("Stage 1: trajectory tokens", "Stage 2: flow matching"))
     ]
     height, width = summary["settings"]["training_size"]
-    about = f"{clips['clips']} clips of {height} x {width} pixels: {clips['gt']} GT and {clips['syn']} Syn."
+    about = f"{clips['clips']} clips of {height} x {width} pixels: {clips['gt']} GT and {clips['syn']} Syn"
+    about += ", with those held out for open-loop errors."
     if clips["syn_ate_m_median"] is not None:
         about += (
             f" Trajectories of Syn clips are off by {clips['syn_ate_m_median']:.2f} m (median, absolute trajectory "

@@ -113,7 +113,7 @@ def test_the_main_job_runs_resumes_and_does_not_depend_on_the_number_of_workers(
     summary = run_demo(tmp_path / "one", SMALL, workers=1)
     assert (tmp_path / "one" / "report.html").stat().st_size > 10_000
     report = (tmp_path / "one" / "report.html").read_text()
-    assert "What is in doubt:" in report and "acceleration variance (m²/s⁴)" in report and "1 GT and 5 Syn" in report
+    assert "What is in doubt:" in report and "acceleration variance (m²/s⁴)" in report and "2 GT and 5 Syn" in report
     assert comparable(json.loads((tmp_path / "one" / "summary.json").read_text())) == comparable(summary)
     assert summary["input"]["pose_errors"]["metric"]["ate_m"] < 5.0
     assert summary["input"]["clip"]["views"][FRONT_WIDE]["kind"] == "rendered"

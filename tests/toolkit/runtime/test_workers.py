@@ -1,5 +1,6 @@
 import os
 import time
+from contextlib import suppress
 
 import pytest
 
@@ -55,6 +56,24 @@ def test_a_stopped_worker_leaves_nothing_half_written(tmp_path):
     with pytest.raises(ValueError, match="the other item"):
         map_parallel(write_slowly_or_fail, [tmp_path / "slow", tmp_path / "other"], 2)
     assert list((tmp_path / "slow").iterdir()) == []
+
+
+def go_on_or_fail(item):
+    end = time.monotonic() + 120
+    if item == 0:
+        time.sleep(1)
+        raise ValueError("item 0")
+    while time.monotonic() < end:
+        with suppress(BaseException):
+            time.sleep(1)
+
+
+def test_a_worker_that_passes_over_its_end_is_ended(monkeypatch):
+    monkeypatch.setattr("olt_toolkit.runtime.workers._SECONDS_TO_END", 2.0)
+    start = time.monotonic()
+    with pytest.raises(ValueError, match="item 0"):
+        map_parallel(go_on_or_fail, [1, 0], 2)
+    assert time.monotonic() - start < 100
 
 
 def process_of(_):

@@ -30,6 +30,8 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+# Between being asked to end and being ended: what is half-written is removed in it.
+_SECONDS_TO_END = 10.0
 _kept: ProcessPoolExecutor | None = None
 """Processes that stay from one call of `map_parallel` to the next, within `kept_workers`."""
 
@@ -83,9 +85,14 @@ def map_parallel(
             results[futures[future]] = future.result()
             on_progress(len(results) / len(items))
     except BaseException:
-        for process in list((pool._processes or {}).values()):  # a started task cannot be cancelled otherwise
+        processes = list((pool._processes or {}).values())
+        for process in processes:  # a started task cannot be cancelled otherwise
             process.terminate()
+        # A library that catches everything while it is imported passes over that.
+        killing = threading.Timer(_SECONDS_TO_END, lambda: [process.kill() for process in processes])
+        killing.start()
         pool.shutdown(wait=True, cancel_futures=True)
+        killing.cancel()
         if pool is _kept:
             _kept = None
         raise
