@@ -40,15 +40,7 @@ def measure_open_loop(
     """The errors of `evaluate_open_loop` of each sample by itself."""
     errors = []
     for sample in samples:
-        observation = Observation(
-            images=sample.image_frames,
-            camera_indices=sample.camera_indices,
-            history_xyz=sample.ego_history_xyz[0].astype(np.float64),
-            history_rotation=sample.ego_history_rot[0].astype(np.float64),
-            route_xy=np.zeros((0, 2)) if sample.route_xy is None else sample.route_xy.astype(np.float64),
-            time_us=sample.t0_us,
-            seed=seed,
-        )
+        observation = observe(sample, seed)
         plans = [policy.plan(replace(observation, seed=seed + index)) for index in range(plans_per_sample)]
         xyz, rotation = np.stack([plan.xyz for plan in plans]), np.stack([plan.rotation for plan in plans])
         true_xyz = sample.ego_future_xyz[0].astype(np.float64)
@@ -56,6 +48,19 @@ def measure_open_loop(
         corners = corner_distance(xyz, rotation, true_xyz, true_rotation)
         errors.append(displacement_errors(xyz, true_xyz) | {"corner_distance": corners})
     return errors
+
+
+def observe(sample: PolicySample, seed: int = 0) -> Observation:
+    """What a policy is shown of a sample."""
+    return Observation(
+        images=sample.image_frames,
+        camera_indices=sample.camera_indices,
+        history_xyz=sample.ego_history_xyz[0].astype(np.float64),
+        history_rotation=sample.ego_history_rot[0].astype(np.float64),
+        route_xy=np.zeros((0, 2)) if sample.route_xy is None else sample.route_xy.astype(np.float64),
+        time_us=sample.t0_us,
+        seed=seed,
+    )
 
 
 def spread_keys(store: ClipStore, split: str, samples: int) -> list[SampleKey]:

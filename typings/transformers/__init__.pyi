@@ -7,3 +7,10 @@ class CLIPVisionModelWithProjection(nn.Module):
 
 class DepthAnythingForDepthEstimation(nn.Module):
     config: Any
+
+class AutoTokenizer:
+    @classmethod
+    def from_pretrained(cls, pretrained_model_name_or_path: Any, **options: Any) -> Any: ...
+
+class UMT5EncoderModel(nn.Module):
+    config: Any

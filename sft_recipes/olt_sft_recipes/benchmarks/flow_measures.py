@@ -14,7 +14,7 @@ from torch import Tensor
 from olt_sft_recipes.benchmarks.flow_solvers import COARSER, REFERENCE, SOLVERS, Solver, integrate
 from olt_sft_recipes.benchmarks.motions import Motions
 from olt_sft_recipes.benchmarks.tokens import extreme_motions
-from olt_sft_recipes.open_loop import displacement_errors
+from olt_sft_recipes.open_loop import displacement_errors, observe
 from olt_sft_recipes.toy.policy import ToyPolicy
 from olt_toolkit import Observation, PolicySample
 from olt_toolkit.runtime.environment import describe_machine
@@ -41,19 +41,6 @@ def solved_by(policy: ToyPolicy, solver: Solver, kind: str = "float32") -> Itera
         del expert.sample
 
 
-def observe(sample: PolicySample) -> Observation:
-    """What a policy sees of a recorded sample, without a route."""
-    return Observation(
-        images=sample.image_frames,
-        camera_indices=sample.camera_indices,
-        history_xyz=sample.ego_history_xyz[0].astype(np.float64),
-        history_rotation=sample.ego_history_rot[0].astype(np.float64),
-        route_xy=np.zeros((0, 2)),
-        time_us=sample.t0_us,
-        seed=0,
-    )
-
-
 def plan_all(policy: ToyPolicy, observations: Sequence[Observation]) -> tuple[Plans, float]:
     """Plans of seeds 0 to 5 for each observation, and milliseconds of processor a plan."""
     start = time.process_time()
@@ -69,7 +56,7 @@ def min_ade(plans: Plans, truths: Sequence[np.ndarray]) -> float:
 
 def measure(policy: ToyPolicy, samples: Sequence[PolicySample]) -> dict[str, Any]:
     """Rows by solver, by precision and by what is seen."""
-    observations = [observe(sample) for sample in samples]
+    observations = [replace(observe(sample), route_xy=np.zeros((0, 2))) for sample in samples]
     truths = [sample.ego_future_xyz[0].astype(np.float64) for sample in samples]
     with solved_by(policy, REFERENCE):
         exact, _ = plan_all(policy, observations)

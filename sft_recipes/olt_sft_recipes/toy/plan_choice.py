@@ -24,7 +24,7 @@ ASIDE = (0.0, 0.6, -0.6)
 ASIDE_METRES = 12.0
 """Way on which it gets there."""
 WAY_WORTH = 0.06
-"""What the whole way is worth, against 1 for a contact that is certain and now."""
+"""What the whole way is worth, against 1 for a contact that is certain and now (`olt bench plan_choice`)."""
 ASIDE_COST = 0.02
 """What a metre aside costs."""
 FADES = 0.15
@@ -59,6 +59,12 @@ class Occupancy:
         route, world = ((logits[0] - odds).sigmoid().double().numpy() for logits in (sight.route, sight.world))
         return cls(route[:-1], route[-1].mean(axis=-1), world, KDTree(along[..., :2].reshape(-1, 2)))
 
+    @classmethod
+    def of_truth(cls, route: NDArray[np.uint8], world: NDArray[np.uint8], along: Array) -> "Occupancy":
+        """What is really taken (`training.auxiliary.gather_truth`, of one sample)."""
+        told = route.astype(np.float64)
+        return cls(told[:-1], told[-1].mean(axis=-1), world.astype(np.float64), KDTree(along[..., :2].reshape(-1, 2)))
+
     def contacts(self, plans: Array) -> Array:
         """How likely plans (..., steps, 3) of x, y, yaw meet somebody (...), contacts later counted less."""
         steps = min(plans.shape[-2], round(SECONDS_AHEAD[-1] / STEP_SECONDS))
@@ -82,12 +88,12 @@ class Occupancy:
         return np.where((STATIONS > FRONT) & (front > STATIONS), self.held, 0.0).max(axis=-1)
 
 
-def choose_plan(plans: Array, speed: float, occupancy: Occupancy) -> Array:
+def choose_plan(plans: Array, speed: float, occupancy: Occupancy, way_worth: float = WAY_WORTH) -> Array:
     """The best (64, 3) of plans (k, 64, 3) of x, y, yaw, of those beside them, and of those that brake from a speed."""
     tried = np.stack([slower_plans(plan_beside(plan, aside), speed) for plan in plans for aside in ASIDE])
     ways = np.cumsum(np.linalg.norm(np.diff(tried[..., :2], axis=2, prepend=0.0), axis=-1), axis=2)
     farthest = max(float(ways[..., -1].max()), _LEAST_WAY)
-    worth = WAY_WORTH * ways[..., -1] / farthest
+    worth = way_worth * ways[..., -1] / farthest
     worth -= ASIDE_COST * np.tile(np.abs(ASIDE), len(plans))[:, None]
     worth -= np.maximum(occupancy.contacts(tried), occupancy.crossings(ways))
     return tried[np.unravel_index(int(worth.argmax()), worth.shape)]

@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 
 from olt_generator.errors import InputError
-from olt_generator.poses import planar_pose
+from olt_generator.poses import Array, planar_pose
 from olt_sft_recipes.toy.action_expert import ACTION_SIZE
 from olt_sft_recipes.toy.checkpoint import ToyModel, read_model
 from olt_sft_recipes.toy.inputs import cells_along, encode_inputs, pad_route, planar_poses, select_images
@@ -33,6 +33,17 @@ class ToyPolicy:
         Raises:
             InputError: the observation holds no images.
         """
+        plans, speed, occupancy = self.draw(observation)
+        x, y, yaw = (choose_plan(plans, speed, occupancy) if self.model.config.chooses_plan else plans[0]).T
+        chosen = planar_pose(x, y, yaw)
+        return PlannedTrajectory(chosen[:, :3, 3], chosen[:, :3, :3])
+
+    def draw(self, observation: Observation) -> tuple[Array, float, Occupancy]:
+        """Plans (k, 64, 3) of x, y in metres and yaw in the rig frame, the speed now in m/s, and what its sight thinks.
+
+        Raises:
+            InputError: the observation holds no images.
+        """
         if observation.images is None:
             raise InputError("the toy policy drives by its cameras; the observation holds no images")
         config = self.model.config
@@ -47,13 +58,8 @@ class ToyPolicy:
             prefix = self.model.vlm.read_prefix(encode_inputs(images, history, routes, config))
             actions = self.model.expert.sample(noise, prefix.repeated(len(noise))).double().numpy()
         speed = float(estimate_initial_speed(observation.history_xyz, observation.history_rotation))
-        xyz, rotation = actions_to_trajectory(actions, speed)
-        if not config.chooses_plan:
-            return PlannedTrajectory(xyz[0], rotation[0])
-        occupancy = Occupancy.of(prefix.sight, cells_along(history, routes)[0])
-        x, y, yaw = choose_plan(planar_poses(xyz, rotation), max(speed, 0.0), occupancy).T
-        chosen = planar_pose(x, y, yaw)
-        return PlannedTrajectory(chosen[:, :3, 3], chosen[:, :3, :3])
+        plans = planar_poses(*actions_to_trajectory(actions, speed))
+        return plans, max(speed, 0.0), Occupancy.of(prefix.sight, cells_along(history, routes)[0])
 
 
 def load_toy(path: str | None) -> ToyPolicy:

@@ -1,25 +1,21 @@
 """A training that is killed goes on as if nothing had happened."""
 
 import json
-import os
+import runpy
 import signal
-import traceback
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from olt_sft_recipes.training import checkpoints, optimization, two_stages
-from olt_sft_recipes.training.stage_config import StageConfig
-from olt_sft_recipes.training.two_stages import read_results, train_two_stages
-from olt_sft_recipes.training.validation import Validation
+from olt_sft_recipes.training import two_stages
+from olt_sft_recipes.training.two_stages import read_results
 
-AUGMENTED = {"mirror_probability": 0.5, "turn_degrees": 4.0, "move_metres": 0.5}
-SETTINGS = {"num_train_epochs": 2, "per_device_train_batch_size": 4, "learning_rate": 3e-3, "warmup_steps": 2}
-STAGES = (
-    StageConfig(stage=1, save_steps=2, hidden_token_probability=0.5, **SETTINGS, **AUGMENTED),
-    StageConfig(stage=2, save_steps=2, eval_steps=3, **SETTINGS, **AUGMENTED),
-)
-STEPS = 12  # six of each stage
+SCRIPT = Path(__file__).with_name("killed_training.py")
+TRAINING = runpy.run_path(str(SCRIPT))
+STEPS = TRAINING["STEPS"]
 
 
 @pytest.fixture(scope="module")
@@ -28,37 +24,15 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def train(drives, tiny_config, folder):
-    keys = sorted(drives)
-    validation = Validation([drives[keys[0]]])
-
-    def batches(epoch, size):
-        return [keys[start : start + size] for start in range(0, len(keys), size)]
-
-    def run(name, on_progress=lambda share: None):
-        def load(asked):
-            return [drives[key] for key in asked]
-
-        return train_two_stages(STAGES, batches, load, folder / name, tiny_config, on_progress, validation)
-
-    return run
+def train(folder):
+    return lambda name: TRAINING["train"](folder / name)
 
 
-def in_child(work):
-    """Do work in a process of its own; returns how it ended."""
-    child = os.fork()
-    if child == 0:
-        try:
-            work()
-        except BaseException:
-            traceback.print_exc()
-            os._exit(1)
-        os._exit(0)
-    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-
-
-def kill():
-    os.kill(os.getpid(), signal.SIGKILL)
+def is_killed(out, *where):
+    """Train in a process of its own until it is killed there; False where it came to its end before."""
+    ended = subprocess.run([sys.executable, SCRIPT, out, *map(str, where)], timeout=300).returncode
+    assert ended in (0, -signal.SIGKILL)
+    return ended != 0
 
 
 @pytest.fixture(scope="module")
@@ -80,43 +54,26 @@ def check_equal(results, whole, out):
     "step", [pytest.param(step, marks=[pytest.mark.slow] if step not in (3, 8) else []) for step in range(1, STEPS + 1)]
 )
 def test_killed_at_any_step_it_goes_on_exactly(train, whole, folder, step):
-    def kill_there(share):
-        if share >= step / STEPS - 1e-9:
-            kill()
-
     name = f"killed-{step}"
-    assert in_child(lambda: train(name, kill_there)) == -signal.SIGKILL
+    assert is_killed(folder / name, "step", step)
     check_equal(train(name), whole, folder / name)
 
 
 @pytest.mark.parametrize(
-    ("module", "function"),
+    ("function", "call"),
     [
-        (checkpoints, "write_model"),
-        (optimization, "prune_checkpoints"),
-        (optimization, "evaluate"),
-        (optimization, "update_state"),
-        (two_stages, "write_model"),
+        ("checkpoints.write_model", 2),
+        ("optimization.prune_checkpoints", 2),
+        ("optimization.evaluate", 2),
+        ("optimization.update_state", 2),
+        ("two_stages.write_model", 1),
     ],
 )
-@pytest.mark.parametrize("after", [False, True])
+@pytest.mark.parametrize("when", ["before", "after"])
 @pytest.mark.slow
-def test_killed_while_it_saves_or_judges_it_goes_on_exactly(train, whole, folder, monkeypatch, module, function, after):
-    real, calls, name = getattr(module, function), [], f"{module.__name__}-{function}-{after}"
-
-    def killing(*arguments):
-        calls.append(arguments)
-        last = len(calls) == (1 if module is two_stages else 2)
-        if last and not after:
-            kill()
-        result = real(*arguments)
-        if last:
-            kill()
-        return result
-
-    with monkeypatch.context() as patched:
-        patched.setattr(module, function, killing)
-        assert in_child(lambda: train(name)) == -signal.SIGKILL
+def test_killed_while_it_saves_or_judges_it_goes_on_exactly(train, whole, folder, function, call, when):
+    name = f"{function}-{when}"
+    assert is_killed(folder / name, f"olt_sft_recipes.training.{function}", call, when)
     results = train(name)
     assert [result.losses for result in results] == [result.losses for result in whole[0]]
     assert [result.evaluations for result in results] == [result.evaluations for result in whole[0]]
@@ -126,13 +83,8 @@ def test_killed_while_it_saves_or_judges_it_goes_on_exactly(train, whole, folder
 @pytest.mark.slow
 def test_killed_in_a_row_it_still_goes_on(train, whole, folder):
     """Each life takes three more steps and is killed before it saves the last of them."""
-
-    def live():
-        taken = []
-        train("killed", lambda share: taken.append(share) or (len(taken) == 3 and kill()))
-
     lives = 0
-    while in_child(live) == -signal.SIGKILL:
+    while is_killed(folder / "killed", "three steps"):
         lives += 1
     assert lives > 2
     check_equal(train("killed"), whole, folder / "killed")
@@ -159,7 +111,7 @@ def test_the_state_holds_no_pickle_and_nothing_hidden(whole, folder):
     assert state["global_step"] == state["max_steps"] == 6
     assert [row["step"] for row in state["log_history"]] == [1, 2, 3, 4, 5, 6]
     rates = [row["learning_rate"] for row in state["log_history"]]
-    assert rates == [STAGES[1].learning_rate_at(step, 6) for step in range(6)]
+    assert rates == [TRAINING["STAGES"][1].learning_rate_at(step, 6) for step in range(6)]
 
 
 def test_the_best_checkpoint_is_kept_and_goes_on(whole, folder):

@@ -142,7 +142,7 @@ def _load_networks(facts: EngineFacts, settings: TrainingSettings, weights: Weig
     if weights is None:
         raise InputError(
             "this configuration needs --backbone, the folder of Wan2.1-VACE, and --text, a safetensors file with the "
-            "UMT5 embeddings (tokens, text_dim) `prompt` of the prompt and `empty` of no text"
+            "UMT5 embeddings (tokens, text_dim) `prompt` of the prompt and `empty` of no text (`olt generate embed`)"
         )
     half = torch.bfloat16 if settings.precision == "bfloat16" else torch.float32
     backbone = load_backbone(weights.backbone, dtype=half)

@@ -7,6 +7,7 @@ import typer
 from olt_toolkit.clips.backends import Precision
 from olt_toolkit.commands.clip_options import JsonOption
 from olt_toolkit.commands.generate_clips import clips
+from olt_toolkit.commands.generate_embed import embed
 from olt_toolkit.commands.generate_evaluate import evaluate
 from olt_toolkit.commands.generate_train import train
 
@@ -86,6 +87,7 @@ def describe(
 
 app.command(help="Make the missing views of recordings, of those of a folder, or of a data set, as clips.")(clips)
 app.command(help="Train an engine on drives, its own synthetic ones by default; goes on where it stopped.")(train)
+app.command(help="Write the embeddings of a prompt that the 1.3B engine is trained with.")(embed)
 app.command(help="Score an engine on clips kept from its training: the tables of the paper.")(evaluate)
 
 
