@@ -107,6 +107,7 @@ def launch(
     find_public_recipe(policy.value)
     if base is None or recipes is None:
         raise InputError(f"{policy.value}: give --base (the released checkpoint) and --recipes (a clone of them)")
+    refuse_unused({"--stage1-checkpoint": stage1_checkpoint is not None and stage.value != "2"}, "it is for --stage 2")
     refuse_unused({"--slurm-option": bool(slurm_option) and not slurm}, "it is for --slurm")
     refuse_unused({"--chunks": chunks is not None and pai is None}, "it selects chunks of --pai")
     refuse_unused({"--validation-chunks": bool(validation_chunks and not validation)}, "it is for --validation")
@@ -184,6 +185,7 @@ def _launch_alpamayo(request: "LaunchRequest", dry_run: bool, as_json: bool) -> 
         _show(prepared)
     if not dry_run:
         alpamayo.refuse_saturated(prepared)
+        alpamayo.refuse_before_export(prepared)
         alpamayo.write_launch(prepared)
         with show_progress("exporting") as (progress, _):
             alpamayo.export_data(prepared, default_workers(), progress)
@@ -235,6 +237,7 @@ def _show(prepared: "PreparedLaunch") -> None:
         print_line(
             f"saturated trajectory tokens: {counted.tokens} of {counted.samples} samples' ({counted.share:.3%}), "
             f"in {counted.samples_touched} samples"
+            + (f", first in clip {counted.first_clip}" if counted.first_clip else "")
         )
     steps = [
         (each.stage, *(each.arithmetic[key] for key in ("samples", "global_batch", "steps_per_epoch", "total_steps")))

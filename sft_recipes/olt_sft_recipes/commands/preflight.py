@@ -53,6 +53,10 @@ def preflight(
     ] = True,
     save_steps: Annotated[int | None, typer.Option(min=1, help="Steps from checkpoint to checkpoint.")] = None,
     save_total_limit: Annotated[int | None, typer.Option(min=1, help="Checkpoints that are kept.")] = None,
+    most_saturated: Annotated[
+        float | None,
+        typer.Option(min=0.0, max=1.0, help="Share of saturated trajectory tokens beyond which it fails; 0.01."),
+    ] = None,
     clips: Annotated[int, typer.Option(min=1, help="Clips that are opened one by one, while time allows.")] = 64,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
 ) -> None:
@@ -63,7 +67,7 @@ def preflight(
     from dataclasses import replace
 
     from olt_sft_recipes.preflight.check import check
-    from olt_sft_recipes.preflight.plan import PreflightPlan, recipe_stages
+    from olt_sft_recipes.preflight.plan import MOST_SATURATED, PreflightPlan, recipe_stages
     from olt_sft_recipes.preflight.table import print_report
     from olt_toolkit.runtime.console import print_json
 
@@ -99,6 +103,7 @@ def preflight(
         gpus=gpus or (1 if policy is PolicyName.TOY else 8),
         gpu_memory_gib=gpu_memory,
         python=python,
+        most_saturated=MOST_SATURATED if most_saturated is None else most_saturated,
         clips=clips,
     )
     report = check(plan)

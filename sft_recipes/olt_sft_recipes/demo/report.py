@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from olt_closed_loop import Rollout, Scene, load_rollouts, read_scene
+from olt_closed_loop.evaluation.comparison import FEWEST_SCENES
 from olt_closed_loop.scenes.scene import Agent
 from olt_closed_loop.scoring.moving_boxes import agent_box
 from olt_generator.omissions import Omission, word_omission
@@ -20,10 +21,7 @@ REPORT = "report.html"
 CONTACT_SHEET, TRUE_SHEET, TRAJECTORY = "four_views.png", "true_cross_views.png", "trajectory.png"
 # What each policy is trained on: as many samples, from nominal drives alone or with long-tail Syn.
 RECIPES: tuple[str, ...] = ("toy_nominal", "toy_nominal_long_tail")
-WHERE_ONE_IS_SHOWN = (
-    "Five scenes cannot tell; docs/tutorials/launch_sft.md has the commands for more drives and the suite, "
-    "which take hours."
-)
+WHERE_ONE_IS_SHOWN = "docs/tutorials/launch_sft.md has the commands for more drives and the suite, which take hours."
 COLORS = {"toy_nominal": "#d1742f", "toy_nominal_long_tail": "#1f6feb", "recording": "#4b5563"}
 AGENT_COLOR = "#9a3412"
 Drive = tuple[Rollout, dict[str, Any]]
@@ -43,8 +41,9 @@ def draw_report(out: Path, summary: dict[str, Any]) -> None:
     scenes = [read_scene(out / "scenes" / f"{name}.usda") for name in summary["scenes"]["evaluation"]]
     definition = policies[RECIPES[0]]["table"]["definition"]
     note = (
-        f"Definition {definition!r}. AS: mean score of the valid rollouts, Student-t interval over scenes. CR: share "
-        "of valid rollouts that touched anything, Wilson interval. The last rows are policies that know nothing. The "
+        f"Definition {definition!r}. AS: mean score of the valid rollouts, 0 to 1, Student-t interval over scenes, "
+        "which one scene, or scenes that all score the same, do not give. CR: collision rate, the share of valid "
+        "rollouts that touched anything, 0 to 1, Wilson interval. The last rows are policies that know nothing. The "
         "scenes are held out of every mixture. These are toy policies on a handful of scenes: the intervals say how "
         "little the difference between two rows means."
     )
@@ -60,12 +59,15 @@ def draw_report(out: Path, summary: dict[str, Any]) -> None:
                 Text(word_verdict(summary)),
                 Table(SCORE_COLUMNS, score_rows(summary), note),
                 Table(
-                    DIFFERENCE_COLUMNS, difference_rows(summary), "Paired by scene; bootstrap intervals over scenes."
+                    DIFFERENCE_COLUMNS,
+                    difference_rows(summary),
+                    "Differences of AS, paired by scene; bootstrap intervals over scenes. Clearly separated: 0 lies "
+                    f"outside the interval, on at least {FEWEST_SCENES} scenes.",
                 ),
             ],
         ),
         *_input_sections(out / "pictures", summary["input"]),
-        _training_section(summary["mixtures"], summary["training"]),
+        _training_section(summary),
         Section("Rollouts from above", [_draw_scene(scene, drives) for scene in scenes]),
         Section("What was left out, and why", [Bullets(left_out)]),
         Section("Machine and run times", [Table(("step", "time"), times), Text(about)]),
@@ -92,7 +94,8 @@ def word_verdict(summary: dict[str, Any]) -> str:
         )
     if pair["separated"]:
         return f"The mixtures differ. {found}"
-    return f"No difference between the mixtures is supported. {found} {WHERE_ONE_IS_SHOWN}"
+    few = f"Fewer than {FEWEST_SCENES} scenes cannot tell. " if pair["scenes"] < FEWEST_SCENES else ""
+    return f"No difference between the mixtures is supported. {found} {few}{WHERE_ONE_IS_SHOWN}"
 
 
 def score_rows(summary: dict[str, Any]) -> list[tuple[object, ...]]:
@@ -151,7 +154,7 @@ def _input_sections(pictures: Path, clip: dict[str, Any]) -> list[Section]:
     ]
     for measured in ("pose_errors", "smoothness"):
         before, after = _flatten(clip[f"{measured}_before_smoothing"]), _flatten(clip[measured])
-        quantities += [(name, before[name], value) for name, value in after.items()]
+        quantities += [(_word_quantity(name), before[name], value) for name, value in after.items()]
     quantities.append(("distance, median relative error", "", clip["distance_median_relative_error"]))
     views = [
         (
@@ -165,8 +168,18 @@ def _input_sections(pictures: Path, clip: dict[str, Any]) -> list[Section]:
         for camera, view in clip["clip"]["views"].items()
     ]
     tables = [
-        Table(("quantity", "before smoothing", "after"), quantities),
-        Table(("view", "kind", "observed", "invented", "not seen", "PSNR (dB)", "PSNR observed (dB)"), views),
+        Table(
+            ("quantity", "before smoothing", "after"),
+            quantities,
+            "metric: against the true motion as it is; sim3: after the best fit of place, heading and scale. ate: "
+            "absolute trajectory error.",
+        ),
+        Table(
+            ("view", "kind", "observed", "invented", "not seen", "PSNR (dB)", "PSNR observed (dB)"),
+            views,
+            "Shares of the pixels; PSNR of synthesized views against the true ones, over all pixels and over those "
+            "observed.",
+        ),
     ]
     doubts = [f"{doubt['what']}: {doubt['why']}" for doubt in clip["doubts"]]
     lists = {"What was assumed, not measured:": clip["assumptions"], "What is in doubt:": doubts}
@@ -181,18 +194,38 @@ def _flatten(errors: dict[str, Any] | None, prefix: str = "") -> dict[str, Any]:
     """Nested numbers under joined names; empty where nothing was measured."""
     flat: dict[str, Any] = {}
     for name, value in (errors or {}).items():
-        flat |= _flatten(value, f"{prefix}{name}: ") if isinstance(value, dict) else {prefix + name: value}
+        if name != "smoothness":  # of the same motion as that which stands by itself
+            flat |= _flatten(value, f"{prefix}{name}: ") if isinstance(value, dict) else {prefix + name: value}
     return flat
 
 
-def _training_section(mixtures: dict[str, Any], training: dict[str, Any]) -> Section:
+_UNITS = {"_m2_s4": "m²/s⁴", "_m_s3": "m/s³", "_m": "m", "_deg": "degrees", "_percent": "%"}
+
+
+def _word_quantity(name: str) -> str:
+    """The name of a field in words, with its unit behind it."""
+    for ending, unit in _UNITS.items():
+        if name.endswith(ending):
+            return f"{name.removesuffix(ending).replace('_', ' ')} ({unit})"
+    return name.replace("_", " ")
+
+
+def _training_section(summary: dict[str, Any]) -> Section:
+    mixtures, training, clips = summary["mixtures"], summary["training"], summary["training_clips"]
     components = [
         (name, part["name"], part["asked"], part["got"], part["distinct"])
         for name in RECIPES
         for part in mixtures[name]["components"]
     ]
     stages = [
-        (name, stage["stage"], stage["steps"], stage["losses"][0], stage["final_loss"])
+        (
+            name,
+            stage["stage"],
+            len(stage["regression_warmup_losses"]),
+            stage["steps"],
+            stage["losses"][0],
+            stage["final_loss"],
+        )
         for name in RECIPES
         for stage in training[name]["stages"]
     ]
@@ -206,12 +239,32 @@ def _training_section(mixtures: dict[str, Any], training: dict[str, Any]) -> Sec
         )
         for index, title in enumerate(("Stage 1: trajectory tokens", "Stage 2: flow matching"))
     ]
+    height, width = summary["settings"]["training_size"]
+    about = f"{clips['clips']} clips of {height} x {width} pixels: {clips['gt']} GT and {clips['syn']} Syn"
+    about += ", with those held out for open-loop errors."
+    if clips["syn_ate_m_median"] is not None:
+        about += (
+            f" Trajectories of Syn clips are off by {clips['syn_ate_m_median']:.2f} m (median, absolute trajectory "
+            f"error; at most {clips['syn_ate_m_max']:.2f} m), and {clips['syn_observed_share_of_cross_views']:.0%} of "
+            "their cross views were observed."
+        )
     tables = [
         Table(("mixture", "component", "samples asked", "got", "distinct"), components),
-        Table(("mixture", "stage", "steps", "first loss", "last loss"), stages),
-        Table(("error (m)", *RECIPES), errors, "Open-loop errors on held-out nominal drives, one plan each."),
+        Table(
+            ("mixture", "stage", "regression warm-up steps", "steps after them", "first loss", "last loss"),
+            stages,
+            "Losses of the steps after the regression warm-up, as in the curves; the last one is a mean over their "
+            "last tenth. Stage 1: cross-entropy of tokens (guessing is 8.0) and the toy's own losses; Stage 2: squared "
+            "error of the flow of normalised actions.",
+        ),
+        Table(
+            ("error (m)", *RECIPES),
+            errors,
+            f"Open-loop errors on {training[RECIPES[0]]['open_loop_samples']} samples of held-out nominal drives, "
+            "means, one plan each; t in seconds.",
+        ),
     ]
-    return Section("Mixtures and two-stage training", [*tables, *curves])
+    return Section("Mixtures and two-stage training", [Text(about), *tables, *curves])
 
 
 def _draw_scene(scene: Scene, drives: dict[str, list[Drive]]) -> Rollouts:

@@ -25,15 +25,13 @@ from olt_sft_recipes.launch.stage_settings import StageSettings, builtin_stage_s
 from olt_sft_recipes.launch.torchrun import Machines, to_shell
 from olt_sft_recipes.launch.trainable import model_sizes
 from olt_sft_recipes.preflight.check import check
-from olt_sft_recipes.preflight.checkpoint_folder import CheckpointFolder, look_at_folder
-from olt_sft_recipes.preflight.plan import PreflightPlan
+from olt_sft_recipes.preflight.checkpoint_folder import CheckpointFolder
+from olt_sft_recipes.preflight.plan import MOST_SATURATED, PreflightPlan
 from olt_sft_recipes.preflight.rows import PreflightReport
 from olt_toolkit.rigs.contracts import find_contract
 from olt_toolkit.runtime.json_files import read_json
 
 BATCH_FILE, COMMANDS_FILE = "launch.sbatch", "commands.sh"
-MOST_SATURATED = 0.01
-"""Share of saturated future tokens up to which a launch goes on, where the user says nothing else."""
 Stages = Literal["1", "2", "both"]
 _STAGES: dict[Stages, tuple[Stage, ...]] = {"1": (1,), "2": (2,), "both": (1, 2)}
 
@@ -101,7 +99,7 @@ def prepare_launch(request: LaunchRequest, on_progress: Progress) -> PreparedLau
     """Plan a launch; writes nothing.
 
     Raises:
-        InputError: the policy has no recipe, settings or data are wrong, or too many tokens saturate.
+        InputError: the policy has no recipe, settings or data are wrong, or the base is not whole.
     """
     recipe = find_public_recipe(request.policy)
     contents, train = _training_data(request)
@@ -141,6 +139,7 @@ def look_before(prepared: PreparedLaunch) -> PreflightReport:
     """Preflight of what is there by now."""
     request, plan = prepared.request, prepared.plan
     there = plan.train.folder.exists()
+    to_be_rewritten = bool(plan.before) and not plan.base.exists()
     validation = plan.validation
     return check(
         PreflightPlan(
@@ -154,17 +153,25 @@ def look_before(prepared: PreparedLaunch) -> PreflightReport:
             val_data=validation.folder if validation else None,
             val_chunk_ids=validation.chunk_ids if validation else None,
             use_default_keyframe=not plan.train.own_times,
-            # A base that is still to be rewritten is not what the recipe will read.
-            base=plan.base if plan.base.exists() or not plan.before else None,
-            stage1=request.stage1_checkpoint,
+            # Rewriting a base changes its model type and the names of classes alone.
+            base=request.places.base if to_be_rewritten else plan.base,
+            base_is_rewritten=to_be_rewritten,
+            stage1=plan.stage1 if request.stages == "2" else None,
             vlm=request.places.vlm,
             out=request.places.out,
             nodes=request.machines.nodes,
             gpus=request.machines.gpus,
             gpu_memory_gib=request.gpu_memory_gib,
             python=request.places.python,
+            most_saturated=request.most_saturated,
         )
     )
+
+
+def refuse_before_export(prepared: PreparedLaunch) -> None:
+    """InputError where anything but the data, which are still to be exported, is not ready."""
+    if prepared.contents is not None and not prepared.plan.train.folder.exists():
+        look_before(prepared).refuse()
 
 
 def write_launch(prepared: PreparedLaunch) -> None:
@@ -294,5 +301,5 @@ def _deepspeed(stage: Stage) -> dict[str, Any]:
 
 
 def _look_at_base(base: Path) -> CheckpointFolder | None:
-    """What can be read of it; None where it is not on this machine."""
-    return look_at_folder("base", base)[0] if base.exists() else None
+    """What it is; None where it is not on this machine. InputError where it is not whole."""
+    return read_checkpoint(base) if base.exists() else None

@@ -11,6 +11,7 @@ from olt_sft_recipes.launch.public_recipes import MAX_PIXELS, MIN_PIXELS
 from olt_sft_recipes.preflight.checkpoint_folder import CheckpointFolder, look_at_folder
 from olt_sft_recipes.preflight.rows import Verdict
 from olt_sft_recipes.preflight.safetensors_files import StoredTensor
+from olt_sft_recipes.preflight.token_rows import unlike_tokens
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -18,15 +19,6 @@ if TYPE_CHECKING:
 VLM_PREFIX = "vlm."
 _NAME = re.compile(r"checkpoint-(\d+)")
 _EMBEDDING = "model.language_model.embed_tokens.weight"
-# What the ids of trajectory tokens depend on.
-_TOKEN_KEYS = (
-    "vocab_size",
-    "traj_vocab_size",
-    "traj_token_start_idx",
-    "traj_token_ids",
-    "tokens_per_history_traj",
-    "tokens_per_future_traj",
-)
 # Enough tensors to tell, and not so many that reading them holds up a training that is being followed.
 SAMPLE_BYTES = 512 << 20
 
@@ -68,13 +60,12 @@ def check_pixel_budget(folder: CheckpointFolder) -> None:
 
 def check_tokens(base: CheckpointFolder, trained: CheckpointFolder) -> None:
     """InputError where two checkpoints do not mean the same by the id of a trajectory token."""
-    for key in _TOKEN_KEYS:
-        if key in base.config and key in trained.config and base.config[key] != trained.config[key]:
-            raise InputError(
-                f"{trained.root / 'config.json'}: {key} is {_short(trained.config[key])}, and "
-                f"{_short(base.config[key])} in {base.root}: their trajectory tokens are "
-                "not the same; both stages must start from one base"
-            )
+    wrong, _ = unlike_tokens(base.config, trained.config)
+    if wrong:
+        raise InputError(
+            f"{trained.root / 'config.json'}: {wrong[0]} ({base.root}): their trajectory tokens are not the same; both "
+            "stages must start from one base"
+        )
     shapes = [vlm_tensors(folder)[_EMBEDDING].shape for folder in (base, trained) if _EMBEDDING in vlm_tensors(folder)]
     if len(set(shapes)) > 1:
         raise InputError(f"{trained.root}: {_EMBEDDING} is {shapes[1]}, and {shapes[0]} in {base.root}; see above")
@@ -161,6 +152,34 @@ def compare_vlm(stage1: Path, stage2: Path, base: Path, most_bytes: int | None =
     return VlmComparison(len(folders[0]), len(names), telling, tuple(unlike), as_base)
 
 
+def check_expert(path: Path, base_path: Path, whole: bool) -> str:
+    """Look at the action expert that Stage 2 left; says what was compared.
+
+    Args:
+        path, base_path: folders of Stage 2 and of the released checkpoint.
+        whole: whether the training is at its end, by which something must have changed.
+
+    Raises:
+        InputError: tensors of the base's expert are missing, or all of them are still the base's.
+    """
+    trained, base = read_checkpoint(path).tensors, read_checkpoint(base_path).tensors
+    names = sorted(name for name in base if not name.startswith(VLM_PREFIX))
+    missing = [name for name in names if name not in trained]
+    if missing:
+        raise InputError(
+            f"{path}: lacks {missing[0]} of the action expert ({len(missing)} of {len(names)} tensors missing), so it "
+            "cannot drive; train Stage 2 again"
+        )
+    chosen = _spread({name: base[name] for name in names}, SAMPLE_BYTES)
+    changed = sum(not _same(_read(base, name), _read(trained, name)) for name in chosen)
+    if whole and not changed:
+        raise InputError(
+            f"{path}: {len(chosen)} of {len(names)} tensors of the action expert were compared with {base_path} and "
+            "all are the same: Stage 2 changed nothing; look at its learning rate and its log"
+        )
+    return f"{changed} of {len(chosen)} compared tensors of the action expert differ from {base_path.name}"
+
+
 def _spread(tensors: Mapping[str, StoredTensor], most_bytes: int | None) -> Sequence[str]:
     names = sorted(tensors)
     total = sum(tensor.size for tensor in tensors.values())
@@ -185,7 +204,3 @@ def _read(tensors: Mapping[str, StoredTensor], name: str) -> "Tensor | None":
     with safe_open(tensors[name].file, framework="pt") as file:
         stored = name if name in file.keys() else f"{VLM_PREFIX}{name}"  # noqa: SIM118 - not a dict
         return file.get_tensor(stored)
-
-
-def _short(value: object) -> str:
-    return f"{value!r:.60}"

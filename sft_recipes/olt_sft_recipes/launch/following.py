@@ -11,7 +11,13 @@ from typing import Any
 from olt_generator.errors import InputError
 from olt_generator.files import make_folder, write_whole
 from olt_generator.progress import Progress, silent
-from olt_sft_recipes.launch.checkpoints import SAMPLE_BYTES, check_stage1, checkpoints_of, compare_vlm, read_checkpoint
+from olt_sft_recipes.launch.checkpoints import (
+    SAMPLE_BYTES,
+    check_expert,
+    check_stage1,
+    checkpoints_of,
+    compare_vlm,
+)
 from olt_sft_recipes.launch.log_watch import Expected, LogWatch
 from olt_sft_recipes.launch.plan import FINISHED, LaunchPlan, StageLaunch
 from olt_sft_recipes.launch.public_recipes import Stage
@@ -131,10 +137,10 @@ def check_checkpoint(stage: FollowedStage, path: Path, whole: bool = False) -> s
         return f"{comparison.telling} of {comparison.compared} compared tensors differ from {stage.base.name}"
     if stage.stage1 is None:
         raise InputError(f"{path}: Stage 1's checkpoint is not told, so nothing can be compared; launch again")
-    read_checkpoint(path)
     compared = compare_vlm(stage.stage1, path, stage.base, None if whole else SAMPLE_BYTES)
     compared.refuse(stage.stage1, path)
-    return compared.word()
+    trained = check_expert(path, stage.base, whole)
+    return f"{compared.word()}; {trained}"
 
 
 def finish(stage: FollowedStage, watch: LogWatch) -> dict[str, Any]:

@@ -3,13 +3,15 @@
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from olt_sft_recipes.preflight.checkpoint_folder import CheckpointFolder, look_at_folder
+from olt_generator.errors import InputError
+from olt_sft_recipes.preflight.checkpoint_folder import CONFIG, CheckpointFolder, look_at_folder
 from olt_sft_recipes.preflight.data_rows import spread
 from olt_sft_recipes.preflight.plan import PreflightPlan
 from olt_sft_recipes.preflight.profiles import PROFILES
 from olt_sft_recipes.preflight.rows import Row, RowMaker
-from olt_sft_recipes.preflight.safetensors_files import StoredTensor
-from olt_sft_recipes.preflight.token_rows import config_rows, vocabulary_rows
+from olt_sft_recipes.preflight.safetensors_files import StoredTensor, same_start
+from olt_sft_recipes.preflight.token_rows import config_rows, pixel_row, unlike_tokens, vocabulary_rows
+from olt_toolkit.runtime.json_files import read_json
 
 ROWS = RowMaker("checkpoint")
 VLM = "vlm."
@@ -25,6 +27,7 @@ NAMES = (
 )
 """Of tensors outside of its layers. A tensor that a layer lacks shows by the other layers."""
 _COMPARED, _COMPARED_BYTES = 16, 1 << 16
+_STATE, _SMALL_JSON = "trainer_state.json", 64 << 20
 
 
 def checkpoint_rows(plan: PreflightPlan) -> tuple[list[Row], CheckpointFolder | None]:
@@ -37,7 +40,7 @@ def checkpoint_rows(plan: PreflightPlan) -> tuple[list[Row], CheckpointFolder | 
         base, found = look_at_folder("base", plan.base)
         rows += found
         rows += _prefix_rows(base)
-        rows += config_rows(base, profile, plan.policy)
+        rows += config_rows(base, profile, plan.policy, plan.base_is_rewritten)
         rows.append(_dtype_row(base))
     rows += _stage1_rows(plan, base)
     if plan.vlm is None:
@@ -93,7 +96,13 @@ def _stage1_rows(plan: PreflightPlan, base: CheckpointFolder | None) -> Iterator
         return
     folder, rows = look_at_folder("stage 1", plan.stage1)
     yield from rows
+    yield from _stage1_config_rows(plan, folder, base)
     if not folder.tensors:
+        return
+    adapters = [name for name in folder.tensors if "lora_" in name or ".base_layer." in name]
+    if adapters:
+        found = f"{len(adapters)} tensors of adapters, as {adapters[0]}, which Stage 2 cannot load"
+        yield ROWS.failed("stage 1 adapters", plan.stage1, found, "merge them into the weights")
         return
     tensors = _vlm_tensors(folder.tensors)
     if base is None or not base.tensors:
@@ -102,6 +111,43 @@ def _stage1_rows(plan: PreflightPlan, base: CheckpointFolder | None) -> Iterator
     wanted = _vlm_tensors({name: tensor for name, tensor in base.tensors.items() if name.startswith(VLM)})
     yield _fit_row(plan.stage1, tensors, wanted)
     yield _trained_row(plan.stage1, tensors, wanted)
+
+
+def _stage1_config_rows(plan: PreflightPlan, folder: CheckpointFolder, base: CheckpointFolder | None) -> Iterator[Row]:
+    """Whether Stage 1 was trained with the image tokens and the ids of the base, and to its end."""
+    where, config = folder.root / CONFIG, folder.config
+    if config:
+        yield pixel_row("stage 1 pixel limits", config, PROFILES[plan.policy], where)
+        wrong, compared = ([], 0) if base is None else unlike_tokens(base.config, config)
+        if compared:
+            good = f"{compared} entries about trajectory tokens are those of the base"
+            yield ROWS.judge("stage 1 tokens", where, wrong, good, "take a Stage 1 that started from this base")
+        else:
+            yield ROWS.not_checked(
+                "stage 1 tokens", where, "there is no base, or it and Stage 1 share no entry of them"
+            )
+    yield _finished_row(folder.root)
+
+
+def _finished_row(root: Path) -> Row:
+    """Whether the Trainer's own notes in the folder are those of its last step."""
+    check, path = "stage 1 finished", root / _STATE
+    if not path.is_file():
+        return ROWS.not_checked(check, path, "there is no such file")
+    try:
+        state = read_json(path, "notes of the Trainer", _SMALL_JSON)
+    except InputError as error:
+        return ROWS.failed(check, path, str(error), "fetch or copy the folder again")
+    step, steps = (state.get(key) if isinstance(state, dict) else None for key in ("global_step", "max_steps"))
+    if not isinstance(step, int) or not isinstance(steps, int):
+        return ROWS.not_checked(check, path, "it tells neither global_step nor max_steps")
+    named = root.name.removeprefix("checkpoint-")
+    if root.name != named and named != str(step):
+        found = f"the folder is called {root.name}, and was written at step {step}: files of two runs or a renamed one"
+        return ROWS.failed(check, path, found, "take the folder as Stage 1 wrote it")
+    if step < steps:
+        return ROWS.note(check, path, f"step {step} of {steps}: not its last", "take the last one unless this is meant")
+    return ROWS.passed(check, path, f"step {step} of {steps}")
 
 
 def _vlm_tensors(tensors: dict[str, StoredTensor]) -> dict[str, StoredTensor]:
@@ -134,6 +180,4 @@ def _trained_row(root: Path, found: dict[str, StoredTensor], base: dict[str, Sto
 
 
 def _count_equal(pairs: Sequence[tuple[StoredTensor, StoredTensor]]) -> int:
-    return sum(
-        one.dtype == other.dtype and one.read(_COMPARED_BYTES) == other.read(_COMPARED_BYTES) for one, other in pairs
-    )
+    return sum(same_start(one, other, _COMPARED_BYTES) for one, other in pairs)

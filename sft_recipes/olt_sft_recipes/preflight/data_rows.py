@@ -10,6 +10,7 @@ from olt_generator.errors import InputError
 from olt_sft_recipes.preflight.plan import PreflightPlan
 from olt_sft_recipes.preflight.recipe_folder import EVENTS, RecipeFolder, selected_numbers
 from olt_sft_recipes.preflight.rows import Row, RowMaker, problems_of
+from olt_sft_recipes.preflight.saturation_rows import saturation_row
 from olt_toolkit.clips.pai_layout import (
     CALIBRATIONS,
     CLIP_INDEX,
@@ -26,6 +27,8 @@ T = TypeVar("T")
 ROWS = RowMaker("data")
 _DECODED = 4
 """Clips whose images are decoded: 16 images of a clip take about half a second."""
+_COUNTED = 2000
+"""Clips whose saturated tokens are counted, while time allows: about 2 ms each."""
 _EXPORT = "export it again with `olt data export`"
 
 
@@ -73,6 +76,9 @@ def _look(
     rows.append(_held_out_row(folder, part, selected))
     rows += _file_rows(folder, part, selected, plan)
     rows += _clip_rows(folder, part, selected, plan, deadline)
+    if part == "train":
+        wanted = spread(list(selected), _COUNTED)
+        rows.append(saturation_row(folder, part, wanted, len(selected), plan, time.monotonic() + plan.seconds / 3))
     return rows, selected
 
 
@@ -120,16 +126,24 @@ def _selection_row(folder: RecipeFolder, part: str, chunk_ids: str | None, selec
         return ROWS.passed(check, where, said)
     numbers = selected_numbers(chunk_ids)
     present = sorted(set(taken))
+    notes, first, end = [], numbers[0], numbers[-1] + 1
     if len(present) < len(numbers):
         absent = next(number for number, here in zip(numbers, [*present, None], strict=False) if number != here)
-        action = f"write {present[0]}-{present[-1] + 1}, or fetch the missing chunks"
-        found = f"{said}; {len(numbers) - len(present)} of its {len(numbers)} chunks have no clip, as {absent}"
-        return ROWS.failed(check, where, found, action)
-    left_out = there.count(numbers[-1] + 1)
-    if left_out:
-        found = f"{said}; chunk {numbers[-1] + 1} ({left_out} clips) is left out, for the last number does not count"
-        return ROWS.note(check, where, found, f"write {numbers[0]}-{numbers[-1] + 2} if it should be in")
-    return ROWS.passed(check, where, said)
+        missing = f"{len(numbers) - len(present)} of its {len(numbers)} chunks have no clip, as {absent}"
+        if (present[0], present[-1] + 1) != (first, end):
+            action = f"write {present[0]}-{present[-1] + 1}, or fetch the missing chunks"
+            return ROWS.failed(check, where, f"{said}; {missing}", action)
+        notes.append(missing)
+    if left_out := there.count(end):
+        notes.append(f"chunk {end} ({left_out} clips) is left out, for the last number does not count")
+        end += 1
+    if first and (left_out := there.count(first - 1)):
+        notes.append(f"chunk {first - 1} ({left_out} clips) is left out, for chunks count from 0")
+        first -= 1
+    if not notes:
+        return ROWS.passed(check, where, said)
+    more = f"write {first}-{end} if all of it should be in" if (first, end) != (numbers[0], numbers[-1] + 1) else ""
+    return ROWS.note(check, where, "; ".join([said, *notes]), more)
 
 
 def _held_out_row(folder: RecipeFolder, part: str, selected: dict[str, int]) -> Row:

@@ -13,6 +13,9 @@ from olt_sft_recipes.preflight.names import PolicyName
 from olt_toolkit.rigs.contracts import CameraContract, find_contract
 from olt_toolkit.rigs.names import ContractName
 
+MOST_SATURATED = 0.01
+"""Share of saturated future tokens up to which a launch goes on, where the user says nothing else."""
+
 
 @dataclass(frozen=True)
 class StagePlan:
@@ -72,12 +75,14 @@ class PreflightPlan:
         val_data, val_chunk_ids: the same of validation.
         use_default_keyframe: whether samples are taken at 5.1 s; else at the first time of `event_t0s`.
         base: folder of the released checkpoint.
+        base_is_rewritten: whether the launch rewrites a base of Alpamayo 1.5 to the format of R1 first.
         stage1: folder of Stage 1's checkpoint, where Stage 2 starts from one that is there.
         vlm: local folder of the vision-language model whose processor and vocabulary are taken.
         out: folder that the training writes to; it need not be there yet.
         nodes, gpus: machines, and processes on each.
         gpu_memory_gib: of each card; None asks `nvidia-smi`.
         python: interpreter of the environment that would run the recipe.
+        most_saturated: share of future tokens that may be cut off at the end of their range.
         clips: clips that are opened one by one; those that are spread most evenly over the selection.
         seconds: after so long no further clip is opened.
     """
@@ -90,6 +95,7 @@ class PreflightPlan:
     val_chunk_ids: str | None = None
     use_default_keyframe: bool = True
     base: Path | None = None
+    base_is_rewritten: bool = False
     stage1: Path | None = None
     vlm: Path | None = None
     out: Path | None = None
@@ -97,6 +103,7 @@ class PreflightPlan:
     gpus: int = 8
     gpu_memory_gib: float | None = None
     python: Path | None = None
+    most_saturated: float = MOST_SATURATED
     clips: int = 64
     seconds: float = 3.0
 

@@ -12,6 +12,7 @@ import pandas as pd
 
 from olt_generator.errors import InputError
 from olt_toolkit.clips.chunk_archive import ByteRange, ChunkArchive
+from olt_toolkit.clips.clip import EgoMotion
 from olt_toolkit.clips.feature_table import FeatureRow, read_feature_table
 from olt_toolkit.clips.pai_layout import CLIP_INDEX, EGOMOTION, FEATURE_TABLE, FRAME_TIMESTAMPS, VIDEO
 from olt_toolkit.clips.pai_tables import read_egomotion, read_indexed, read_timestamps
@@ -78,10 +79,14 @@ class RecipeFolder:
             self._archives[path] = ChunkArchive(path)
         return self._archives[path]
 
+    def ego_motion(self, clip_id: str) -> EgoMotion:
+        """The motion of a clip."""
+        return read_egomotion(*self._member(EGOMOTION, EGOMOTION, self.chunks[clip_id], clip_id))
+
     def look_at_clip(self, clip_id: str, t0_us: int, contract: CameraContract) -> None:
         """Read motion, times and video tables of a clip as a sample at `t0_us` needs them; decodes nothing."""
         chunk = self.chunks[clip_id]
-        motion = read_egomotion(*self._member(EGOMOTION, EGOMOTION, chunk, clip_id))
+        motion = self.ego_motion(clip_id)
         spans = {}
         for camera in contract.cameras:
             times = read_timestamps(*self._member(camera, FRAME_TIMESTAMPS, chunk, clip_id))

@@ -8,6 +8,9 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from olt_generator.errors import InputError
 from olt_toolkit.runtime.json_files import parse_json
 
@@ -44,6 +47,40 @@ class StoredTensor:
         with self.file.open("rb") as file:
             file.seek(self.start)
             return file.read(min(self.size, most_bytes))
+
+
+def same_start(one: StoredTensor, other: StoredTensor, most_bytes: int) -> bool:
+    """Whether two tensors begin with the same values, the finer one at the precision of the coarser one.
+
+    Types that are neither BF16, F16 nor F32 are the same only byte by byte.
+    """
+    if one.dtype == other.dtype:
+        return one.read(most_bytes) == other.read(most_bytes)
+    if not {one.dtype, other.dtype} <= _MANTISSAS.keys():
+        return False
+    coarse = min(one.dtype, other.dtype, key=_MANTISSAS.__getitem__)
+    values = [_at_precision(_floats(each, most_bytes), coarse) for each in (one, other)]
+    count = min(map(len, values))
+    return bool(count) and np.array_equal(values[0][:count], values[1][:count])
+
+
+_MANTISSAS = {"BF16": 7, "F16": 10, "F32": 23}
+"""Bits of precision of the types of weights."""
+
+
+def _floats(tensor: StoredTensor, most_bytes: int) -> NDArray[np.float32]:
+    content = tensor.read(most_bytes)
+    if tensor.dtype == "BF16":
+        return (np.frombuffer(content, "<u2").astype(np.uint32) << 16).view(np.float32)
+    return np.frombuffer(content, {"F16": "<f2", "F32": "<f4"}[tensor.dtype]).astype(np.float32)
+
+
+def _at_precision(values: NDArray[np.float32], dtype: str) -> NDArray[np.float32]:
+    """Rounded to the nearest value of a type, halves to the even one."""
+    if dtype == "BF16":
+        bits = values.view(np.uint32)
+        return ((bits + 0x7FFF + ((bits >> 16) & 1)) >> 16 << 16).view(np.float32)
+    return values.astype({"F16": np.float16, "F32": np.float32}[dtype]).astype(np.float32)
 
 
 def read_header(path: Path) -> dict[str, StoredTensor]:

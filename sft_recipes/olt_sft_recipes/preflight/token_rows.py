@@ -5,7 +5,7 @@ and gives the future the first ids and the history those behind them; Alpamayo 2
 trains without a message (docs/formats/alpamayo.md).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -24,21 +24,61 @@ _SMALLEST = 2  # bytes of a JSON object
 _ORIGINAL = "take the config.json of the release again"
 
 
-def config_rows(folder: CheckpointFolder, profile: Profile, policy: str) -> Iterator[Row]:
-    """Rows about the `config.json` of the released checkpoint."""
+# What the ids of trajectory tokens depend on.
+_TOKEN_KEYS = (
+    "vocab_size",
+    "traj_vocab_size",
+    "history_vocab_size",
+    "future_vocab_size",
+    "traj_token_start_idx",
+    "traj_token_ids",
+    "tokens_per_history_traj",
+    "tokens_per_future_traj",
+)
+_TOKENIZERS = ("traj_tokenizer_cfg", "hist_traj_tokenizer_cfg")
+
+
+def config_rows(
+    folder: CheckpointFolder, profile: Profile, policy: str, rewritten_first: bool = False
+) -> Iterator[Row]:
+    """Rows about the `config.json` of the released checkpoint; its model type is another where it is rewritten."""
     config, where = folder.config, folder.root / CONFIG
     if not config:
         yield ROWS.not_checked("trajectory tokens", where, "there is no configuration")
         return
     if profile.model_type is not None:
-        found, action = config.get("model_type"), _ORIGINAL
-        if found == "alpamayo1_5":
-            action = "rewrite it first: python scripts/convert_checkpoint.py to-a1 --input BASE --output BASE_A1"
-        wrong = [f"model_type is {found!r}, the recipe of {policy} reads {profile.model_type!r}"]
-        yield ROWS.judge("model type", where, wrong if found != profile.model_type else [], str(found), action)
+        yield _model_type_row(config.get("model_type"), profile.model_type, policy, where, rewritten_first)
     yield _token_row(config, profile, where)
-    yield _pixel_row(config, profile, where)
+    yield pixel_row("pixel limits", config, profile, where)
     yield _vocabulary_row(folder, profile)
+
+
+def _model_type_row(found: object, wanted: str, policy: str, where: Path, rewritten_first: bool) -> Row:
+    newer, action = found == "alpamayo1_5", _ORIGINAL
+    if newer and rewritten_first:
+        return ROWS.passed("model type", where, f"{found}, which the launch rewrites to {wanted}")
+    if newer:
+        action = "rewrite it first: python scripts/convert_checkpoint.py to-a1 --input BASE --output BASE_A1"
+    wrong = [] if found == wanted else [f"model_type is {found!r}, the recipe of {policy} reads {wanted!r}"]
+    return ROWS.judge("model type", where, wrong, str(found), action)
+
+
+def unlike_tokens(base: Mapping[str, Any], trained: Mapping[str, Any]) -> tuple[list[str], int]:
+    """Where two configurations do not mean the same by the id of a trajectory token, and how many keys both have."""
+    told, compared = [], 0
+    for key in (*_TOKEN_KEYS, *_TOKENIZERS):
+        if key not in base or key not in trained:
+            continue
+        one, other = (_bins(config[key]) if key in _TOKENIZERS else config[key] for config in (base, trained))
+        compared += 1
+        if one != other:
+            told.append(f"{key} is {other!r:.60}, and {one!r:.60} in the base")
+    return told, compared
+
+
+def _bins(tokenizer: Any) -> Any:
+    """What decides the ids; other entries name the class, which each package calls otherwise."""
+    return tokenizer.get("num_bins") if isinstance(tokenizer, Mapping) else tokenizer
 
 
 def _token_row(config: dict[str, Any], profile: Profile, where: Path) -> Row:
@@ -79,7 +119,8 @@ def _token_row(config: dict[str, Any], profile: Profile, where: Path) -> Row:
     return ROWS.judge("trajectory tokens", where, wrong, good, _ORIGINAL)
 
 
-def _pixel_row(config: dict[str, Any], profile: Profile, where: Path) -> Row:
+def pixel_row(check: str, config: Mapping[str, Any], profile: Profile, where: Path) -> Row:
+    """Whether a configuration limits the pixels of an image as the release does; no override of a launch can."""
     limits = {"min_pixels": profile.min_pixels, "max_pixels": profile.max_pixels}
     wrong = [
         f"{key} is {config.get(key, 'absent')}, not {value}"
@@ -88,7 +129,7 @@ def _pixel_row(config: dict[str, Any], profile: Profile, where: Path) -> Row:
     ]
     good = f"{profile.min_pixels:,} to {profile.max_pixels:,} pixels: 180 tokens an image of 1080 x 1920"
     action = "write both into config.json: without them an image becomes about 2,040 tokens"
-    return ROWS.judge("pixel limits", where, wrong, good, action)
+    return ROWS.judge(check, where, wrong, good, action)
 
 
 def _vocabulary_row(folder: CheckpointFolder, profile: Profile) -> Row:

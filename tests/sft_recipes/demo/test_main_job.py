@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from olt_closed_loop.evaluation.comparison import FEWEST_SCENES
 from olt_generator.errors import InputError
 from olt_generator.omissions import Omission, word_omission
 from olt_generator.video import write_video
@@ -16,6 +17,7 @@ SMALL = DemoSettings(
     nominal_clips=1,
     long_tail_clips=1,
     validation_clips=1,
+    evaluation_scenes=1,
     rollouts=1,
     input_size=(144, 256),
     training_front_size=(144, 256),
@@ -110,7 +112,8 @@ def comparable(summary):
 def test_the_main_job_runs_resumes_and_does_not_depend_on_the_number_of_workers(tmp_path):
     summary = run_demo(tmp_path / "one", SMALL, workers=1)
     assert (tmp_path / "one" / "report.html").stat().st_size > 10_000
-    assert "What is in doubt:" in (tmp_path / "one" / "report.html").read_text()
+    report = (tmp_path / "one" / "report.html").read_text()
+    assert "What is in doubt:" in report and "acceleration variance (m²/s⁴)" in report and "2 GT and 5 Syn" in report
     assert comparable(json.loads((tmp_path / "one" / "summary.json").read_text())) == comparable(summary)
     assert summary["input"]["pose_errors"]["metric"]["ate_m"] < 5.0
     assert summary["input"]["clip"]["views"][FRONT_WIDE]["kind"] == "rendered"
@@ -145,3 +148,14 @@ def test_the_verdict_says_whether_a_difference_is_supported(score, interval, sep
         {"first": RECIPES[0], "second": RECIPES[1], **pair},
     ]
     assert re.search(said, word_verdict({"closed_loop": {"comparison": {"differences": pairs}}}))
+
+
+@pytest.mark.parametrize(("scenes", "few"), [(5, True), (6, False)])
+def test_too_few_scenes_are_told(scenes, few):
+    pair = {"first": RECIPES[0], "second": RECIPES[1], "scenes": scenes, "score": 0.1, "score_interval": [-0.1, 0.3]}
+    verdict = word_verdict({"closed_loop": {"comparison": {"differences": [pair | {"separated": False}]}}})
+    assert ("Fewer than 6 scenes cannot tell." in verdict) is few
+
+
+def test_the_demo_judges_on_enough_scenes_to_tell():
+    assert len(plan_scenes(DemoSettings())["evaluation"]) >= FEWEST_SCENES

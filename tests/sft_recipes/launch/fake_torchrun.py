@@ -101,6 +101,10 @@ def main():
         result = tensors | vlm | {name: value + rise for name, value in mine.items()}
         if FAULT == "stage 2 on another":
             result |= {name: value + 1 for name, value in vlm.items()}
+        if FAULT == "expert lost":
+            result = {name: value for name, value in result.items() if not name.startswith("expert.")}
+        if FAULT == "expert unchanged":
+            result |= mine
     output = Path(OVERRIDES["paths.output_dir"])
     if FAULT != "no checkpoint":
         write_checkpoint(output / f"checkpoint-{steps - (FAULT == 'stops early')}", result, config)

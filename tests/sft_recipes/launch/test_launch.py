@@ -9,17 +9,28 @@ import time
 from pathlib import Path
 
 import pytest
+from safetensors.numpy import load_file, save_file
 from typer.testing import CliRunner
 
 from olt_generator.errors import InputError
 from olt_sft_recipes.commands.sft import app
+from olt_sft_recipes.preflight.rows import PreflightReport, Row, Verdict
+
+INDEX = "model.safetensors.index.json"
+RECIPE = """
+name: r
+description: All.
+version: 1
+samples: 10
+components:
+  - {name: all, where: {kind: GT}, share: 1.0, repeats: 8}
+"""
 
 
 @pytest.fixture(autouse=True)
 def ready(monkeypatch):
     """Preflight has tests of its own, and finds no Qwen3-VL and no graphics card here."""
     from olt_sft_recipes.launch import alpamayo
-    from olt_sft_recipes.preflight.rows import PreflightReport
 
     monkeypatch.setattr(alpamayo, "check", lambda plan: PreflightReport((), 0.0))
 
@@ -115,6 +126,8 @@ def test_stage_2_goes_on_from_a_stage_1_that_was_launched_alone(launch, environm
         ("nothing frozen", "parameters are trained"),
         ("stage 2 on the base", "but the released model's"),
         ("stage 2 on another", "neither Stage 1's nor the base's"),
+        ("expert lost", r"lacks expert\..*cannot drive"),
+        ("expert unchanged", "Stage 2 changed nothing"),
         ("fails", "RuntimeError: CUDA out of memory"),
     ],
 )
@@ -138,6 +151,58 @@ def test_stage_2_alone_takes_a_checkpoint_by_name_and_looks_at_it(launch, base, 
         launch("--stage", "2")
     with pytest.raises(InputError, match="Stage 1 changed nothing"):
         launch("--stage", "2", "--stage1-checkpoint", str(base))
+
+
+def test_a_stage_1_checkpoint_is_not_passed_over_where_stage_1_runs(launch, base, environment):
+    with pytest.raises(InputError, match=r"--stage1-checkpoint.*for --stage 2"):
+        launch("--stage1-checkpoint", str(base))
+    assert not calls(environment)
+
+
+def test_a_stage_2_that_is_kept_is_held_against_a_stage_1_that_was_trained_anew(launch, environment, base, tmp_path):
+    launch()
+    (tmp_path / "run/stage1/finished.json").unlink()
+    shard = base / "model-00001-of-00002.safetensors"
+    save_file({name: value + 1.0 for name, value in load_file(shard).items()}, shard)
+    with pytest.raises(InputError, match=r"finished by an earlier launch, and does not fit.*move .*stage2 away"):
+        launch()
+    assert calls(environment) == ["sft_stage1 1", "sft_stage2 2", "sft_stage1 1"]
+
+
+def _lose_the_index(base):
+    (base / INDEX).unlink()
+    return "index.json.*no such file"
+
+
+def _join_into_one_file(base):
+    tensors = {name: value for path in sorted(base.glob("*.safetensors")) for name, value in load_file(path).items()}
+    for path in [*base.glob("*.safetensors"), base / INDEX]:
+        path.unlink()
+    save_file(tensors, base / "model.safetensors")
+    return "model.safetensors stands alone"
+
+
+def _name_a_shard_that_is_not_there(base):
+    index = json.loads((base / INDEX).read_text())
+    index["weight_map"]["expert.norm.weight"] = "model-00003-of-00003.safetensors"
+    (base / INDEX).write_text(json.dumps(index))
+    return "model-00003-of-00003.safetensors: cannot be read"
+
+
+def _cut_a_shard(base):
+    path = base / "model-00002-of-00002.safetensors"
+    path.write_bytes(path.read_bytes()[:-4])
+    return "the file was cut off"
+
+
+@pytest.mark.parametrize(
+    "damage", [_lose_the_index, _join_into_one_file, _name_a_shard_that_is_not_there, _cut_a_shard]
+)
+def test_a_base_that_is_not_whole_is_told_by_its_file_before_anything_runs(launch, base, environment, damage, tmp_path):
+    said = damage(base)
+    with pytest.raises(InputError, match=said):
+        launch()
+    assert not calls(environment) and not (tmp_path / "run").exists()
 
 
 def test_a_killed_launch_leaves_no_process_and_goes_on(launch, environment, recipes, base, pai, tmp_path):
@@ -229,6 +294,43 @@ def test_preflight_is_given_what_will_run(launch, pai, monkeypatch):
     rows = launch("--dry-run", "--gpu-memory", "80")["preflight"]["rows"]
     assert {"data", "checkpoint", "steps", "memory"} <= {row["group"] for row in rows}
     assert any(row["group"] == "data" and str(pai) in row["where"] for row in rows)
+
+
+def test_preflight_of_stage_2_alone_is_given_what_stage_1_left(launch, monkeypatch, tmp_path):
+    launch("--stage", "1")
+    plans = _capture(monkeypatch)
+    launch("--stage", "2")
+    assert [plan.stage1 for plan in plans] == [tmp_path / "run/stage1/checkpoint-6"]
+
+
+def test_preflight_looks_at_a_base_that_is_still_to_be_rewritten(launch, base, monkeypatch):
+    config = json.loads((base / "config.json").read_text()) | {"model_type": "alpamayo1_5"}
+    (base / "config.json").write_text(json.dumps(config))
+    plans = _capture(monkeypatch)
+    launch("--dry-run", policy="alpamayo-1.5")
+    assert [(plan.base, plan.base_is_rewritten) for plan in plans] == [(base, True)]
+
+
+def test_what_is_not_ready_is_refused_before_the_export(launch, braking_store, monkeypatch, tmp_path):
+    row = Row("versions", "pins", "python", Verdict.FAILED, "torch is 2.7", "run uv sync")
+    monkeypatch.setattr("olt_sft_recipes.launch.alpamayo.check", lambda plan: PreflightReport((row,), 0.0))
+    recipe = tmp_path / "r.yaml"
+    recipe.write_text(RECIPE)
+    data = ("--recipe", str(recipe), "--stores", str(braking_store), "--allow-uncompared", "--most-saturated", "1")
+    with pytest.raises(InputError, match=r"torch is 2\.7"):
+        launch(data=data)
+    assert not (tmp_path / "run").exists()
+
+
+def _capture(monkeypatch):
+    plans = []
+
+    def look(plan):
+        plans.append(plan)
+        return PreflightReport((), 0.0)
+
+    monkeypatch.setattr("olt_sft_recipes.launch.alpamayo.check", look)
+    return plans
 
 
 def test_people_read_what_will_run_and_what_ran(recipes, environment, base, pai, tmp_path):

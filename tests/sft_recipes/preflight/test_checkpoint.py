@@ -4,10 +4,12 @@ import json
 import shutil
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 
@@ -15,7 +17,7 @@ from olt_generator.errors import InputError
 from olt_sft_recipes.preflight.check import check
 from olt_sft_recipes.preflight.plan import PreflightPlan, recipe_stages
 from olt_sft_recipes.preflight.rows import Verdict
-from olt_sft_recipes.preflight.safetensors_files import read_header
+from olt_sft_recipes.preflight.safetensors_files import read_header, same_start
 
 from .conftest import release_config, tensor_shapes, write_checkpoint
 
@@ -168,6 +170,110 @@ def test_a_stage_1_that_lacks_a_tensor_or_has_other_shapes(folders):
     for path in folders["stage1"].glob("*.safetensors"):
         edit_shard(folders["stage1"], lambda tensors: tensors.pop(LAYER, None), path.name)
     assert any("stage 1 fits" in each and "1 of" in each and "are missing" in each for each in failures(**folders))
+
+
+@pytest.mark.parametrize("folder", ["base", "stage1"])
+@pytest.mark.parametrize("change", [{"max_pixels": None}, {"min_pixels": "163840"}, {"max_pixels": 163_840}])
+def test_a_pixel_budget_in_only_one_of_two_configurations(folders, folder, change):
+    edit_json(folders[folder] / "config.json", lambda content: content | change)
+    (found,) = failures(**folders)
+    assert found.startswith("pixel limits" if folder == "base" else "stage 1 pixel limits") and "write both" in found
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"traj_token_start_idx": 151_936},  # behind the padded vocabulary of Qwen
+        {"traj_vocab_size": 768},
+        {"hist_traj_tokenizer_cfg": {"num_bins": 3000}},
+        {"tokens_per_history_traj": 45},
+    ],
+)
+def test_a_stage_1_whose_tokens_are_not_those_of_the_base(folders, change):
+    for name in ("base", "stage1"):
+        edit_json(folders[name] / "config.json", lambda content: content | {"traj_token_start_idx": 151_669})
+    assert not failures(**folders)
+    edit_json(folders["stage1"] / "config.json", lambda content: content | change)
+    (found,) = failures(**folders)
+    assert found.startswith("stage 1 tokens") and next(iter(change)) in found and "in the base" in found
+
+
+def test_a_stage_1_that_is_the_base_in_another_type_did_not_train(folders, tmp_path):
+    tensors = {}
+    for path in sorted(folders["base"].glob("*.safetensors")):
+        tensors |= {name: tensor.float() for name, tensor in load_file(path).items() if name.startswith("vlm.")}
+    stage1 = folders["stage1"]
+    for path in stage1.glob("*.safetensors"):
+        save_file({name: tensors[name] for name in load_file(path)}, path)
+    (found,) = failures(**folders)
+    assert found.startswith("stage 1 trained") and "did not train, or this is the base" in found
+    for path in stage1.glob("*.safetensors"):
+        save_file({name: tensor * 1.01 for name, tensor in load_file(path).items()}, path)
+    assert not failures(**folders)
+
+
+@pytest.mark.parametrize(
+    ("state", "verdict", "said"),
+    [
+        ({"global_step": 7, "max_steps": 7}, Verdict.PASSED, "step 7 of 7"),
+        ({"global_step": 7, "max_steps": 1149}, Verdict.NOTE, "step 7 of 1149: not its last"),
+        ({"global_step": 1149, "max_steps": 1149}, Verdict.FAILED, "called checkpoint-7, and was written at step 1149"),
+        ({}, Verdict.NOT_CHECKED, "neither global_step"),
+        ([], Verdict.NOT_CHECKED, "neither global_step"),
+    ],
+)
+def test_how_far_stage_1_was_trained_is_told(folders, state, verdict, said):
+    (folders["stage1"] / "trainer_state.json").write_text(json.dumps(state))
+    plan = PreflightPlan("alpamayo-r1", recipe_stages("alpamayo-r1"), **folders)
+    (row,) = [row for row in check(plan).rows if row.check == "stage 1 finished"]
+    assert row.verdict is verdict and said in row.found
+
+
+def test_a_stage_1_with_adapters_must_be_merged(folders):
+    adapter = "vlm.model.language_model.layers.{}.self_attn.q_proj.lora_A.default.weight"
+    shard = "model-00002-of-00002.safetensors"
+    names = [adapter.format(layer) for layer in range(3)]
+    edit_shard(folders["stage1"], lambda tensors: tensors.update({name: torch.zeros(2, 2) for name in names}), shard)
+    edit_json(
+        folders["stage1"] / INDEX, lambda content: content["weight_map"].update(dict.fromkeys(names, shard)) and None
+    )
+    (found,) = failures(**folders)
+    assert found.startswith("stage 1 adapters") and "3 tensors" in found and "merge them" in found
+
+
+def test_an_index_that_lacks_the_expert_though_a_shard_holds_it(folders):
+    def lose(content):
+        names = content["weight_map"]
+        return {"weight_map": {name: file for name, file in names.items() if not name.startswith("expert.")}}
+
+    edit_json(folders["base"] / INDEX, lose)
+    assert any(
+        "base shards" in each and "holds, and the index does not, expert." in each for each in failures(**folders)
+    )
+
+
+def test_an_index_that_names_a_shard_which_is_not_there(folders):
+    def rename(content):
+        content["weight_map"]["expert.norm.weight"] = "model-00004-of-00004.safetensors"
+
+    edit_json(folders["base"] / INDEX, rename)
+    found = failures(**folders)
+    assert any("base shards" in each and "model-00004-of-00004.safetensors" in each for each in found)
+
+
+@settings(max_examples=50)
+@given(hnp.arrays(np.float32, st.integers(1, 40), elements=st.floats(-1e4, 1e4, width=32)))
+def test_starts_of_tensors_are_compared_at_the_coarser_precision(tmp_path_factory, values):
+    path = tmp_path_factory.mktemp("types") / "some.safetensors"
+    whole = torch.from_numpy(values)
+    types = {"whole": torch.float32, "brain": torch.bfloat16, "half": torch.float16}
+    save_file({name: whole.to(dtype) for name, dtype in types.items()}, path)
+    stored = read_header(path)
+    for name, dtype in types.items():
+        assert same_start(stored["whole"], stored[name], 64) and same_start(stored[name], stored["whole"], 64)
+        other = (whole + 1.0 + whole.abs()).to(dtype)
+        save_file({"other": other}, path.with_name("other.safetensors"))
+        assert not same_start(stored["whole"], read_header(path.with_name("other.safetensors"))["other"], 64)
 
 
 def test_names_of_stage_1_without_prefix_are_taken_too(folders):

@@ -1,5 +1,6 @@
 """Nothing is said to be wrong where nothing is wrong, and what could not be looked at is told."""
 
+import json
 from dataclasses import replace
 
 import pytest
@@ -63,6 +64,10 @@ def test_a_base_of_alpamayo_1_5_must_be_rewritten_first(plan, make_python, tmp_p
     report = check(replace(plan, policy="alpamayo-1.5", base=base, python=python, stage1=None))
     assert [row.check for row in report.failures] == ["model type"]
     assert "convert_checkpoint.py to-a1" in report.failures[0].action
+    rewritten = replace(plan, policy="alpamayo-1.5", base=base, python=python, stage1=None, base_is_rewritten=True)
+    assert not check(rewritten).failures
+    (base / "config.json").write_text(json.dumps(config | {"max_pixels": None}))
+    assert [row.check for row in check(rewritten).failures] == ["pixel limits"]
     assert not check(replace(plan, policy="alpamayo-1.5", python=python)).failures
 
 

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from olt_datasets import contents_of_stores, export_pai
 from olt_sft_recipes.preflight.check import check
 from olt_sft_recipes.preflight.data_rows import spread
 from olt_sft_recipes.preflight.plan import PreflightPlan, recipe_stages
@@ -19,6 +20,7 @@ from olt_sft_recipes.preflight.rows import Verdict
 from olt_toolkit.clips.clip import make_clip_id
 
 from ...published_features import write_published_features
+from ...straight_clips import straight_clip, write_clips
 
 TELE = "camera_front_tele_30fov"
 
@@ -136,6 +138,52 @@ def test_the_last_number_of_a_selection_does_not_count(clean_export):
     (row,) = [row for row in look(clean_export, chunk_ids="0-1") if row.check == "train chunks"]
     assert row.verdict is Verdict.NOTE and "2 of 3 clips" in row.found and "chunk 1 (1 clips) is left out" in row.found
     assert "0-2" in row.action
+
+
+@pytest.mark.parametrize(
+    ("chunks", "chunk_ids", "verdict", "said", "action"),
+    [
+        ([0, 0, 1], "1-2", Verdict.NOTE, "chunk 0 (2 clips) is left out, for chunks count from 0", "0-2"),
+        ([1, 1, 1], "0-1", Verdict.FAILED, "0 of 3 clips are selected", "1-2"),
+        ([1, 1, 2], "1-2", Verdict.NOTE, "2 of 3 clips are selected", "1-3"),
+        ([0, 1, 1], "0-1", Verdict.NOTE, "1 of 3 clips are selected", "0-2"),
+        ([0, 0, 4], "0-5", Verdict.NOTE, "3 of its 5 chunks have no clip, as 1", ""),
+        ([0, 0, 4], "0-6", Verdict.FAILED, "4 of its 6 chunks have no clip, as 1", "0-5"),
+        ([3, 3, 4], "2-5", Verdict.FAILED, "1 of its 3 chunks have no clip, as 2", "3-5"),
+        ([3, 3, 4], "3-5", Verdict.PASSED, "3 of 3 clips are selected, of chunks 3 to 4", ""),
+    ],
+)
+def test_ranges_that_are_off_by_one_or_have_gaps(export, chunks, chunk_ids, verdict, said, action):
+    edit_index(export, lambda index: index.assign(chunk=chunks))
+    (row,) = [row for row in look(export, chunk_ids=chunk_ids) if row.check == "train chunks"]
+    assert row.verdict is verdict and said in row.found and action in row.action
+
+
+@pytest.fixture(scope="session")
+def braking_export(tmp_path_factory):
+    """17 clips at 20 m/s, one of which brakes by 9 m/s² from 6 s on: beyond what tokens can say."""
+    times = 0.1 * np.arange(126)
+    slowing = np.clip(times - 6.0, 0.0, 20.0 / 9.0)
+    braking = 20.0 * times - 9.0 * slowing * (times - 6.0 - 0.5 * slowing)
+    along = {f"steady {number}": 20.0 * times for number in range(16)} | {"braking": braking}
+    clips = [straight_clip(name, 126, slice(46, 55), along=path) for name, path in along.items()]
+    folder = tmp_path_factory.mktemp("braking")
+    export_pai(contents_of_stores([write_clips(folder / "store", clips)], "train"), folder / "pai", verify=False)
+    return folder / "pai"
+
+
+@pytest.mark.parametrize(("allowed", "verdict"), [(0.005, Verdict.FAILED), (0.02, Verdict.NOTE)])
+def test_tokens_that_saturate_in_one_sample_of_17(braking_export, allowed, verdict):
+    (row,) = [
+        row for row in look(braking_export, most_saturated=allowed, clips=1) if row.check == "train saturated tokens"
+    ]
+    assert row.verdict is verdict and "in 1 of 17 samples of 17" in row.found
+    assert make_clip_id("braking") in row.found and make_clip_id("braking") in row.action
+
+
+def test_nothing_saturates_in_a_steady_drive(clean_export):
+    (row,) = [row for row in look(clean_export) if row.check == "train saturated tokens"]
+    assert row.verdict is Verdict.PASSED and "0 of 384 (0.00%), in 0 of 3 samples of 3" in row.found
 
 
 @given(st.integers(0, 50), st.integers(0, 50))

@@ -1,10 +1,11 @@
 import os
 import time
+from contextlib import suppress
 
 import pytest
 
 from olt_generator.files import write_whole
-from olt_toolkit.runtime.workers import map_parallel
+from olt_toolkit.runtime.workers import kept_workers, map_parallel
 
 
 def square(number):
@@ -55,3 +56,46 @@ def test_a_stopped_worker_leaves_nothing_half_written(tmp_path):
     with pytest.raises(ValueError, match="the other item"):
         map_parallel(write_slowly_or_fail, [tmp_path / "slow", tmp_path / "other"], 2)
     assert list((tmp_path / "slow").iterdir()) == []
+
+
+def go_on_or_fail(item):
+    end = time.monotonic() + 120
+    if item == 0:
+        time.sleep(1)
+        raise ValueError("item 0")
+    while time.monotonic() < end:
+        with suppress(BaseException):
+            time.sleep(1)
+
+
+def test_a_worker_that_passes_over_its_end_is_ended(monkeypatch):
+    monkeypatch.setattr("olt_toolkit.runtime.workers._SECONDS_TO_END", 2.0)
+    start = time.monotonic()
+    with pytest.raises(ValueError, match="item 0"):
+        map_parallel(go_on_or_fail, [1, 0], 2)
+    assert time.monotonic() - start < 100
+
+
+def process_of(_):
+    time.sleep(0.2)
+    return os.getpid()
+
+
+def test_kept_workers_are_the_same_processes_from_call_to_call():
+    with kept_workers(2):
+        first, second = (set(map_parallel(process_of, range(4), 2)) for _ in range(2))
+    afterwards = set(map_parallel(process_of, range(4), 2))
+    assert os.getpid() not in first and second <= first and not afterwards & first
+
+
+def test_kept_workers_of_one_are_this_process():
+    with kept_workers(1):
+        assert map_parallel(process_of, range(2), 1) == [os.getpid()] * 2
+
+
+def test_after_a_failure_kept_workers_are_others():
+    with kept_workers(2):
+        first = set(map_parallel(process_of, range(4), 2))
+        with pytest.raises(ValueError, match="item 0"):
+            map_parallel(sleep_or_fail, [1, 0], 2)
+        assert not set(map_parallel(process_of, range(4), 2)) & first

@@ -4,8 +4,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from enum import StrEnum
 from multiprocessing import get_context, parent_process
 from typing import TypeVar
@@ -29,6 +30,29 @@ def default_workers() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+# Between being asked to end and being ended: what is half-written is removed in it.
+_SECONDS_TO_END = 10.0
+_kept: ProcessPoolExecutor | None = None
+"""Processes that stay from one call of `map_parallel` to the next, within `kept_workers`."""
+
+
+@contextmanager
+def kept_workers(workers: int) -> Iterator[None]:
+    """Within it, `map_parallel` of this process works on the same up to `workers` processes again and again.
+
+    A process imports what it works with, which takes seconds of a processor; a job of several steps pays that once.
+    After a failure the processes are gone, and the next call starts its own.
+    """
+    global _kept
+    _kept = _start_pool(workers) if workers > 1 else None
+    try:
+        yield
+    finally:
+        if _kept is not None:
+            _kept.shutdown(cancel_futures=True)
+        _kept = None
+
+
 def map_parallel(
     function: Callable[[Item], Result],
     items: Sequence[Item],
@@ -47,25 +71,38 @@ def map_parallel(
         from olt_toolkit.runtime.ray_engine import map_on_ray
 
         return map_on_ray(function, items, workers, on_progress)
+    global _kept
     results: dict[int, Result] = {}
     if workers <= 1 or len(items) <= 1:
         for index, item in enumerate(items):
             results[index] = function(item)
             on_progress((index + 1) / len(items))
         return list(results.values())
-    pool = ProcessPoolExecutor(min(workers, len(items)), mp_context=get_context("spawn"), initializer=_start_worker)
+    pool = _kept or _start_pool(min(workers, len(items)))
     try:
         futures = {pool.submit(_work, function, item): index for index, item in enumerate(items)}
         for future in as_completed(futures):
             results[futures[future]] = future.result()
             on_progress(len(results) / len(items))
     except BaseException:
-        for process in list((pool._processes or {}).values()):  # a started task cannot be cancelled otherwise
+        processes = list((pool._processes or {}).values())
+        for process in processes:  # a started task cannot be cancelled otherwise
             process.terminate()
+        # A library that catches everything while it is imported passes over that.
+        killing = threading.Timer(_SECONDS_TO_END, lambda: [process.kill() for process in processes])
+        killing.start()
         pool.shutdown(wait=True, cancel_futures=True)
+        killing.cancel()
+        if pool is _kept:
+            _kept = None
         raise
-    pool.shutdown()
+    if pool is not _kept:
+        pool.shutdown()
     return [results[index] for index in range(len(items))]
+
+
+def _start_pool(workers: int) -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker)
 
 
 def _start_worker() -> None:
