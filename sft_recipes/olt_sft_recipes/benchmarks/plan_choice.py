@@ -89,19 +89,20 @@ def gather_moments(policy: "ToyPolicy", samples: "Iterable[PolicySample]") -> "I
         known, route, world = gather_truth([sample], along)
         if not known[0]:
             continue
-        plans, speed, sight = policy.draw(observation)
+        drawn = policy.draw(observation)
         driven = planar_poses(sample.ego_future_xyz[0].astype(np.float64), sample.ego_future_rot[0].astype(np.float64))
-        yield Moment(plans, speed, sight, Occupancy.of_truth(route[0], world[0], along[0]), driven)
+        truth = Occupancy.of_truth(route[0], world[0], along[0])
+        yield Moment(drawn.plans, drawn.speed, drawn.occupancy(), truth, driven)
 
 
 def measure(moments: Sequence[Moment]) -> dict[str, Any]:
     """Calibration of contacts of the plans drawn first, and way and contacts of what is chosen at every worth."""
-    from olt_sft_recipes.toy.plan_choice import WAY_WORTH, choose_plan
+    from olt_sft_recipes.toy.plan_choice import WAY_WORTH, choose_plan, ways_along
 
     drawn = [moment.plans[0] for moment in moments]
     thought = np.array([moment.sight.contacts(plan) for moment, plan in zip(moments, drawn, strict=True)])
     true = np.array([moment.truth.contacts(plan) for moment, plan in zip(moments, drawn, strict=True)])
-    driven = float(np.mean([_way(moment.driven) for moment in moments]))
+    driven = float(np.mean([ways_along(moment.driven)[-1] for moment in moments]))
     calibration = []
     for least, most in pairwise(BINS):
         inside = (thought >= least) & ((thought < most) | (most == BINS[-1]))
@@ -116,7 +117,7 @@ def measure(moments: Sequence[Moment]) -> dict[str, Any]:
     rows = [
         {
             "worth": name,
-            "way_share": float(np.mean([_way(plan) for plan in plans])) / driven,
+            "way_share": float(np.mean([ways_along(plan)[-1] for plan in plans])) / driven,
             "meets_share": float(
                 np.mean([moment.truth.contacts(plan) > MET for moment, plan in zip(moments, plans, strict=True)])
             ),
@@ -138,7 +139,3 @@ def print_result(result: dict[str, Any]) -> None:
     print_table("Contacts of the first plan", columns, [tuple(row.values()) for row in result["calibration"]])
     columns = ("worth of way", "way, of what was driven", "plans that meet somebody")
     print_table("What is chosen", columns, [tuple(row.values()) for row in result["choices"]])
-
-
-def _way(plan: "Array") -> float:
-    return float(np.linalg.norm(np.diff(plan[:, :2], axis=0, prepend=0.0), axis=1).sum())

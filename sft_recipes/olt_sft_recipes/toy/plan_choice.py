@@ -91,7 +91,7 @@ class Occupancy:
 def choose_plan(plans: Array, speed: float, occupancy: Occupancy, way_worth: float = WAY_WORTH) -> Array:
     """The best (64, 3) of plans (k, 64, 3) of x, y, yaw, of those beside them, and of those that brake from a speed."""
     tried = np.stack([slower_plans(plan_beside(plan, aside), speed) for plan in plans for aside in ASIDE])
-    ways = np.cumsum(np.linalg.norm(np.diff(tried[..., :2], axis=2, prepend=0.0), axis=-1), axis=2)
+    ways = ways_along(tried)
     farthest = max(float(ways[..., -1].max()), _LEAST_WAY)
     worth = way_worth * ways[..., -1] / farthest
     worth -= ASIDE_COST * np.tile(np.abs(ASIDE), len(plans))[:, None]
@@ -99,9 +99,14 @@ def choose_plan(plans: Array, speed: float, occupancy: Occupancy, way_worth: flo
     return tried[np.unravel_index(int(worth.argmax()), worth.shape)]
 
 
+def ways_along(plans: Array) -> Array:
+    """Metres (..., steps) that plans (..., steps, 3) have made until each step."""
+    return np.cumsum(np.linalg.norm(np.diff(plans[..., :2], axis=-2, prepend=0.0), axis=-1), axis=-1)
+
+
 def plan_beside(plan: Array, aside: float) -> Array:
     """A plan (64, 3) that goes over to a path so many metres to the left."""
-    way = np.cumsum(np.linalg.norm(np.diff(plan[:, :2], axis=0, prepend=0.0), axis=1))
+    way = ways_along(plan)
     share = np.minimum(way / ASIDE_METRES, 1.0)
     offset = aside * share**2 * (3.0 - 2.0 * share)
     slope = aside * 6.0 * share * (1.0 - share) / ASIDE_METRES

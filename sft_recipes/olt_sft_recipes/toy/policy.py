@@ -1,5 +1,6 @@
 """The toy policy drives (contract `olt_toolkit.policy.contract.Policy`)."""
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -8,10 +9,38 @@ from olt_generator.errors import InputError
 from olt_generator.poses import Array, planar_pose
 from olt_sft_recipes.toy.action_expert import ACTION_SIZE
 from olt_sft_recipes.toy.checkpoint import ToyModel, read_model
+from olt_sft_recipes.toy.image_encoder import Sight
 from olt_sft_recipes.toy.inputs import cells_along, encode_inputs, pad_route, planar_poses, select_images
 from olt_sft_recipes.toy.plan_choice import Occupancy, choose_plan
 from olt_toolkit.policy.action_space import actions_to_trajectory, estimate_initial_speed
 from olt_toolkit.policy.contract import FUTURE_STEPS, Observation, PlannedTrajectory
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What the policy would do, before it chooses.
+
+    Attributes:
+        xyz, rotation: (k, 64, 3) and (k, 64, 3, 3) of the plans in the rig frame, metres.
+        speed: now, m/s, at least 0.
+        sight: what it makes of the images.
+        along: (stations, offsets, 3) cells of its route grid.
+    """
+
+    xyz: Array
+    rotation: Array
+    speed: float
+    sight: Sight
+    along: Array
+
+    @property
+    def plans(self) -> Array:
+        """The plans (k, 64, 3) as x, y in metres and yaw."""
+        return planar_poses(self.xyz, self.rotation)
+
+    def occupancy(self) -> Occupancy:
+        """What the sight thinks is taken."""
+        return Occupancy.of(self.sight, self.along)
 
 
 class ToyPolicy:
@@ -33,13 +62,15 @@ class ToyPolicy:
         Raises:
             InputError: the observation holds no images.
         """
-        plans, speed, occupancy = self.draw(observation)
-        x, y, yaw = (choose_plan(plans, speed, occupancy) if self.model.config.chooses_plan else plans[0]).T
+        drawn = self.draw(observation)
+        if not self.model.config.chooses_plan:
+            return PlannedTrajectory(drawn.xyz[0], drawn.rotation[0])
+        x, y, yaw = choose_plan(drawn.plans, drawn.speed, drawn.occupancy()).T
         chosen = planar_pose(x, y, yaw)
         return PlannedTrajectory(chosen[:, :3, 3], chosen[:, :3, :3])
 
-    def draw(self, observation: Observation) -> tuple[Array, float, Occupancy]:
-        """Plans (k, 64, 3) of x, y in metres and yaw in the rig frame, the speed now in m/s, and what its sight thinks.
+    def draw(self, observation: Observation) -> Drawn:
+        """Draw the planned trajectories of an observation.
 
         Raises:
             InputError: the observation holds no images.
@@ -58,8 +89,8 @@ class ToyPolicy:
             prefix = self.model.vlm.read_prefix(encode_inputs(images, history, routes, config))
             actions = self.model.expert.sample(noise, prefix.repeated(len(noise))).double().numpy()
         speed = float(estimate_initial_speed(observation.history_xyz, observation.history_rotation))
-        plans = planar_poses(*actions_to_trajectory(actions, speed))
-        return plans, max(speed, 0.0), Occupancy.of(prefix.sight, cells_along(history, routes)[0])
+        xyz, rotation = actions_to_trajectory(actions, speed)
+        return Drawn(xyz, rotation, max(speed, 0.0), prefix.sight, cells_along(history, routes)[0])
 
 
 def load_toy(path: str | None) -> ToyPolicy:

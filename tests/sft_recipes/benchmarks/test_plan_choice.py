@@ -1,6 +1,7 @@
 """What the toy thinks of its plans, held against what is there."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -56,7 +57,7 @@ class Drawing:
     """A policy that draws one plan and sees nobody."""
 
     def draw(self, observation):
-        return AHEAD[None], SPEED, wall(0.0)
+        return SimpleNamespace(plans=AHEAD[None], speed=SPEED, occupancy=lambda: wall(0.0))
 
 
 def test_moments_are_those_of_samples_that_know_what_is_where():
