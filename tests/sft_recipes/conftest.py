@@ -6,20 +6,17 @@ import pytest
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_toolkit.policy.sample import PolicySample, SampleKey
 
+# fmt: off
+TINY_CONFIG = ToyPolicyConfig(
+    image_height=16, image_width=32, image_top=0, image_channels=4, precision="float32",
+    width=16, layers=2, heads=2, expert_width=16,
+)
+# fmt: on
+
 
 @pytest.fixture(scope="session")
 def tiny_config():
-    return ToyPolicyConfig(
-        image_height=16,
-        image_width=32,
-        image_top=0,
-        image_channels=4,
-        precision="float32",
-        width=16,
-        layers=2,
-        heads=2,
-        expert_width=16,
-    )
+    return TINY_CONFIG
 
 
 def make_sample(curvature, speed=8.0, clip_id="clip", t0_us=2_000_000):
@@ -53,8 +50,7 @@ def make_sample(curvature, speed=8.0, clip_id="clip", t0_us=2_000_000):
     )
 
 
-@pytest.fixture(scope="session")
-def drives():
+def make_drives():
     """Twelve samples by key: left, right and straight at several speeds."""
     curvatures = np.linspace(-0.03, 0.03, 12)
     keys = [SampleKey("store", f"clip{index:02d}", 2_000_000) for index in range(12)]
@@ -62,6 +58,11 @@ def drives():
         key: make_sample(float(curvature), 5.0 + index % 4, key.clip_id)
         for index, (key, curvature) in enumerate(zip(keys, curvatures, strict=True))
     }
+
+
+@pytest.fixture(scope="session")
+def drives():
+    return make_drives()
 
 
 @pytest.fixture(scope="session")

@@ -11,14 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.training.stage_config import StageConfig
 from olt_sft_recipes.training.two_stages import StageResult, train_two_stages
 from olt_sft_recipes.training.validation import Validation
 from olt_toolkit.policy.sample import SampleKey
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from conftest import make_sample
+from conftest import TINY_CONFIG, make_drives
 
 AUGMENTED = {"mirror_probability": 0.5, "turn_degrees": 4.0, "move_metres": 0.5}
 SETTINGS = {"num_train_epochs": 2, "per_device_train_batch_size": 4, "learning_rate": 3e-3, "warmup_steps": 2}
@@ -27,18 +26,12 @@ STAGES = (
     StageConfig(stage=2, save_steps=2, eval_steps=3, **SETTINGS, **AUGMENTED),
 )
 STEPS = 12  # six of each stage
-CONFIG = ToyPolicyConfig(
-    image_height=16, image_width=32, image_top=0, image_channels=4, precision="float32",
-    width=16, layers=2, heads=2, expert_width=16,
-)  # fmt: skip
 
 
 def train(out: Path, on_progress: Callable[[float], object] = lambda share: None) -> list[StageResult]:
     """Twelve drives, left, right and straight at several speeds; the first judges."""
-    keys = [SampleKey("store", f"clip{index:02d}", 2_000_000) for index in range(12)]
-    drives = {
-        key: make_sample(0.06 * index / 11 - 0.03, 5.0 + index % 4, key.clip_id) for index, key in enumerate(keys)
-    }
+    drives = make_drives()
+    keys = sorted(drives)
 
     def batches(epoch: int, size: int) -> list[list[SampleKey]]:
         return [keys[start : start + size] for start in range(0, len(keys), size)]
@@ -46,7 +39,7 @@ def train(out: Path, on_progress: Callable[[float], object] = lambda share: None
     def load(asked: list[SampleKey]) -> list[Any]:
         return [drives[key] for key in asked]
 
-    return train_two_stages(STAGES, batches, load, out, CONFIG, on_progress, Validation([drives[keys[0]]]))
+    return train_two_stages(STAGES, batches, load, out, TINY_CONFIG, on_progress, Validation([drives[keys[0]]]))
 
 
 def kill() -> None:
