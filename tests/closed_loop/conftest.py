@@ -189,12 +189,17 @@ def turned(values: dict[str, Any], yaw: float, x: float = 0.0, y: float = 0.0) -
         ],
         "road_edges": [move(edge, False) for edge in values["map"]["road_edges"]],
     }
+    return with_tracks(values, move_poses, road)
+
+
+def with_tracks(values: dict[str, Any], move: Callable[[dict[str, Any]], dict[str, Any]], road: Any) -> dict[str, Any]:
+    """A rollout whose ego, recording, agents and plans are moved, on a road."""
     return values | {
-        "ego": move_poses(values["ego"]),
-        "gt": move_poses(values["gt"]),
-        "agents": {name: move_poses(agent) for name, agent in values["agents"].items()},
+        "ego": move(values["ego"]),
+        "gt": move(values["gt"]),
+        "agents": {name: move(agent) for name, agent in values["agents"].items()},
         "map": road,
-        "plans": [move_poses(plan) for plan in values["plans"]],
+        "plans": [move(plan) for plan in values["plans"]],
     }
 
 
@@ -218,13 +223,7 @@ def mirrored(values: dict[str, Any]) -> dict[str, Any]:
         ],
         "road_edges": [mirror(edge) for edge in values["map"]["road_edges"]],
     }
-    return values | {
-        "ego": mirror_poses(values["ego"]),
-        "gt": mirror_poses(values["gt"]),
-        "agents": {name: mirror_poses(agent) for name, agent in values["agents"].items()},
-        "map": road,
-        "plans": [mirror_poses(plan) for plan in values["plans"]],
-    }
+    return with_tracks(values, mirror_poses, road)
 
 
 def halved(values: dict[str, Any]) -> dict[str, Any]:
