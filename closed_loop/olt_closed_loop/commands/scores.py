@@ -98,26 +98,28 @@ def score_rollout(
     from olt_closed_loop import read_rollout_file, score_record
     from olt_closed_loop.scoring.alpasim.scores import score_as_alpasim
     from olt_closed_loop.scoring.definitions import alpasim_rows, alpasim_version, full_definition
-    from olt_toolkit.runtime.console import print_json, print_table
+    from olt_generator.omissions import word_omission
+    from olt_toolkit.runtime.console import print_json, print_line, print_table
 
     record, definition = read_rollout_file(file), full_definition(definition)
     version = alpasim_version(definition)
+    score = score_record(record, definition)
     if version:
-        score = score_record(record, definition)
         (row,) = alpasim_rows([score])
         result = {"definition": definition, **score_as_alpasim(record, version).to_dict(), "summary_row": row}
         if score.failed:  # whose metrics AlpaSim never looks at
             result |= {"final": {}, "scene": {name: row[name] for name in ("score", "failure_reason", "passed")}}
         figures = {"status": row["status"], **result["scene"], **result["final"]}
     else:
-        strict = score_record(record)
-        result = strict.to_dict()
+        result = score.to_dict()
         figures = {name: value for name, value in result.items() if name not in ("metrics", "collisions", "left_out")}
-        figures |= strict.metrics | {f"hits {c.agent_id}": word_collision(c) for c in strict.collisions}
+        figures |= score.metrics | {f"hits {c.agent_id}": word_collision(c) for c in score.collisions}
     if as_json:
         print_json(result)
     else:
         print_table(f"{file.name}, definition {definition}", ["figure", "value"], list(figures.items()))
+        for omission in score.left_out:
+            print_line(f"left out: {word_omission(omission)}")
 
 
 def word_collision(collision: "Collision") -> str:

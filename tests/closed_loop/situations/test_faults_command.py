@@ -51,3 +51,5 @@ def test_a_contact_at_the_first_sample_is_named_among_what_was_left_out(tmp_path
     result = json.loads(CliRunner().invoke(commands.app, ["score-rollout", str(path), "--json"]).stdout)
     assert (result["collisions"], result["collided"], result["score"]) == ([], False, 1.0)
     assert ("contact with late", "appeared in contact") in {(left["what"], left["why"]) for left in result["left_out"]}
+    result = CliRunner().invoke(commands.app, ["score-rollout", str(path)])
+    assert "left out: contact with late" in " ".join(result.stdout.split())
