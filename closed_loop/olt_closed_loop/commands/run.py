@@ -96,7 +96,7 @@ def run(
     from olt_closed_loop.simulation.camera_faults import parse_camera_fault
     from olt_toolkit.rigs.rig import CAMERA_INDEX
     from olt_toolkit.runtime.console import make_progress, print_json, print_line
-    from olt_toolkit.runtime.workers import default_workers
+    from olt_toolkit.runtime.workers import default_workers, kept_workers
 
     settings = SimulationSettings(
         duration_us=round(duration * 1e6),
@@ -115,7 +115,8 @@ def run(
     sources = find_scenes(driven_suite.sources if driven_suite else [*(scenes or []), *(scene or [])])
     if not sources:
         raise typer.BadParameter("give a scene: a scene file, a recorded drive, CATEGORY:SEED, or --suite")
-    with make_progress() as progress:
+    workers = workers or default_workers()
+    with kept_workers(workers if engine is Engine.LOCAL else 1), make_progress() as progress:
         total = len(sources) * rollouts
         task = progress.add_task("closed loop", total=total)
         results = run_closed_loop(
@@ -124,7 +125,7 @@ def run(
             rollouts,
             seed,
             settings,
-            workers=workers or default_workers(),
+            workers=workers,
             on_progress=lambda share: progress.update(task, completed=round(share * total)),
             definition=definition,
             out=out,
@@ -138,7 +139,7 @@ def run(
                 policy,
                 seed,
                 settings,
-                workers=workers or default_workers(),
+                workers=workers,
                 on_progress=lambda share: progress.update(task, completed=round(share * len(sources) * len(BASELINES))),
                 definition=definition,
                 out=out / "baselines" if out else None,

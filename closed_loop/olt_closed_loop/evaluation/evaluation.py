@@ -329,7 +329,7 @@ def load_scene(source: SceneSource) -> Scene:
     return source if isinstance(source, Scene) else _read_scene(source)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=64)  # a suite, which is driven once by the policy and once by each baseline
 def _read_scene(source: str) -> Scene:
     if Path(source).suffix in (".usda", ".usdc", ".usd"):
         from olt_closed_loop.scenes.scene_file import read_scene
