@@ -6,6 +6,7 @@ import shutil
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from dataclasses import fields
 from functools import partial
@@ -119,13 +120,22 @@ class SampleArrays:
                 del self._missing[piece]
         for piece in wanted:
             if piece in self._missing:
-                self._missing[piece].result()
+                self._wait_for(piece)
                 del self._missing[piece]
         if wanted and not self._missing:
             pool = ThreadPoolExecutor(1)
             self._finishing = pool.submit(self._finish)
             pool.shutdown(wait=False)
         return self._samples
+
+    def _wait_for(self, piece: int) -> None:
+        try:
+            self._missing[piece].result()
+        except BrokenProcessPool as error:
+            raise InputError(
+                f"{self._folder}: a process that decodes samples was ended from outside; the system does that where "
+                "memory is short. Free some, and train again: it goes on where it was saved"
+            ) from error
 
     def _begin(self, steps: Sequence[Sequence[int]]) -> None:
         """Decode the first piece, which tells what the files are like, and have the others decoded."""

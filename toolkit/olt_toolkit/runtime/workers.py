@@ -1,6 +1,7 @@
 """Work on several processes, or on the machines of a Ray cluster, each worker with one thread per numerical library."""
 
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -9,6 +10,8 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from enum import StrEnum
 from multiprocessing import get_context, parent_process
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, TypeVar
 
 from olt_generator.progress import Progress, silent
@@ -102,17 +105,20 @@ def working_ahead(function: Callable[[Item], Result], workers: int) -> Iterator[
     left, the processes end, also those that work. `function`, which each process is sent once, and the items must be
     picklable.
     """
-    pool = ProcessPoolExecutor(
-        workers, mp_context=get_context("spawn"), initializer=_start_worker, initargs=(function,)
-    )
-    try:
-        yield lambda item: pool.submit(_work_ahead, item)
-    finally:
-        _end(pool)
+    with TemporaryDirectory() as folder:
+        # In a file: starting a process waits until the process has read what it is handed, having imported much.
+        path = Path(folder) / "function"
+        path.write_bytes(pickle.dumps(function))
+        pool = _start_pool(workers, path)
+        try:
+            yield lambda item: pool.submit(_work_ahead, item)
+        finally:
+            _end(pool)
 
 
-def _start_pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker)
+def _start_pool(workers: int, function: Path | None = None) -> ProcessPoolExecutor:
+    context = get_context("spawn")
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=(function,))
 
 
 def _end(pool: ProcessPoolExecutor) -> None:
@@ -131,14 +137,15 @@ _function: Callable[[Any], Any] | None = None
 """What this process, if it works ahead of another, does to the items that it is given."""
 
 
-def _start_worker(function: Callable[[Any], Any] | None = None) -> None:
-    global _function
-    _function = function
+def _start_worker(function: Path | None) -> None:
     # Ctrl-C reaches the whole process group: the parent alone decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     use_one_thread()
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    if function is not None:
+        global _function
+        _function = pickle.loads(function.read_bytes())
 
 
 def _end_with_parent() -> None:
