@@ -33,6 +33,8 @@ Piece = tuple[list[int], list[SampleKey]]
 _ABOUT_FILE = "samples.json"
 # Most samples of a piece, which are in memory at once.
 _AT_ONCE = 16
+# Pieces that a process has been handed at most: it never waits, and little of what is wanted waits for it.
+_HANDED_OUT = 3
 # What a process costs before it decodes; who is done alone sooner does without.
 _SECONDS_TO_START = 4.0
 
@@ -45,9 +47,9 @@ def name_samples(keys: Sequence[SampleKey], config: ToyPolicyConfig) -> str:
 class SampleArrays:
     """Samples that are decoded into a folder in the order in which they are wanted, while training goes on.
 
-    Processes decode ahead of it. What none of them has begun when it is wanted is decoded by who wants it. A folder
-    that was left whole is taken as it is, one that was not is begun anew. In a `with` block; when that is left, the
-    processes end, and a folder that is not whole is removed.
+    Processes decode ahead of it, and so does who would otherwise wait for them. A folder that was left whole is taken
+    as it is, one that was not is begun anew. It is for a `with` block: when that is left, the processes end, and a
+    folder that is not whole is removed.
 
     Args:
         keys: which samples; row k is that of key k.
@@ -72,7 +74,10 @@ class SampleArrays:
         self._samples: DrivingSamples | None = None
         self._pieces: list[list[int]] = []
         self._piece_of = np.zeros(len(keys), np.int64)
-        self._missing: dict[int, Future[None]] = {}
+        self._missing: set[int] = set()
+        self._waiting: dict[int, None] = {}
+        self._handed: dict[int, Future[None]] = {}
+        self._submit: Callable[[Piece], Future[None]] | None = None
         self._ahead = ExitStack()
         self._finishing: Future[None] | None = None
 
@@ -101,8 +106,7 @@ class SampleArrays:
         if not self._is_whole():
             self._begin(steps)
         self._samples = self._map()
-        if self._missing:
-            self.having(range(len(self.keys)) if whole else steps[0] if steps else [])
+        self.having(range(len(self.keys)) if whole else steps[0] if steps else [])
         if whole and self._finishing is not None:
             self._finishing.result()
 
@@ -114,28 +118,45 @@ class SampleArrays:
         """
         assert self._samples is not None
         wanted = [piece for piece in np.unique(self._piece_of[list(rows)]).tolist() if piece in self._missing]
+        self._hand_out()
         for piece in reversed(wanted):  # the processes come from the other end
-            if self._missing[piece].cancel():
-                self._decode(self._piece(piece))
-                del self._missing[piece]
+            if piece in self._waiting:
+                self._decode_here(piece)
         for piece in wanted:
-            if piece in self._missing:
+            while piece in self._handed and self._waiting and not self._handed[piece].done():
+                self._decode_here(next(iter(self._waiting)))  # rather than wait
+            if piece in self._handed:
                 self._wait_for(piece)
-                del self._missing[piece]
-        if wanted and not self._missing:
+        if self._pieces and not self._missing and self._finishing is None:
             pool = ThreadPoolExecutor(1)
             self._finishing = pool.submit(self._finish)
             pool.shutdown(wait=False)
         return self._samples
 
+    def _decode_here(self, piece: int) -> None:
+        del self._waiting[piece]
+        self._decode(self._piece(piece))
+        self._missing.remove(piece)
+        self._hand_out()
+
+    def _hand_out(self) -> None:
+        """Take back what the processes have decoded, and give them more."""
+        for piece in [piece for piece, decoded in self._handed.items() if decoded.done()]:
+            self._wait_for(piece)
+        while self._submit and self._waiting and len(self._handed) < _HANDED_OUT * self._workers:
+            piece = next(iter(self._waiting))
+            del self._waiting[piece]
+            self._handed[piece] = self._submit(self._piece(piece))
+
     def _wait_for(self, piece: int) -> None:
         try:
-            self._missing[piece].result()
+            self._handed.pop(piece).result()
         except BrokenProcessPool as error:
             raise InputError(
                 f"{self._folder}: a process that decodes samples was ended from outside; the system does that where "
                 "memory is short. Free some, and train again: it goes on where it was saved"
             ) from error
+        self._missing.remove(piece)
 
     def _begin(self, steps: Sequence[Sequence[int]]) -> None:
         """Decode the first piece, which tells what the files are like, and have the others decoded."""
@@ -143,7 +164,7 @@ class SampleArrays:
         self._pieces = _divide(self.keys, steps)
         for number, rows in enumerate(self._pieces):
             self._piece_of[rows] = number
-        self._missing = {number: Future() for number in range(len(self._pieces))}
+        self._missing = set(range(len(self._pieces)))
         rows, keys = self._piece(0)
         start = time.perf_counter()
         arrays = self._gather(keys)
@@ -151,13 +172,13 @@ class SampleArrays:
             path = make_folder(self._folder) / f"{name}.npy"
             open_memmap(path, mode="w+", dtype=values.dtype, shape=(len(self.keys), *values.shape[1:]))
         _write(self._folder, rows, arrays)
-        del self._missing[0]
+        self._missing.remove(0)
         seconds = (time.perf_counter() - start) / len(rows) * (len(self.keys) - len(rows))
         if self._workers and seconds > _SECONDS_TO_START:
-            submit = self._ahead.enter_context(working_ahead(self._decode, self._workers))
-            here = set(self._piece_of[list(steps[0])].tolist()) if steps else set[int]()
-            for piece in sorted(self._missing.keys() - here):
-                self._missing[piece] = submit(self._piece(piece))
+            self._submit = self._ahead.enter_context(working_ahead(self._decode, self._workers))
+        first = set(self._piece_of[list(steps[0])].tolist()) if steps else set[int]()
+        # While the processes start, what the first step wants is decoded here.
+        self._waiting = dict.fromkeys([*sorted(self._missing - first), *sorted(self._missing & first)])
 
     def _finish(self) -> None:
         """All samples are there: end the processes, and write what makes the folder whole after them."""

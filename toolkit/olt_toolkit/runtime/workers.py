@@ -101,9 +101,8 @@ def map_parallel(
 def working_ahead(function: Callable[[Item], Result], workers: int) -> Iterator[Callable[[Item], Future[Result]]]:
     """Yield what has `function` applied to an item on one of `workers` processes, while this one goes on.
 
-    Items are begun in the order in which they are given; one that is not begun can be cancelled. When the context is
-    left, the processes end, also those that work. `function`, which each process is sent once, and the items must be
-    picklable.
+    Items are begun in the order in which they are given. When the context is left, the processes end, also those that
+    work. `function`, which each process is handed once, and the items must be picklable.
     """
     with TemporaryDirectory() as folder:
         # In a file: starting a process waits until the process has read what it is handed, having imported much.
@@ -145,7 +144,7 @@ def _start_worker(function: Path | None) -> None:
     threading.Thread(target=_end_with_parent, daemon=True).start()
     if function is not None:
         global _function
-        _function = pickle.loads(function.read_bytes())
+        _function = pickle.loads(function.read_bytes())  # noqa: S301 - its parent has just written it
 
 
 def _end_with_parent() -> None:
