@@ -92,19 +92,26 @@ class StageTraining:
         """Take the steps that are left.
 
         Raises:
-            InputError: a loss or gradient is not finite.
+            InputError: a loss or gradient is not finite, or a sample is damaged.
         """
-        with _reproducible():
-            self._judge_if_due()
-            for step, parts in self._prepared():
-                self._take_step(step, parts)
-                self._save_if_due()
-                self._judge_if_due()
-                self._tell("training")
-                self.on_progress(self.state.global_step / len(self.steps))
+        try:
+            with _reproducible():
+                self._take_steps()
+        except InputError as error:
+            self._tell("stopped", str(error), now=True)
+            raise
         if self.accelerator.is_main_process:
             draw_curves(self.folder / "curves.png", self.state)
         self._tell("finished", now=True)
+
+    def _take_steps(self) -> None:
+        self._judge_if_due()
+        for step, parts in self._prepared():
+            self._take_step(step, parts)
+            self._save_if_due()
+            self._judge_if_due()
+            self._tell("training")
+            self.on_progress(self.state.global_step / len(self.steps))
 
     def _prepared(self) -> Iterator[tuple[int, Parts]]:
         """The steps that are left, each with its batches, which a thread prepares while others are computed."""
@@ -185,7 +192,6 @@ class StageTraining:
             rows = self.steps[step]
             keys = [self.samples.keys[row] for row in rows]
             save_failed_step(where, self.samples.having(rows).take(rows), keys, step, why)
-            self._tell("stopped", why, now=True)
         self.accelerator.wait_for_everyone()  # the first process that ends takes the others with it
         kept = list_checkpoints(self.folder)
         last = f"{kept[-1].name} is kept" if kept else "none was saved before"

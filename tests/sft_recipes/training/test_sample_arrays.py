@@ -14,6 +14,7 @@ from olt_sft_recipes.training import sample_arrays
 from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_sft_recipes.training.sample_arrays import SampleArrays
 from olt_sft_recipes.training.stage_config import StageConfig
+from olt_sft_recipes.training.status import read_statuses
 from olt_sft_recipes.training.two_stages import train_two_stages
 
 SETTINGS = {"num_train_epochs": 1, "per_device_train_batch_size": 4, "warmup_steps": 0}
@@ -77,6 +78,8 @@ def test_another_process_decodes_the_same_and_ends(drives, tiny_config, tmp_path
 def test_a_damaged_clip_ends_the_training_wherever_it_is_decoded(drives, tiny_config, tmp_path):
     with pytest.raises(InputError, match=r"store/camera.zip: clip07.mp4"):
         train(partial(load_but_one, drives), sorted(drives), tiny_config, tmp_path / "out")
+    status = read_statuses(tmp_path / "out")[0]
+    assert status.phase == "stopped" and "clip07.mp4" in str(status.why)
     assert not (tmp_path / "out/samples").exists() and not multiprocessing.active_children()
 
 

@@ -198,7 +198,7 @@ def test_a_loss_that_is_not_finite_ends_the_training_and_leaves_its_batch(drives
 
 
 @pytest.mark.parametrize("field", ["ego_future_xyz", "ego_history_xyz"])
-def test_a_sample_that_is_not_finite_is_refused_before_any_step(drives, tiny_config, tmp_path, field):
+def test_a_sample_that_is_not_finite_is_refused(drives, tiny_config, tmp_path, field):
     keys = sorted(drives)
     broken = np.array(getattr(drives[keys[5]], field))
     broken[0, 3] = np.nan
