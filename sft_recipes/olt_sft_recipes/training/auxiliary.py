@@ -85,12 +85,15 @@ def _boxes_at_heads(boxes: Array) -> Array:
 def _taken(cells: Array, boxes: Array, room: float) -> NDArray[np.bool_]:
     """Whether cells (rows, columns, 3) are nearer than `room` to a box (seconds, k, 5): (seconds, rows, columns)."""
     taken = np.zeros((len(boxes), *cells.shape[:2]), dtype=bool)
-    for second, index in np.argwhere(~np.isnan(boxes[..., 0])):
-        x, y, yaw, length, width = boxes[second, index]
-        dx, dy = cells[..., 0] - x, cells[..., 1] - y
-        ahead = np.abs(np.cos(yaw) * dx + np.sin(yaw) * dy) - length / 2
-        aside = np.abs(np.cos(yaw) * dy - np.sin(yaw) * dx) - width / 2
-        taken[second] |= np.maximum(ahead, 0.0) ** 2 + np.maximum(aside, 0.0) ** 2 < room**2
+    reach = (room + np.hypot(boxes[..., 3], boxes[..., 4]) / 2)[..., None]
+    first, last = cells[..., :2].min(axis=(0, 1)), cells[..., :2].max(axis=(0, 1))
+    near = ((boxes[..., :2] + reach > first) & (boxes[..., :2] - reach < last)).all(axis=-1)  # NaN is near nothing
+    x, y, yaw, length, width = np.moveaxis(boxes[near], -1, 0)[..., None, None]
+    dx, dy = cells[..., 0] - x, cells[..., 1] - y
+    ahead = np.abs(np.cos(yaw) * dx + np.sin(yaw) * dy) - length / 2
+    aside = np.abs(np.cos(yaw) * dy - np.sin(yaw) * dx) - width / 2
+    found = np.maximum(ahead, 0.0) ** 2 + np.maximum(aside, 0.0) ** 2 < room**2
+    np.logical_or.at(taken, np.nonzero(near)[0], found)
     return taken
 
 

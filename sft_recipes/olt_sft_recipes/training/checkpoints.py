@@ -40,7 +40,8 @@ class TrainerState:
         samples: distinct samples.
         samples_per_step: samples of a whole optimizer step.
         num_train_epochs: passes over the mixture.
-        saturated_tokens: future tokens of the samples that stand for the end of the range.
+        saturated_tokens: future tokens of the samples that stand for the end of the range; None before the last step,
+            at which all samples are there.
         log_history: step (from 1), epoch, loss, learning_rate and grad_norm of every step.
         evaluations: step and errors of every evaluation (`validation.Evaluation`).
         best_model_checkpoint: name of the checkpoint that was judged best; None where nothing was judged.
@@ -56,7 +57,7 @@ class TrainerState:
     samples: int
     samples_per_step: int
     num_train_epochs: int
-    saturated_tokens: int
+    saturated_tokens: int | None = None
     global_step: int = 0
     log_history: list[dict[str, float]] = field(default_factory=list)
     evaluations: list[dict[str, Any]] = field(default_factory=list)

@@ -20,6 +20,7 @@ from olt_generator.poses import Array
 from olt_generator.progress import Progress
 from olt_generator.seeds import derive_seed
 from olt_sft_recipes.toy.checkpoint import ToyModel
+from olt_sft_recipes.toy.tokens import encode_actions
 from olt_sft_recipes.training.checkpoints import (
     TrainerState,
     checkpoint_name,
@@ -31,18 +32,19 @@ from olt_sft_recipes.training.checkpoints import (
     update_state,
 )
 from olt_sft_recipes.training.curves import draw_curves
-from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_sft_recipes.training.failed_step import save_failed_step
 from olt_sft_recipes.training.objectives import TrainingBatch, draw_step, prepare_batch, sample_losses
+from olt_sft_recipes.training.sample_arrays import SampleArrays
 from olt_sft_recipes.training.stage_config import StageConfig
 from olt_sft_recipes.training.status import INTERVAL, Phase, StageStatus, write_status
 from olt_sft_recipes.training.validation import Validation, evaluate, rank
-from olt_toolkit import SampleKey
 
 # Steps whose batches are prepared while one is taken.
 _AHEAD = 2
 # Steps over which the loss of the status is averaged.
 _RECENT = 20
+# Samples whose tokens are counted at once.
+_AT_ONCE = 1024
 
 Parts = list[tuple[TrainingBatch, Tensor]]
 """What one process computes of a step: batches, and the weight of each of their samples in the loss."""
@@ -56,8 +58,7 @@ class StageTraining:
         stage: how to train.
         folder: of the stage; its checkpoints stand there.
         model: with the weights of the last checkpoint, or the first ones.
-        samples: all samples.
-        keys: of the samples.
+        samples: all samples, some of which are still decoded.
         steps: the samples of every optimizer step.
         state: how far it is.
         resumed: the checkpoint that it goes on from; None for none.
@@ -69,8 +70,7 @@ class StageTraining:
     stage: StageConfig
     folder: Path
     model: ToyModel
-    samples: DrivingSamples
-    keys: list[SampleKey]
+    samples: SampleArrays
     steps: list[list[int]]
     state: TrainerState
     resumed: Path | None
@@ -85,7 +85,6 @@ class StageTraining:
         )
         if self.resumed is not None:
             restore_optimizer(self.resumed, self.trained, self.optimizer)
-        self.weights = self.samples.weights(self.stage.invented_pixel_weight)
         self.started, self.told, self.first_step = time.perf_counter(), 0.0, self.state.global_step
         self.seconds_before = dict(self.state.seconds)
 
@@ -93,19 +92,26 @@ class StageTraining:
         """Take the steps that are left.
 
         Raises:
-            InputError: a loss or gradient is not finite.
+            InputError: a loss or gradient is not finite, or a sample is damaged.
         """
-        with _reproducible():
-            self._judge_if_due()
-            for step, parts in self._prepared():
-                self._take_step(step, parts)
-                self._save_if_due()
-                self._judge_if_due()
-                self._tell("training")
-                self.on_progress(self.state.global_step / len(self.steps))
+        try:
+            with _reproducible():
+                self._take_steps()
+        except InputError as error:
+            self._tell("stopped", str(error), now=True)
+            raise
         if self.accelerator.is_main_process:
             draw_curves(self.folder / "curves.png", self.state)
         self._tell("finished", now=True)
+
+    def _take_steps(self) -> None:
+        self._judge_if_due()
+        for step, parts in self._prepared():
+            self._take_step(step, parts)
+            self._save_if_due()
+            self._judge_if_due()
+            self._tell("training")
+            self.on_progress(self.state.global_step / len(self.steps))
 
     def _prepared(self) -> Iterator[tuple[int, Parts]]:
         """The steps that are left, each with its batches, which a thread prepares while others are computed."""
@@ -125,14 +131,16 @@ class StageTraining:
     def _prepare(self, step: int) -> Parts:
         """This process's parts of a step: which they are has no influence on what is drawn."""
         rows, world = np.asarray(self.steps[step]), self.accelerator.num_processes
-        draws, weights = draw_step(self.stage, len(rows), step), _normalised(self.weights[rows])
+        samples = self.samples.having(self.steps[step])
+        weights = _normalised(samples.weights(self.stage.invented_pixel_weight)[rows])
+        draws = draw_step(self.stage, len(rows), step)
         parts = min(self.stage.gradient_accumulation_steps * world, len(rows))
         mine = np.array_split(np.arange(len(rows)), parts)[self.accelerator.process_index :: world]
         if not mine:  # a process for which no sample is left steps along, with one that counts nothing
             mine, weights = [np.arange(1)], np.zeros(len(rows))
         return [
             (
-                prepare_batch(self.samples.take(rows[part].tolist()), {name: of[part] for name, of in draws.items()}),
+                prepare_batch(samples.take(rows[part].tolist()), {name: of[part] for name, of in draws.items()}),
                 torch.from_numpy(weights[part].astype(np.float32)),
             )
             for part in mine
@@ -182,8 +190,8 @@ class StageTraining:
         why = f"the loss of step {step + 1} is {loss}, the norm of its gradient {norm}"
         if self.accelerator.is_main_process:
             rows = self.steps[step]
-            save_failed_step(where, self.samples.take(rows), [self.keys[row] for row in rows], step, why)
-            self._tell("stopped", why, now=True)
+            keys = [self.samples.keys[row] for row in rows]
+            save_failed_step(where, self.samples.having(rows).take(rows), keys, step, why)
         self.accelerator.wait_for_everyone()  # the first process that ends takes the others with it
         kept = list_checkpoints(self.folder)
         last = f"{kept[-1].name} is kept" if kept else "none was saved before"
@@ -191,6 +199,12 @@ class StageTraining:
             f"stage {self.stage.stage}: {why}; its batch is in {where}. Look at these samples, or lower learning_rate "
             f"or max_grad_norm ({last})"
         )
+
+    def _count_saturated(self) -> int:
+        """Future tokens of all samples that stand for the end of the range."""
+        samples = self.samples.having(range(len(self.samples.keys)))
+        parts = [range(start, min(start + _AT_ONCE, len(samples))) for start in range(0, len(samples), _AT_ONCE)]
+        return sum(encode_actions(samples.take(list(part)).actions())[1] for part in parts)
 
     def _is_due(self, interval: int) -> bool:
         step = self.state.global_step
@@ -205,6 +219,9 @@ class StageTraining:
             return
         if self.stage.stage == 2 and hash_tensors(self.model.vlm) != self.state.vlm_sha256:
             raise RuntimeError("stage 2 changed the frozen vision-language model")
+        if self.state.global_step == len(self.steps):
+            with self._timed("waiting for data"):
+                self.state.saturated_tokens = self._count_saturated()
         if self.accelerator.is_main_process:
             with self._timed("saving"):
                 save_checkpoint(self.folder, self.model, self.trained, self.optimizer, self._timed_state())

@@ -14,7 +14,6 @@ import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
@@ -28,7 +27,6 @@ from olt_generator.progress import Progress, silent
 from olt_generator.seeds import derive_seed
 from olt_sft_recipes.toy.checkpoint import ToyModel, load_tensors, read_config, read_model, read_tensors, write_model
 from olt_sft_recipes.toy.config import ToyPolicyConfig
-from olt_sft_recipes.toy.tokens import encode_actions
 from olt_sft_recipes.training.checkpoints import (
     TrainerState,
     checkpoint_name,
@@ -36,16 +34,16 @@ from olt_sft_recipes.training.checkpoints import (
     list_checkpoints,
     read_state,
 )
-from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_sft_recipes.training.optimization import StageTraining
 from olt_sft_recipes.training.processes import join_processes, tracking
-from olt_sft_recipes.training.sample_arrays import LoadSamples, gather_samples, name_samples
+from olt_sft_recipes.training.sample_arrays import LoadSamples, SampleArrays, name_samples
 from olt_sft_recipes.training.stage_config import StageConfig
 from olt_sft_recipes.training.status import StageStatus, refuse_second_training, write_status
 from olt_sft_recipes.training.validation import Validation
 from olt_toolkit import SampleKey
 from olt_toolkit.runtime.json_files import read_json
 from olt_toolkit.runtime.version import code_version
+from olt_toolkit.runtime.workers import default_workers
 
 Batches = Callable[[int, int], Sequence[Sequence[SampleKey]]]
 """The batches of an epoch, given its number and the samples of an optimizer step (`Mixture.epoch`)."""
@@ -54,8 +52,8 @@ StageChoice = Literal["1", "2", "both"]
 SAMPLES_FOLDER = "samples"
 POLICY_FOLDER = "policy"
 VLM_PREFIX = "vlm."
-# Samples whose tokens are counted at once.
-_AT_ONCE = 1024
+# Most processes that decode ahead of a training; each holds samples of a piece and what it has imported.
+_MOST_AHEAD = 4
 
 
 @dataclass(frozen=True)
@@ -114,8 +112,9 @@ def train_on_mixture(
     weighted = any(stage.invented_pixel_weight < 1.0 for stage in stages)
     told = any(stage.stage == 1 and stage.sight_weight > 0.0 for stage in stages)
     dataset = MixtureDataset(mixture, image_size=None, contract=config.contract, with_origin=weighted, with_truth=told)
+    ahead = min(default_workers() - 1, _MOST_AHEAD)
     return train_two_stages(
-        (first, second), mixture.epoch, dataset.load_batch, out, config, on_progress, validation, only
+        (first, second), mixture.epoch, dataset.load_batch, out, config, on_progress, validation, only, ahead
     )
 
 
@@ -128,6 +127,7 @@ def train_two_stages(
     on_progress: Progress = silent,
     validation: Validation = Validation(),  # noqa: B008 - frozen
     only: StageChoice = "both",
+    workers: int = 0,
 ) -> list[StageResult]:
     """Train both stages, or one; `out/policy` is what drives once Stage 2 is finished.
 
@@ -144,10 +144,11 @@ def train_two_stages(
         on_progress: told the share of the work that is done.
         validation: what the stages are judged by while they train.
         only: which stage to train; "2" goes on from the finished Stage 1 in `out`.
+        workers: most processes that decode samples while this one trains; `load_samples` can be pickled then.
 
     Raises:
         InputError: the stages are not 1 and 2, Stage 1 is missing or unfinished, another process trains there, a loss
-            is not finite, or a stage's weights do not match the model.
+            is not finite, a sample is damaged, or a stage's weights do not match the model.
     """
     first, second = (stage.stage for stage in stages)
     if (first, second) != (1, 2):
@@ -156,14 +157,14 @@ def train_two_stages(
     steps = [_list_steps(stage, batches) for stage in stages]
     chosen = [0, 1] if only == "both" else [int(only) - 1]
     keys = sorted({key for index in chosen for epoch in steps[index] for batch in epoch for key in batch})
-    gather = _gathering(keys, load_samples, config, out / SAMPLES_FOLDER)
     results: list[StageResult] = []
-    for index in chosen:
-        folder = out / f"stage{index + 1}"
-        before = None if index == 0 else _finished_stage1(out / "stage1")
-        share = lambda done, index=index: on_progress((chosen.index(index) + done) / len(chosen))  # noqa: E731
-        plan = _StagePlan(stages[index], steps[index], keys, before, folder, config, validation)
-        results.append(_train(plan, gather, share))
+    with SampleArrays(keys, load_samples, config, out / SAMPLES_FOLDER, workers) as samples:
+        for index in chosen:
+            folder = out / f"stage{index + 1}"
+            before = None if index == 0 else _finished_stage1(out / "stage1")
+            share = lambda done, index=index: on_progress((chosen.index(index) + done) / len(chosen))  # noqa: E731
+            plan = _StagePlan(stages[index], steps[index], keys, before, folder, config, validation)
+            results.append(_train(plan, samples, share))
     if 1 in chosen:
         _publish(out / "stage2" / results[-1].checkpoint, out / POLICY_FOLDER)
     if join_processes().is_main_process:
@@ -199,7 +200,8 @@ def train_stage(
         raise InputError("stage 2 starts from a Stage 1 folder; give one")
     config = read_config(checkpoint_in) if checkpoint_in is not None else model_config or ToyPolicyConfig()
     plan = _StagePlan(stage, steps, keys, checkpoint_in, out, config, validation)
-    result = _train(plan, _gathering(keys, load_samples, config, out / SAMPLES_FOLDER), on_progress)
+    with SampleArrays(keys, load_samples, config, out / SAMPLES_FOLDER) as samples:
+        result = _train(plan, samples, on_progress)
     if join_processes().is_main_process:
         shutil.rmtree(out / SAMPLES_FOLDER, ignore_errors=True)
     return result
@@ -248,20 +250,6 @@ def _list_steps(stage: StageConfig, batches: Batches) -> list[list[list[SampleKe
     return [[list(batch) for batch in batches(epoch, sizes)] for epoch in range(stage.num_train_epochs)]
 
 
-def _gathering(
-    keys: list[SampleKey], load_samples: LoadSamples, config: ToyPolicyConfig, folder: Path
-) -> Callable[[], DrivingSamples]:
-    """Gathers the samples once, when they are first asked for: a finished training needs none."""
-
-    @cache
-    def gather() -> DrivingSamples:
-        accelerator = join_processes()
-        with accelerator.main_process_first():
-            return gather_samples(keys, load_samples, config, folder)
-
-    return gather
-
-
 def _finished_stage1(folder: Path) -> Path:
     """The checkpoint of Stage 1 that goes on into Stage 2.
 
@@ -279,7 +267,7 @@ def _finished_stage1(folder: Path) -> Path:
     return folder / (state.best_model_checkpoint or found[-1].name)
 
 
-def _train(plan: _StagePlan, gather: Callable[[], DrivingSamples], on_progress: Progress) -> StageResult:
+def _train(plan: _StagePlan, samples: SampleArrays, on_progress: Progress) -> StageResult:
     """Train what is left of a stage."""
     accelerator = join_processes(plan.stage.report_to, plan.folder)
     identity, resumed = plan.identity(), None
@@ -300,22 +288,23 @@ def _train(plan: _StagePlan, gather: Callable[[], DrivingSamples], on_progress: 
             plan.stage.stage, "reading samples", 0 if state is None else state.global_step, plan.max_steps()
         )
         write_status(plan.folder, reading)
-    start = time.perf_counter()
-    samples = gather()
-    read = time.perf_counter() - start
-    model = _make_model(plan) if resumed is None else _freeze(plan.stage, read_model(resumed))
-    state = state or _new_state(plan, identity, samples, model)
-    for what in ("all", "waiting for data"):
-        state.seconds[what] = state.seconds.get(what, 0.0) + read
     rows = {key: row for row, key in enumerate(plan.keys)}
     steps = [[rows[key] for key in step] for epoch in plan.epochs for step in epoch]
+    start = time.perf_counter()
+    with accelerator.main_process_first():
+        left = steps if state is None else steps[state.global_step :]
+        samples.open(left, whole=accelerator.num_processes > 1)
+    read = time.perf_counter() - start
+    model = _make_model(plan) if resumed is None else _freeze(plan.stage, read_model(resumed))
+    state = state or _new_state(plan, identity, model)
+    for what in ("all", "waiting for data"):
+        state.seconds[what] = state.seconds.get(what, 0.0) + read
     with tracking(accelerator, f"stage{plan.stage.stage}", plan.stage.model_dump()):
         StageTraining(
             plan.stage,
             plan.folder,
             model,
             samples,
-            plan.keys,
             steps,
             state,
             resumed,
@@ -339,9 +328,8 @@ def _clear(folder: Path) -> None:
         shutil.rmtree(path)
 
 
-def _new_state(plan: _StagePlan, identity: str, samples: DrivingSamples, model: ToyModel) -> TrainerState:
+def _new_state(plan: _StagePlan, identity: str, model: ToyModel) -> TrainerState:
     stage = plan.stage
-    parts = [range(start, min(start + _AT_ONCE, len(samples))) for start in range(0, len(samples), _AT_ONCE)]
     return TrainerState(
         identity=identity,
         stage=stage.stage,
@@ -351,7 +339,6 @@ def _new_state(plan: _StagePlan, identity: str, samples: DrivingSamples, model: 
         samples=len({key for epoch in plan.epochs for step in epoch for key in step}),
         samples_per_step=stage.samples_per_step,
         num_train_epochs=stage.num_train_epochs,
-        saturated_tokens=sum(encode_actions(samples.take(list(part)).actions())[1] for part in parts),
         vlm_sha256=hash_tensors(model.vlm) if stage.stage == 2 else None,
     )
 
@@ -377,6 +364,7 @@ def _freeze(stage: StageConfig, model: ToyModel) -> ToyModel:
 
 
 def _result(state: TrainerState) -> StageResult:
+    assert state.saturated_tokens is not None, "counted at the last step"
     losses, warmup = [row["loss"] for row in state.log_history], state.warmup_steps
     last = losses[-max(1, len(losses[warmup:]) // 10) :]
     return StageResult(

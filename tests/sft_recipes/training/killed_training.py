@@ -4,13 +4,17 @@ A script, since a process that is forked after torch had threads of its own cann
 """
 
 import importlib
+import multiprocessing
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from olt_sft_recipes.training import sample_arrays
 from olt_sft_recipes.training.stage_config import StageConfig
 from olt_sft_recipes.training.two_stages import StageResult, train_two_stages
 from olt_sft_recipes.training.validation import Validation
@@ -28,18 +32,35 @@ STAGES = (
 STEPS = 12  # six of each stage
 
 
-def train(out: Path, on_progress: Callable[[float], object] = lambda share: None) -> list[StageResult]:
+@cache
+def drives() -> dict[SampleKey, Any]:
+    return make_drives()
+
+
+def load(asked: list[SampleKey]) -> list[Any]:
+    return [drives()[key] for key in asked]
+
+
+def load_slowly_ahead(asked: list[SampleKey]) -> list[Any]:
+    if multiprocessing.parent_process() is not None and asked[0].clip_id > "clip06":
+        time.sleep(600)
+    return load(asked)
+
+
+def train(
+    out: Path,
+    on_progress: Callable[[float], object] = lambda share: None,
+    load: Callable[[list[SampleKey]], list[Any]] = load,
+    workers: int = 0,
+) -> list[StageResult]:
     """Twelve drives, left, right and straight at several speeds; the first judges."""
-    drives = make_drives()
-    keys = sorted(drives)
+    keys = sorted(drives())
 
     def batches(epoch: int, size: int) -> list[list[SampleKey]]:
         return [keys[start : start + size] for start in range(0, len(keys), size)]
 
-    def load(asked: list[SampleKey]) -> list[Any]:
-        return [drives[key] for key in asked]
-
-    return train_two_stages(STAGES, batches, load, out, TINY_CONFIG, on_progress, Validation([drives[keys[0]]]))
+    judged = Validation([drives()[keys[0]]])
+    return train_two_stages(STAGES, batches, load, out, TINY_CONFIG, on_progress, judged, workers=workers)
 
 
 def kill() -> None:
@@ -53,6 +74,18 @@ def train_until_step(out: Path, step: int) -> None:
 def train_three_steps(out: Path) -> None:
     taken: list[float] = []
     train(out, lambda share: taken.append(share) or (len(taken) == 3 and kill()))
+
+
+def train_while_another_process_decodes(out: Path) -> None:
+    """Kills after a step, and tells whom it leaves alone."""
+
+    def leave_alone(share: float) -> None:
+        children = [str(child.pid) for child in multiprocessing.active_children()]
+        out.with_suffix(".left").write_text(" ".join(children))
+        kill()
+
+    sample_arrays._AT_ONCE, sample_arrays._SECONDS_TO_START = 1, -1.0
+    train(out, leave_alone, load_slowly_ahead, workers=1)
 
 
 def train_until_called(out: Path, function: str, times: int, after: bool) -> None:
@@ -80,5 +113,7 @@ if __name__ == "__main__":
         train_until_step(Path(out), int(rest[0]))
     elif where == "three steps":
         train_three_steps(Path(out))
+    elif where == "decoded ahead":
+        train_while_another_process_decodes(Path(out))
     else:
         train_until_called(Path(out), where, int(rest[0]), rest[1] == "after")

@@ -5,6 +5,7 @@ import runpy
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -88,6 +89,24 @@ def test_killed_in_a_row_it_still_goes_on(train, whole, folder):
         lives += 1
     assert lives > 2
     check_equal(train("killed"), whole, folder / "killed")
+
+
+def is_running(process):
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def test_killed_while_another_process_decodes_it_leaves_none_and_goes_on_exactly(train, whole, folder):
+    assert is_killed(folder / "ahead", "decoded ahead")
+    left = (folder / "ahead.left").read_text().split()
+    assert len(left) == 1
+    until = time.monotonic() + 120
+    while is_running(left[0]) and time.monotonic() < until:
+        time.sleep(0.2)
+    assert not is_running(left[0])
+    check_equal(train("ahead"), whole, folder / "ahead")
 
 
 def test_what_other_code_began_is_not_gone_on_with(train, whole, monkeypatch):

@@ -18,7 +18,8 @@ from olt_sft_recipes.toy.checkpoint import ToyModel, read_model, read_tensors, s
 from olt_sft_recipes.toy.policy import load_toy
 from olt_sft_recipes.training import validation as judging
 from olt_sft_recipes.training.checkpoints import hash_tensors
-from olt_sft_recipes.training.sample_arrays import gather_samples
+from olt_sft_recipes.training.driving_samples import DrivingSamples
+from olt_sft_recipes.training.sample_arrays import SampleArrays
 from olt_sft_recipes.training.stage_config import StageConfig
 from olt_sft_recipes.training.status import StageStatus, read_statuses, write_status
 from olt_sft_recipes.training.two_stages import train_stage, train_two_stages
@@ -127,23 +128,35 @@ def test_a_single_file_of_earlier_releases_is_read(tiny_config, tmp_path):
     assert hash_tensors(read_model(tmp_path / "m")) == hash_tensors(model)
 
 
-def test_samples_are_decoded_once_in_parts_and_mapped(drives, tiny_config, tmp_path):
+def test_samples_are_decoded_once_when_they_are_wanted_and_mapped(drives, tiny_config, tmp_path):
     keys = sorted(drives)
     many = [replace(key, t0_us=moment) for key in keys for moment in range(9)]
     asked = []
 
     def load(wanted):
-        asked.append(len(wanted))
+        asked.extend(wanted)
         return [drives[replace(key, t0_us=2_000_000)] for key in wanted]
 
-    samples = gather_samples(many, load, tiny_config, tmp_path / "samples")
-    assert sum(asked) == len(many) and max(asked) < len(many)
-    assert isinstance(samples.images, np.memmap) and isinstance(samples.future, np.memmap)
-    again = gather_samples(many, load, tiny_config, tmp_path / "samples")
-    assert sum(asked) == len(many)
-    np.testing.assert_array_equal(again.take([100]).images, samples.take([100]).images)
-    gather_samples(many[:5], load, tiny_config, tmp_path / "samples")
-    assert sum(asked) == len(many) + 5
+    with SampleArrays(many, load, tiny_config, tmp_path / "samples") as samples:
+        samples.open([[100, 1], [50]])
+        first = samples.having([100, 1])
+        assert set(asked) == {key for key in many if key.clip_id in ("clip11", "clip00")}
+        assert isinstance(first.images, np.memmap) and isinstance(first.future, np.memmap)
+        samples.having([50, 100])
+        assert {key.clip_id for key in asked} == {"clip11", "clip00", "clip05"}
+        whole = samples.having(range(len(many))).take([100, 50])
+        assert len(asked) == len(set(asked)) == len(many)
+    with SampleArrays(many, load, tiny_config, tmp_path / "samples") as samples:
+        samples.open([[3]])
+        again = samples.having(range(len(many))).take([100, 50])
+    assert len(asked) == len(many)
+    for name in ("images", "history", "future", "truth_world"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
+    expected = DrivingSamples.gather([drives[keys[11]], drives[keys[5]]], tiny_config)
+    np.testing.assert_array_equal(whole.images, expected.images)
+    with SampleArrays(many[:5], load, tiny_config, tmp_path / "samples") as samples:
+        samples.open([])
+    assert len(asked) == len(many) + 5
 
 
 def test_one_sample_and_a_batch_larger_than_the_data(drives, tiny_config, tmp_path):
@@ -185,7 +198,7 @@ def test_a_loss_that_is_not_finite_ends_the_training_and_leaves_its_batch(drives
 
 
 @pytest.mark.parametrize("field", ["ego_future_xyz", "ego_history_xyz"])
-def test_a_sample_that_is_not_finite_is_refused_before_any_step(drives, tiny_config, tmp_path, field):
+def test_a_sample_that_is_not_finite_is_refused(drives, tiny_config, tmp_path, field):
     keys = sorted(drives)
     broken = np.array(getattr(drives[keys[5]], field))
     broken[0, 3] = np.nan

@@ -1,3 +1,4 @@
+import multiprocessing
 import os
 import time
 from contextlib import suppress
@@ -5,7 +6,7 @@ from contextlib import suppress
 import pytest
 
 from olt_generator.files import write_whole
-from olt_toolkit.runtime.workers import kept_workers, map_parallel
+from olt_toolkit.runtime.workers import kept_workers, map_parallel, working_ahead
 
 
 def square(number):
@@ -41,6 +42,20 @@ def test_the_first_failure_ends_the_rest():
     with pytest.raises(ValueError, match="item 0"):
         map_parallel(sleep_or_fail, [1, 0], 2)
     assert time.monotonic() - start < 50
+
+
+def sleep_for(seconds):
+    time.sleep(seconds)
+    return os.getpid()
+
+
+def test_work_ahead_is_done_by_another_process_that_ends_with_its_context():
+    start = time.monotonic()
+    with working_ahead(sleep_for, 1) as submit:
+        first, second, endless = submit(0), submit(0), submit(600)
+        assert first.result() == second.result() != os.getpid()
+    assert endless.done() and not multiprocessing.active_children()
+    assert time.monotonic() - start < 300
 
 
 def write_slowly_or_fail(folder):

@@ -8,6 +8,7 @@ roll and pitch taken out: origin there, yaw 0 there, z up. It is the frame of Ph
 import uuid
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -126,9 +127,16 @@ class EgoMotion:
                 f"ego motion covers {first} to {last} us; {int(timestamps_us.min())} to {int(timestamps_us.max())} us "
                 "was asked for"
             )
-        known, query = self.trajectory.timestamps_us - first, timestamps_us - first
-        rotation = Slerp(known, Rotation.from_matrix(self.trajectory.T_world_rig[:, :3, :3]))(query)
-        return make_pose(rotation.as_matrix(), CubicSpline(known, self.trajectory.positions)(query))
+        rotations, positions = self._curves
+        query = timestamps_us - first
+        return make_pose(rotations(query).as_matrix(), positions(query))
+
+    @cached_property
+    def _curves(self) -> tuple[Slerp, CubicSpline]:
+        """Rotation and position over microseconds since the first pose."""
+        known = self.trajectory.timestamps_us - self.trajectory.timestamps_us[0]
+        rotations = Rotation.from_matrix(self.trajectory.T_world_rig[:, :3, :3])
+        return Slerp(known, rotations), CubicSpline(known, self.trajectory.positions)
 
     def around(self, t0_us: NDArray[np.int64]) -> tuple[Array, Array]:
         """Past poses (m, 16, 4, 4) and future poses (m, 64, 4, 4) in the rig frame at each of the times t0 (m,).

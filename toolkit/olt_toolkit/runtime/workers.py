@@ -1,15 +1,18 @@
 """Work on several processes, or on the machines of a Ray cluster, each worker with one thread per numerical library."""
 
 import os
+import pickle
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from enum import StrEnum
 from multiprocessing import get_context, parent_process
-from typing import TypeVar
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
 
 from olt_generator.progress import Progress, silent
 from olt_toolkit.runtime.threads import use_one_thread
@@ -85,14 +88,7 @@ def map_parallel(
             results[futures[future]] = future.result()
             on_progress(len(results) / len(items))
     except BaseException:
-        processes = list((pool._processes or {}).values())
-        for process in processes:  # a started task cannot be cancelled otherwise
-            process.terminate()
-        # A library that catches everything while it is imported passes over that.
-        killing = threading.Timer(_SECONDS_TO_END, lambda: [process.kill() for process in processes])
-        killing.start()
-        pool.shutdown(wait=True, cancel_futures=True)
-        killing.cancel()
+        _end(pool)
         if pool is _kept:
             _kept = None
         raise
@@ -101,16 +97,54 @@ def map_parallel(
     return [results[index] for index in range(len(items))]
 
 
-def _start_pool(workers: int) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=_start_worker)
+@contextmanager
+def working_ahead(function: Callable[[Item], Result], workers: int) -> Iterator[Callable[[Item], Future[Result]]]:
+    """Yield what has `function` applied to an item on one of `workers` processes, while this one goes on.
+
+    Items are begun in the order in which they are given. When the context is left, the processes end, also those that
+    work. `function`, which each process is handed once, and the items must be picklable.
+    """
+    with TemporaryDirectory() as folder:
+        # In a file: starting a process waits until the process has read what it is handed, having imported much.
+        path = Path(folder) / "function"
+        path.write_bytes(pickle.dumps(function))
+        pool = _start_pool(workers, path)
+        try:
+            yield lambda item: pool.submit(_work_ahead, item)
+        finally:
+            _end(pool)
 
 
-def _start_worker() -> None:
+def _start_pool(workers: int, function: Path | None = None) -> ProcessPoolExecutor:
+    context = get_context("spawn")
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_start_worker, initargs=(function,))
+
+
+def _end(pool: ProcessPoolExecutor) -> None:
+    """End the processes of a pool, also those that work."""
+    processes = list((pool._processes or {}).values())
+    for process in processes:  # a started task cannot be cancelled otherwise
+        process.terminate()
+    # A library that catches everything while it is imported passes over that.
+    killing = threading.Timer(_SECONDS_TO_END, lambda: [process.kill() for process in processes])
+    killing.start()
+    pool.shutdown(wait=True, cancel_futures=True)
+    killing.cancel()
+
+
+_function: Callable[[Any], Any] | None = None
+"""What this process, if it works ahead of another, does to the items that it is given."""
+
+
+def _start_worker(function: Path | None) -> None:
     # Ctrl-C reaches the whole process group: the parent alone decides what it means.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     use_one_thread()
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    if function is not None:
+        global _function
+        _function = pickle.loads(function.read_bytes())  # noqa: S301 - its parent has just written it
 
 
 def _end_with_parent() -> None:
@@ -126,3 +160,8 @@ def _work(function: Callable[[Item], Result], item: Item) -> Result:
         return function(item)
     except SystemExit:
         os._exit(143)  # told to stop: what was half-written is removed by now, and no further item may start
+
+
+def _work_ahead(item: Any) -> Any:
+    assert _function is not None
+    return _work(_function, item)
