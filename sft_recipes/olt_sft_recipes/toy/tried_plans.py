@@ -17,6 +17,8 @@ GENTLE = 0.5
 """Acceleration of who starts gently, m/s2."""
 SPEEDING: Array = np.array([1.0, 2.0])
 """Accelerations of who comes sooner to the speed that a plan ends with, m/s2."""
+CRUISE = 8.0
+"""Speed beyond which none is sped up, m/s."""
 ASIDE = (0.0, 0.6, -0.6)
 """Metres to the left of a plan."""
 ASIDE_SECONDS, ASIDE_METRES = 2.5, (8.0, 20.0)
@@ -56,13 +58,13 @@ def paced_plans(path: Array, speed: float, bend_speed: float) -> Array:
     """The plan that a path (64 or more, 3) begins with, and others along that path (PACES, 64, 3).
 
     They brake by BRAKING, start no faster than GENTLE, or come by SPEEDING to the speed that the plan ends with, where
-    that is faster than now and the bends ahead allow it; who has begun to is no slower than the plan.
+    that is faster than now, no faster than CRUISE and the bends ahead allow it; they are no slower than the plan.
     """
     whole = np.concatenate([np.zeros((1, 3)), path])
     way = np.concatenate([[0.0], ways_along(path)])
     own = way[1 : FUTURE_STEPS + 1]
     last = (own[-1] - own[-1 - _LAST_STEPS]) / (STEP_SECONDS * _LAST_STEPS)
-    most = max(min(float(last), bend_speed), speed)
+    most = max(min(float(last), bend_speed, CRUISE), speed)
     paces = [np.minimum(_ways(speed, -BRAKING, 0.0), own)]
     if most > speed:
         paces += [np.minimum(_ways(speed, np.array([GENTLE]), most), own)]
