@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import groupby
 from pathlib import Path
 from uuid import uuid4
 
@@ -208,10 +209,12 @@ class _Job:
         elif host.traits.cameras:  # one after another, so that one scene's textures are held at a time
             from olt_closed_loop.sensors.ray_casting import rig_sensors
 
-            for run in runs:
-                scene = scenes[run.index]
-                request = RolloutRequest(scene, run.seed, rig_sensors(scene, self.settings.conditions))
-                yield run, next(drive([request], host, self.settings))
+            for _, of_scene in groupby(runs, lambda run: _key(run.source)):
+                sensors = None
+                for run in of_scene:
+                    scene = scenes[run.index]
+                    sensors = sensors or rig_sensors(scene, self.settings.conditions)
+                    yield run, next(drive([RolloutRequest(scene, run.seed, sensors)], host, self.settings))
         else:
             requests = [RolloutRequest(scenes[run.index], run.seed) for run in runs]
             yield from zip(runs, drive(requests, host, self.settings), strict=True)

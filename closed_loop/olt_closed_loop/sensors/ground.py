@@ -26,6 +26,8 @@ _MARGIN = 6.0
 _LEVELS = 6
 _KERB_WIDTH = 0.5
 _SUBPIXEL_BITS = 4
+# By how many pixels the smoothed edge of what is drawn reaches over it.
+_BLUR = 2
 
 # Of a place in the map, its level's first row is added to the row, and half a pixel taken off both.
 _TOP_AND_HALF = np.array([[0.0, -0.5], [1.0, -0.5]])
@@ -33,6 +35,10 @@ _TOP_AND_HALF = np.array([[0.0, -0.5], [1.0, -0.5]])
 _SHADOW_RESOLUTION = 0.2
 _SHADOW_MARGIN = 30.0
 _SHADOW_DEPTH = 0.5
+
+
+Patch = tuple[slice, slice]
+"""Rows and columns of a part of an image."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,15 @@ class Raster:
         """Draw a line (n, 2 or 3) of `width` metres."""
         thickness = max(1, round(width / self.resolution))
         cv2.polylines(self.image, [self.fixed_point(line)], False, value, thickness, cv2.LINE_AA, _SUBPIXEL_BITS)
+
+    def patch(self, outline: NDArray[np.int32]) -> Patch:
+        """The part of the image that a filled outline (..., 2) of `fixed_point` changes, at least."""
+        low, high = (outline.reshape(-1, 2).min(axis=0), outline.reshape(-1, 2).max(axis=0))
+        (left, top), (right, bottom) = (low >> _SUBPIXEL_BITS).tolist(), (high >> _SUBPIXEL_BITS).tolist()
+        rows, columns = (
+            (max(first - _BLUR, 0), max(last + _BLUR + 1, 0)) for first, last in ((top, bottom), (left, right))
+        )
+        return slice(*rows), slice(*columns)
 
     def fixed_point(self, points: Array) -> NDArray[np.int32]:
         """Pixel coordinates (..., 2) of world points (..., 2 or 3) as OpenCV takes them, in sixteenths."""
@@ -192,13 +207,13 @@ def empty_shadows(scene: Scene) -> Raster:
     return Raster.covering(np.concatenate(surfaces), _SHADOW_MARGIN, _SHADOW_RESOLUTION)
 
 
-def add_shadows(shadows: Raster, corners: Array, sun: Array) -> Raster:
-    """The raster with the shadows of boxes given by their corners (n, 8, 3) added, for a sun in direction (3,)."""
-    raster = Raster(shadows.image.copy(), shadows.origin, shadows.resolution)
+def cast_shadows(shadows: Raster, corners: Array, sun: Array) -> list[Patch]:
+    """Draw the shadows of boxes given by their corners (n, 8, 3), for a sun in direction (3,); returns where."""
     on_ground = corners[..., :2] - corners[..., 2:] * (sun[:2] / sun[2])
-    for box in raster.fixed_point(on_ground):
-        cv2.fillConvexPoly(raster.image, cv2.convexHull(box), 255, cv2.LINE_AA, _SUBPIXEL_BITS)
-    return raster
+    hulls = [cv2.convexHull(box) for box in shadows.fixed_point(on_ground)]
+    for hull in hulls:
+        cv2.fillConvexPoly(shadows.image, hull, 255, cv2.LINE_AA, _SUBPIXEL_BITS)
+    return [shadows.patch(hull) for hull in hulls]
 
 
 def sunlight(shadows: Raster, places: FloatImage, stand: Stand) -> FloatImage:

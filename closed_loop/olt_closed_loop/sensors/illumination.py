@@ -10,8 +10,8 @@ from olt_closed_loop.scenes.conditions import Conditions
 from olt_closed_loop.scenes.looks import Looks
 from olt_closed_loop.scenes.scene import Agent, Hills, Scene
 from olt_closed_loop.sensors.boxes import Boxes, Paint
-from olt_closed_loop.sensors.ground import add_shadows, empty_shadows, sunlight
-from olt_closed_loop.sensors.lamps import add_headlights, lamp_light, light_street, own_headlights
+from olt_closed_loop.sensors.ground import Patch, cast_shadows, empty_shadows, sunlight
+from olt_closed_loop.sensors.lamps import lamp_light, light_street, own_headlights, shine_headlights
 from olt_closed_loop.sensors.level_view import GroundPixels, Stand, as_rows
 from olt_closed_loop.sensors.surfaces import add_signal_glow, lamp_glow
 from olt_closed_loop.sensors.textures import FloatImage
@@ -50,11 +50,16 @@ class Daylight:
     def __init__(self, scene: Scene, looks: Looks, conditions: Conditions, fixed: Boxes) -> None:
         self._sun, self._share, self._hills = np.array(looks.sun_direction), conditions.sun_share, scene.hills
         self.face_sun = self._share * self._sun + (1.0 - self._share) * np.array([0.0, 0.0, 0.5])
-        self._fixed = self._shadows = add_shadows(empty_shadows(scene), self._corners(fixed), self._sun)
+        self._shadows = empty_shadows(scene)
+        cast_shadows(self._shadows, self._corners(fixed), self._sun)
+        self._fixed = self._shadows.image.copy()
+        self._changed: list[Patch] = []
 
     def show(self, boxes: Boxes, moving: Sequence[tuple[Agent, Array]]) -> None:
         """See `Illumination`: the shadows of boxes."""
-        self._shadows = add_shadows(self._fixed, self._corners(boxes), self._sun)
+        for patch in self._changed:
+            self._shadows.image[patch] = self._fixed[patch]
+        self._changed = cast_shadows(self._shadows, self._corners(boxes), self._sun)
 
     def on_ground(self, pixels: GroundPixels, stand: Stand, R_level_rig: Array | None) -> list[FloatImage | None]:
         """See `Illumination`."""
@@ -87,7 +92,9 @@ class LampLight:
     face_sun = np.array([0.0, 0.0, 1.0])
 
     def __init__(self, scene: Scene, looks: Looks, conditions: Conditions) -> None:
-        self._street = self._lamps = light_street(empty_shadows(scene), looks, conditions)
+        self._lamps = light_street(empty_shadows(scene), looks, conditions)
+        self._street, self._beams = self._lamps.image.copy(), empty_shadows(scene)
+        self._changed: list[Patch] = []
         # Water throws the light of one's own lamps on, away from the eye.
         self._wet = np.float32(1.0 - 0.5 * conditions.rain)
 
@@ -95,7 +102,12 @@ class LampLight:
         """See `Illumination`: the headlights of agents that move."""
         cars = [(agent.length, pose) for agent, pose in moving if agent.label in _MOTOR_VEHICLES]
         poses = np.array([pose for _, pose in cars]).reshape(-1, 4)
-        self._lamps = add_headlights(self._street, poses, np.array([length for length, _ in cars]))
+        for patch in self._changed:
+            self._lamps.image[patch] = self._street[patch]
+            self._beams.image[patch] = 0
+        self._changed = shine_headlights(self._beams, poses, np.array([length for length, _ in cars]))
+        for patch in self._changed:
+            self._lamps.image[patch] = np.maximum(self._street[patch], self._beams.image[patch])
 
     def on_ground(self, pixels: GroundPixels, stand: Stand, R_level_rig: Array | None) -> list[FloatImage | None]:
         """See `Illumination`."""

@@ -6,7 +6,7 @@ import numpy as np
 from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scenes.conditions import Conditions
 from olt_closed_loop.scenes.looks import Looks, SceneryBox
-from olt_closed_loop.sensors.ground import Raster
+from olt_closed_loop.sensors.ground import Patch, Raster
 from olt_closed_loop.sensors.level_view import Stand
 from olt_closed_loop.sensors.textures import FloatImage, look_up
 from olt_generator.poses import Array
@@ -51,9 +51,9 @@ def light_street(empty: Raster, looks: Looks, conditions: Conditions) -> Raster:
     return raster
 
 
-def add_headlights(street: Raster, poses: Array, lengths: Array) -> Raster:
-    """The raster with what headlights of vehicles at poses (n, 4) x, y, z, yaw, so long (n,), throw on the road."""
-    beams = Raster(np.zeros_like(street.image), street.origin, street.resolution)
+def shine_headlights(beams: Raster, poses: Array, lengths: Array) -> list[Patch]:
+    """Draw what headlights of vehicles at poses (n, 4) x, y, z, yaw, so long (n,), throw on the road; returns where."""
+    patches = []
     for reach, half_width, strength in _POOLS:
         for pose, length in zip(poses, lengths, strict=True):
             ahead = pose.copy()
@@ -63,8 +63,10 @@ def add_headlights(street: Raster, poses: Array, lengths: Array) -> Raster:
             )
             near = 0.3 * (rear_left - rear_right)
             middle = (rear_left + rear_right) / 2
-            beams.fill(np.stack([front_left, middle + near, middle - near, front_right]), strength)
-    return Raster(np.maximum(street.image, beams.image), street.origin, street.resolution)
+            pool = np.stack([front_left, middle + near, middle - near, front_right])
+            beams.fill(pool, strength)
+            patches.append(beams.patch(beams.fixed_point(pool)))
+    return patches
 
 
 def lamp_light(lamps: Raster, places: FloatImage, stand: Stand) -> list[FloatImage]:

@@ -17,6 +17,7 @@ import signal
 import sys
 from contextlib import suppress
 from dataclasses import asdict
+from mmap import mmap
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
@@ -30,6 +31,7 @@ from olt_closed_loop.control.plans import PlanRefused
 from olt_closed_loop.simulation.answers import Answer, PolicyFault, PolicyFaulted, word_error
 from olt_closed_loop.simulation.policies import ObservationBatch
 from olt_closed_loop.simulation.policy_hosts import LocalPolicy, PolicyHost, PolicyLimits, PolicySource, PolicyTraits
+from olt_closed_loop.simulation.questions import receive_question, send_question, share_memory
 from olt_generator.errors import InputError
 from olt_toolkit.policy.contract import FUTURE_STEPS, Observation, PlannedTrajectory
 from olt_toolkit.runtime.threads import use_one_thread, without_opencv_threads
@@ -96,7 +98,7 @@ class PolicyProcess:
         """End the process, and those that it started; its policy closes first what it holds (`ClosablePolicy`)."""
         if self._process is not None and self.traits.closes and not self._failed:
             with suppress(OSError):
-                self._connection.send(("close",))
+                send_question(self._connection, self._memory, ("close",))
                 self._connection.poll(_SECONDS_TO_DIE)
         self._end()
 
@@ -105,6 +107,8 @@ class PolicyProcess:
             return
         self._ending()
         self._connection.close()
+        if self._memory is not None:
+            self._memory.close()
         self._process, self._failed = None, False
 
     def _restart(self) -> PolicyFault | None:
@@ -119,8 +123,9 @@ class PolicyProcess:
 
     def _start(self) -> None:
         self._connection, theirs = self._context.Pipe()
+        self._memory = share_memory() if self._context.get_start_method() == "fork" else None
         self._process = self._context.Process(
-            target=_serve, args=(theirs, self._connection, self._source, self._limits)
+            target=_serve, args=(theirs, self._connection, self._memory, self._source, self._limits)
         )
         try:
             with without_opencv_threads():
@@ -151,7 +156,7 @@ class PolicyProcess:
 
     def _ask(self, question: tuple[Any, ...], count: int, seconds: float) -> list[Answer]:
         try:
-            self._connection.send(question)
+            send_question(self._connection, self._memory, question)
         except OSError:
             return [self._bury()] * count
         told = self._receive(count, seconds)
@@ -209,7 +214,9 @@ def _kill(process: BaseProcess) -> None:
     process.join()
 
 
-def _serve(connection: Connection, theirs: Connection, source: PolicySource, limits: PolicyLimits) -> None:
+def _serve(
+    connection: Connection, theirs: Connection, memory: mmap | None, source: PolicySource, limits: PolicyLimits
+) -> None:
     """What the process does: build the policy, then answer until the simulator is gone."""
     theirs.close()
     _set_apart()
@@ -232,7 +239,7 @@ def _serve(connection: Connection, theirs: Connection, source: PolicySource, lim
     connection.send_bytes(json.dumps(told).encode())
     while policy is not None:
         try:
-            name, *arguments = connection.recv()
+            name, *arguments = receive_question(connection, memory)
         except EOFError:
             break
         answer = getattr(policy, name)(*arguments)

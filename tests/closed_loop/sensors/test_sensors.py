@@ -6,10 +6,15 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
+from olt_closed_loop.scenes.conditions import Conditions
 from olt_closed_loop.scenes.procedural import generate_scene
 from olt_closed_loop.scenes.scene import Agent, Scene
 from olt_closed_loop.scenes.scene_file import read_scene, write_scene
+from olt_closed_loop.sensors.ground import Raster
 from olt_closed_loop.sensors.ray_casting import SceneRenderer, render_rig
 from olt_generator.cameras import FthetaCamera, PinholeCamera, pixel_rays
 from olt_generator.errors import InputError
@@ -211,3 +216,29 @@ def test_what_is_kept_between_pictures_changes_none(scene: Scene) -> None:
         fresh = SceneRenderer(scene).render(PINHOLE, pose @ mount, 0)
         again = kept.render(PINHOLE, pose @ mount, 0)
         assert np.array_equal(fresh.rgb, again.rgb) and np.array_equal(fresh.distance, again.distance)
+
+
+@pytest.mark.parametrize("light", ["day", "low_sun", "night"])
+def test_no_shadow_and_no_beam_stays_behind(light: str) -> None:
+    scene = generate_scene("cyclists", 1)
+    mount = camera_pose_in_rig([-20.0, 0.0, 25.0], 0.0, 0.7, 0.0)  # sees the road from above
+    times = [0, 4_000_000, 8_000_000, 4_000_000, 0]
+    kept = SceneRenderer(scene, Conditions(light))
+    seen = []
+    for time_us in times:
+        pose = scene.ego.interpolate(np.array([4_000_000]))[0]
+        picture = kept.render(PINHOLE, pose @ mount, time_us).rgb
+        fresh = SceneRenderer(scene, Conditions(light)).render(PINHOLE, pose @ mount, time_us).rgb
+        assert np.array_equal(picture, fresh)
+        seen.append(picture)
+    assert not np.array_equal(seen[0], seen[1])
+
+
+@given(outlines=st.lists(arrays(np.float64, (4, 2), elements=st.floats(-40.0, 40.0, width=32)), min_size=1, max_size=3))
+def test_a_patch_holds_all_that_was_drawn(outlines: list[np.ndarray]) -> None:
+    raster = Raster(np.zeros((64, 64), np.uint8), np.array([-6.4, -6.4]), 0.2)
+    before = raster.image.copy()
+    for outline in outlines:
+        raster.fill(outline, 255)
+        raster.image[raster.patch(raster.fixed_point(outline))] = 0
+        assert np.array_equal(raster.image, before)
