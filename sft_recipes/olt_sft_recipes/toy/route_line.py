@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from olt_generator.poses import Array
@@ -71,6 +72,6 @@ class RouteLine:
         bends = np.abs(np.gradient(self.poses[:, 2], STATIONS))[STATIONS < BENDS_WITHIN]
         return math.sqrt(LATERAL / max(float(bends.max()), 1e-6))
 
-    def _station(self, places: Array) -> Array:
+    def _station(self, places: Array) -> NDArray[np.int64]:
         """Indices (...) of the stations of the cells nearest to places (..., 2)."""
-        return self.cells.query(places)[1] // len(OFFSETS)
+        return np.asarray(self.cells.query(places)[1], dtype=np.int64) // len(OFFSETS)
