@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False)
 
-WORTHS = (0.03, 0.06, 0.1, 0.15, 0.2, 0.3)
+WORTHS = (0.03, 0.06, 0.08, 0.1, 0.15, 0.3)
 BINS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
 MET = 0.05
 """A plan meets somebody where its contact with what is really taken counts more."""
@@ -78,26 +78,29 @@ def plan_choice(
 def gather_moments(policy: "ToyPolicy", samples: "Iterable[PolicySample]") -> "Iterable[Moment]":
     """A moment of each sample that knows what is where."""
     from olt_sft_recipes.open_loop import observe
-    from olt_sft_recipes.toy.inputs import cells_along, pad_route, planar_poses
+    from olt_sft_recipes.toy.inputs import are_known, cells_along, pad_route, planar_poses
     from olt_sft_recipes.toy.plan_choice import Occupancy
+    from olt_sft_recipes.toy.route_line import RouteLine
     from olt_sft_recipes.training.auxiliary import gather_truth
 
     for sample in samples:
         observation = observe(sample)
         history = planar_poses(observation.history_xyz, observation.history_rotation)[None]
-        along = cells_along(history, pad_route(observation.route_xy)[None])
+        routes = pad_route(observation.route_xy)[None]
+        along = cells_along(history, routes)
         known, route, world = gather_truth([sample], along)
         if not known[0]:
             continue
         drawn = policy.draw(observation)
         driven = planar_poses(sample.ego_future_xyz[0].astype(np.float64), sample.ego_future_rot[0].astype(np.float64))
-        truth = Occupancy.of_truth(route[0], world[0], along[0])
+        truth = Occupancy.of_truth(route[0], world[0], RouteLine.of(along[0], bool(are_known(routes)[0])))
         yield Moment(drawn.plans, drawn.speed, drawn.occupancy(), truth, driven)
 
 
 def measure(moments: Sequence[Moment]) -> dict[str, Any]:
     """Calibration of contacts of the plans drawn first, and way and contacts of what is chosen at every worth."""
-    from olt_sft_recipes.toy.plan_choice import WAY_WORTH, choose_plan, ways_along
+    from olt_sft_recipes.toy.plan_choice import WAY_WORTH, choose_plan
+    from olt_sft_recipes.toy.tried_plans import ways_along
 
     drawn = [moment.plans[0] for moment in moments]
     thought = np.array([moment.sight.contacts(plan) for moment, plan in zip(moments, drawn, strict=True)])

@@ -7,6 +7,8 @@ Flow matching: t = 0 is noise, t = 1 is data, x_t = t x + (1 - t) noise, and the
 """
 
 import math
+from dataclasses import dataclass
+from functools import lru_cache
 
 import torch
 from torch import Tensor, nn
@@ -67,12 +69,14 @@ class ActionExpert(nn.Module):
         The network learns what is left of a guess: that of actions spread evenly around the model's regression. The
         toy's few steps do not suffice to find in the cache what the regression knows.
         """
-        share = time[:, None, None]
-        waves = fourier_features(time)[:, None].expand(-1, FUTURE_STEPS, -1)
+        return self._velocity(noisy, FlowTime.of(time), prefix)
+
+    def _velocity(self, noisy: Tensor, time: "FlowTime", prefix: Prefix) -> Tensor:
+        waves = time.waves.expand(-1, FUTURE_STEPS, -1)
         x = self.action_in(torch.cat([noisy, waves, prefix.regressed], dim=-1)) + self.waypoints
         for block, cache in zip(self.blocks, prefix.cache, strict=True):
             x = block(x, cache)
-        guess = prefix.regressed + spread_factor(share) * (noisy - share * prefix.regressed)
+        guess = prefix.regressed + time.factor * (noisy - time.share * prefix.regressed)
         return self.action_out(self.norm(x)) + guess
 
     def loss(self, actions: Tensor, time: Tensor, noise: Tensor, prefix: Prefix) -> Tensor:
@@ -84,10 +88,36 @@ class ActionExpert(nn.Module):
     def sample(self, noise: Tensor, prefix: Prefix) -> Tensor:
         """Integrate noise (batch, 64, 2) to normalised actions by equal Euler steps."""
         x = noise
-        for step in range(self.integration_steps):
-            time = torch.full((len(x),), step / self.integration_steps)
-            x = x + self(x, time, prefix) / self.integration_steps
+        for time in _euler_times(self.integration_steps, len(x)):
+            x = x + self._velocity(x, time, prefix) / self.integration_steps
         return x
+
+
+@dataclass(frozen=True)
+class FlowTime:
+    """What the expert makes of flow times.
+
+    Attributes:
+        share: (batch, 1, 1) the times.
+        waves: (batch, 1, 20) of `fourier_features`.
+        factor: (batch, 1, 1) of `spread_factor`.
+    """
+
+    share: Tensor
+    waves: Tensor
+    factor: Tensor
+
+    @classmethod
+    def of(cls, time: Tensor) -> "FlowTime":
+        """That of times (batch,)."""
+        share = time[:, None, None]
+        return cls(share, fourier_features(time)[:, None], spread_factor(share))
+
+
+@lru_cache(maxsize=8)
+@torch.inference_mode(False)
+def _euler_times(steps: int, batch: int) -> list[FlowTime]:
+    return [FlowTime.of(torch.full((batch,), step / steps)) for step in range(steps)]
 
 
 def spread_factor(time: Tensor) -> Tensor:

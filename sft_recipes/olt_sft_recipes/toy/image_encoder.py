@@ -61,7 +61,10 @@ class ImageEncoder(nn.Module):
     def forward(self, images: Tensor, route: csr_array, world: csr_array) -> Sight:
         """Encode images (batch, cameras, frames, 3, H, W) uint8 RGB, with where the cells of the grids are in them."""
         batch, cameras = images.shape[:2]
-        pixels = images[..., self.top :, :].transpose(1, 2).flatten(0, 2).contiguous(memory_format=torch.channels_last)
+        # Whole numbers up to 255 are the same in either precision; laid out as channels_last in one go.
+        pixels = images[..., self.top :, :].permute(0, 2, 1, 4, 5, 3)
+        pixels = pixels.to(torch.bfloat16 if self.in_bfloat16 else torch.float32, memory_format=torch.contiguous_format)
+        pixels = pixels.flatten(0, 2).permute(0, 3, 1, 2)
         with torch.autocast("cpu", torch.bfloat16, enabled=self.in_bfloat16):
             table = self._features(pixels, cameras)
             along, route_logits = self.route_net(_gather(table, route, batch, len(STATIONS), len(OFFSETS)))
@@ -77,7 +80,7 @@ class ImageEncoder(nn.Module):
         """Features (places, channels) of the pixels of all images, in the order that `birds_eye.look_up` tells."""
         # The weights take grey levels to about unit size, which is cheaper than to change the pixels.
         bias = self.patch_bias - 2.0 * self.patches.sum((1, 2, 3))
-        features = functional.conv2d(pixels.float(), self.patches / 64.0, bias, stride=PATCH)
+        features = functional.conv2d(pixels, self.patches / 64.0, bias, stride=PATCH)
         # The layout of channels_last, in which cells find their features side by side.
         named = features.permute(0, 2, 3, 1).unflatten(0, (-1, cameras))
         features = (named + self.image_positions.to(named.dtype)).flatten(0, 1).permute(0, 3, 1, 2)

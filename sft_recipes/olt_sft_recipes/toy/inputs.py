@@ -33,12 +33,14 @@ class PolicyInputs:
 
     Attributes:
         images: (n, cameras, frames, 3, H, W) uint8.
-        route, world: where the cells of the two bird's-eye grids are in them.
+        along: (n, stations, offsets, 3) cells of the route grid in the rig frame.
+        route, world: where the cells of the two bird's-eye grids are in the images.
         history_tokens: (n, 48).
         motion: (n, MOTION_FEATURES) speed and curvature now, and where the route goes, of about unit size.
     """
 
     images: Tensor
+    along: Array
     route: csr_array
     world: csr_array
     history_tokens: Tensor
@@ -66,6 +68,7 @@ def encode_inputs(images: NDArray[np.uint8], history: Array, routes: Array, conf
     motion = np.concatenate([_motion(speed, curvature), _route_numbers(along, routes)], axis=-1)
     return PolicyInputs(
         torch.from_numpy(np.ascontiguousarray(images)),
+        along,
         look_up(along.reshape(len(along), -1, 3)[..., :2], frame_poses, config),
         look_up(world[..., :2], frame_poses, config),
         torch.from_numpy(encode_history(flat)),
@@ -95,11 +98,16 @@ def _motion(speed: Array, curvature: Array) -> Array:
 
 def _route_numbers(along: Array, routes: Array) -> Array:
     """Whether the route is known, and place and heading at some stations, in (n, 1 + 4 * stations)."""
-    known = np.where(np.isnan(routes[:, :2, 0]).any(axis=1), 0.0, 1.0)
+    known = np.where(are_known(routes), 1.0, 0.0)
     middle = along[:, ROUTE_STATIONS, :].mean(axis=2)
     x, y, yaw = np.moveaxis(middle, -1, 0)
     numbers = np.stack([x / 20.0 - 1.0, y / 5.0, 2.0 * np.sin(yaw), np.cos(yaw)], axis=-1)
     return np.concatenate([known[:, None], numbers.reshape(len(numbers), -1)], axis=-1)
+
+
+def are_known(routes: Array) -> NDArray[np.bool_]:
+    """Which routes (n, points, 2) there are (n,): those that do not begin with NaN."""
+    return ~np.isnan(routes[:, :2, 0]).any(axis=1)
 
 
 def pad_route(route_xy: NDArray[np.floating] | None) -> Array:

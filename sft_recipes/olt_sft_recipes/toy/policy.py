@@ -10,8 +10,9 @@ from olt_generator.poses import Array, planar_pose
 from olt_sft_recipes.toy.action_expert import ACTION_SIZE
 from olt_sft_recipes.toy.checkpoint import ToyModel, read_model
 from olt_sft_recipes.toy.image_encoder import Sight
-from olt_sft_recipes.toy.inputs import cells_along, encode_inputs, pad_route, planar_poses, select_images
+from olt_sft_recipes.toy.inputs import are_known, encode_inputs, pad_route, planar_poses, select_images
 from olt_sft_recipes.toy.plan_choice import Occupancy, choose_plan
+from olt_sft_recipes.toy.route_line import RouteLine
 from olt_toolkit.policy.action_space import actions_to_trajectory, estimate_initial_speed
 from olt_toolkit.policy.contract import FUTURE_STEPS, Observation, PlannedTrajectory
 
@@ -24,14 +25,14 @@ class Drawn:
         xyz, rotation: (k, 64, 3) and (k, 64, 3, 3) of the plans in the rig frame, metres.
         speed: now, m/s, at least 0.
         sight: what it makes of the images.
-        along: (stations, offsets, 3) cells of its route grid.
+        line: the middle of its route grid.
     """
 
     xyz: Array
     rotation: Array
     speed: float
     sight: Sight
-    along: Array
+    line: RouteLine
 
     @property
     def plans(self) -> Array:
@@ -40,7 +41,7 @@ class Drawn:
 
     def occupancy(self) -> Occupancy:
         """What the sight thinks is taken."""
-        return Occupancy.of(self.sight, self.along)
+        return Occupancy.of(self.sight, self.line)
 
 
 class ToyPolicy:
@@ -85,12 +86,14 @@ class ToyPolicy:
         noise = torch.randn(config.plans_drawn, FUTURE_STEPS, ACTION_SIZE, generator=generator)
         if config.chooses_plan:
             noise[0] = 0.0  # leads to the middle of what it would do
+        inputs = encode_inputs(images, history, routes, config)
         with torch.inference_mode():
-            prefix = self.model.vlm.read_prefix(encode_inputs(images, history, routes, config))
+            prefix = self.model.vlm.read_prefix(inputs)
             actions = self.model.expert.sample(noise, prefix.repeated(len(noise))).double().numpy()
         speed = float(estimate_initial_speed(observation.history_xyz, observation.history_rotation))
         xyz, rotation = actions_to_trajectory(actions, speed)
-        return Drawn(xyz, rotation, max(speed, 0.0), prefix.sight, cells_along(history, routes)[0])
+        line = RouteLine.of(inputs.along[0], bool(are_known(routes)[0]))
+        return Drawn(xyz, rotation, max(speed, 0.0), prefix.sight, line)
 
 
 def load_toy(path: str | None) -> ToyPolicy:

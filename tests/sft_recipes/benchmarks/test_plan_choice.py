@@ -5,17 +5,17 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from scipy.spatial import KDTree
 
 from olt_sft_recipes.benchmarks.plan_choice import Moment, gather_moments, measure
 from olt_sft_recipes.benchmarks.quick_toy import made_up_samples
 from olt_sft_recipes.toy.birds_eye import OFFSETS, STATIONS, WORLD_X, WORLD_Y, route_cells
 from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD
 from olt_sft_recipes.toy.plan_choice import WAY_WORTH, Occupancy
+from olt_sft_recipes.toy.route_line import RouteLine
 
 SPEED = 8.0
 AHEAD = np.column_stack([SPEED * 0.1 * np.arange(1, 65), np.zeros(64), np.zeros(64)])
-CELLS = KDTree(route_cells(np.column_stack([np.linspace(0.0, 80.0, 20), np.zeros(20)]), 0.0)[..., :2].reshape(-1, 2))
+LINE = RouteLine.of(route_cells(np.column_stack([np.linspace(0.0, 80.0, 20), np.zeros(20)]), 0.0))
 
 
 def wall(probability):
@@ -23,7 +23,7 @@ def wall(probability):
     route = np.zeros((len(SECONDS_AHEAD), len(STATIONS), len(OFFSETS)))
     route[:, STATIONS > 22.0] = probability
     world = np.zeros((len(SECONDS_AHEAD), len(WORLD_X), len(WORLD_Y)))
-    return Occupancy(route, np.zeros(len(STATIONS)), world, CELLS)
+    return Occupancy(route, np.zeros(len(STATIONS)), world, LINE)
 
 
 def moment(thought, true):
