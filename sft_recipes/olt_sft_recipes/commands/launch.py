@@ -60,7 +60,14 @@ def launch(
         float | None,
         typer.Option(min=0.0, max=1.0, help="Share of saturated trajectory tokens beyond which nothing runs; 0.01."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the mixture, and of the toy.")] = 0,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            min=0,
+            help="Seed of a mixture that is composed here, and of both stages of the toy; by default 0, and what their "
+            "YAML says.",
+        ),
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Look, print the commands, and write nothing.")] = False,
     allow_uncompared: AllowUncomparedOption = False,
     as_json: JsonOption = False,
@@ -108,6 +115,9 @@ def launch(
     if base is None or recipes is None:
         raise InputError(f"{policy.value}: give --base (the released checkpoint) and --recipes (a clone of them)")
     refuse_unused({"--stage1-checkpoint": stage1_checkpoint is not None and stage.value != "2"}, "it is for --stage 2")
+    refuse_unused(
+        {"--seed": seed is not None and recipe is None}, "it is for --recipe; those of training are the recipe's"
+    )
     refuse_unused({"--slurm-option": bool(slurm_option) and not slurm}, "it is for --slurm")
     refuse_unused({"--chunks": chunks is not None and pai is None}, "it selects chunks of --pai")
     refuse_unused({"--validation-chunks": bool(validation_chunks and not validation)}, "it is for --validation")
@@ -141,7 +151,7 @@ def _launch_toy(
     out: Path,
     stage: StageChoice,
     processes: int,
-    seed: int,
+    seed: int | None,
     stores: list[Path],
     stage_files: tuple[Path | None, Path | None],
     dry_run: bool,

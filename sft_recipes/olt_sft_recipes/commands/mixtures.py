@@ -12,7 +12,7 @@ def choose_mixture(
     mixture: Path | None,
     recipe: str | None,
     stores: list[Path],
-    seed: int,
+    seed: int | None,
     allow_uncompared: bool,
     held_out_scenes: Collection[str] = (),
 ) -> "Mixture":
@@ -28,7 +28,7 @@ def choose_mixture(
         return compose_mixture(
             find_recipe(recipe),
             read_clip_tables(stores),
-            seed,
+            seed or 0,
             held_out_scenes=held_out_scenes,
             allow_uncompared=allow_uncompared,
         )

@@ -48,7 +48,10 @@ def train(
     stage1: Annotated[Path | None, typer.Option(help="YAML of Stage 1; that of the toy by default.")] = None,
     stage2: Annotated[Path | None, typer.Option(help="YAML of Stage 2; that of the toy by default.")] = None,
     rig: Annotated[ContractName, typer.Option(help="Whose cameras the policy takes.")] = ContractName.ALPAMAYO_R1,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the mixture and of both stages.")] = 0,
+    seed: Annotated[
+        int | None,
+        typer.Option(min=0, help="Seed of the mixture and of both stages; by default 0, and what their YAML says."),
+    ] = None,
     stage: Annotated[StageName, typer.Option(help="Which stage; 2 goes on from the finished Stage 1 in OUT.")] = (
         StageName.BOTH
     ),

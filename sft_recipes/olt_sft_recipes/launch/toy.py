@@ -36,7 +36,7 @@ def launch_toy(
     *,
     stage: StageChoice = "both",
     processes: int = 1,
-    seed: int = 0,
+    seed: int | None = None,
     rig: str = DEFAULT_CONTRACT.name,
     stores: Sequence[Path] = (),
     stage1: Path | None = None,
@@ -52,7 +52,7 @@ def launch_toy(
         out: `out/stage1`, `out/stage2` and `out/policy`, which drives.
         stage: which stage is trained.
         processes: processes of this machine, which share each optimizer step; the result does not depend on them.
-        seed: of both stages.
+        seed: of both stages; None for those that their YAML says.
         rig: camera contract of the policy.
         stores: clip stores whose split "val" judges the stages; without one, Stage 2 is judged by its driving alone.
         stage1, stage2: YAML of the stages; None for the toy's own.
@@ -201,14 +201,15 @@ def _arguments(
     out: Path,
     stages: tuple[Path | None, Path | None],
     stage: StageChoice,
-    seed: int,
+    seed: int | None,
     rig: str,
     stores: Sequence[Path],
     report_to: Tracker,
 ) -> list[str]:
     """`olt` arguments by which the processes train what `launch_toy` would train alone."""
     arguments = ["sft", "train", "--mixture", str(out / "mixture.json"), "--out", str(out)]
-    arguments += ["--stage", stage, "--seed", str(seed), "--rig", rig, "--report-to", report_to]
+    arguments += ["--stage", stage, "--rig", rig, "--report-to", report_to]
+    arguments += [] if seed is None else ["--seed", str(seed)]
     for name, path in zip(("--stage1", "--stage2"), stages, strict=True):
         arguments += [name, str(path)] if path else []
     for store in stores:

@@ -107,7 +107,7 @@ def _route_numbers(along: Array, routes: Array) -> Array:
 
 def are_known(routes: Array) -> NDArray[np.bool_]:
     """Which routes (n, points, 2) there are (n,): those that do not begin with NaN."""
-    return ~np.isnan(routes[:, :2, 0]).any(axis=1)
+    return np.logical_not(np.isnan(routes[:, :2, 0]).any(axis=1))
 
 
 def pad_route(route_xy: NDArray[np.floating] | None) -> Array:

@@ -93,21 +93,21 @@ class StageResult:
 def train_on_mixture(
     mixture: Mixture,
     stages: tuple[StageConfig, StageConfig],
-    seed: int,
+    seed: int | None,
     out: Path,
     on_progress: Progress = silent,
     model_config: ToyPolicyConfig | None = None,
     validation: Validation = Validation(),  # noqa: B008 - frozen
     only: StageChoice = "both",
 ) -> list[StageResult]:
-    """Train on a mixture, as `train_two_stages` does; `seed` replaces that of the stages.
+    """Train on a mixture, as `train_two_stages` does; a `seed` replaces those of the stages.
 
     The samples have the cameras of the model's contract.
 
     Raises:
         InputError: as `train_two_stages`, or a sample of the mixture cannot be loaded.
     """
-    first, second = (stage.model_copy(update={"seed": seed}) for stage in stages)
+    first, second = stages if seed is None else (stage.model_copy(update={"seed": seed}) for stage in stages)
     config = model_config or ToyPolicyConfig()
     weighted = any(stage.invented_pixel_weight < 1.0 for stage in stages)
     told = any(stage.stage == 1 and stage.sight_weight > 0.0 for stage in stages)

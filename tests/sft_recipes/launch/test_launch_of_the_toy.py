@@ -1,6 +1,9 @@
 """The toy by the same command; what it does is tested where it is trained."""
 
 import json
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -9,6 +12,8 @@ from olt_generator.errors import InputError
 from olt_sft_recipes.commands import launch as launching
 from olt_sft_recipes.commands.sft import app
 from olt_sft_recipes.launch import toy
+from olt_sft_recipes.training import two_stages
+from olt_sft_recipes.training.stage_config import StageConfig
 
 
 @pytest.fixture
@@ -32,6 +37,25 @@ def test_the_toy_takes_a_recipe_stores_stages_and_processes(asked, tmp_path):
     assert json.loads(result.stdout) == {"policy": str(tmp_path / "policy")}
     assert asked["stage"] == "2" and asked["processes"] == 2 and asked["seed"] == 5 and asked["dry_run"] is True
     assert asked["mixture"][1] == "nv_ood_syn" and toy.HELD_OUT_SCENES in asked["mixture"]
+
+
+def test_seeds_of_the_stages_count_unless_one_is_given(monkeypatch):
+    trained = []
+    monkeypatch.setattr(two_stages, "MixtureDataset", lambda *_, **__: SimpleNamespace(load_batch=None))
+    monkeypatch.setattr(two_stages, "train_two_stages", lambda stages, *_: trained.append([s.seed for s in stages]))
+    mixture: Any = SimpleNamespace(epoch=None)
+    stages = StageConfig(stage=1, seed=3), StageConfig(stage=2, seed=4)
+    for seed in (None, 0, 5):
+        two_stages.train_on_mixture(mixture, stages, seed, Path("out"))
+    assert trained == [[3, 4], [0, 0], [5, 5]]
+
+
+def test_no_seed_is_given_where_none_is_asked_for(asked, tmp_path):
+    CliRunner().invoke(app, ["launch", "--policy", "toy", "--out", str(tmp_path), "--json"], catch_exceptions=False)
+    assert asked["seed"] is None
+    with pytest.raises(InputError, match="--seed"):
+        words = ["launch", "--policy", "alpamayo-r1", "--base", "b", "--recipes", "r", "--pai", "p", "--seed", "1"]
+        CliRunner().invoke(app, words, catch_exceptions=False)
 
 
 @pytest.mark.parametrize("option", [["--gpus", "1"], ["--slurm"], ["--lora"], ["--base", "x"], ["--nodes", "1"]])
