@@ -81,17 +81,17 @@ class DrivingSamples:
     def __len__(self) -> int:
         return len(self.images)
 
-    def take(self, rows: list[int]) -> "DrivingSamples":
-        """Some of the samples."""
+    def take(self, rows: list[int] | slice) -> "DrivingSamples":
+        """Some of the samples; those of a slice are not copied."""
         arrays = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "config"}
         return replace(self, **{name: values[rows] for name, values in arrays.items()})
 
-    def weights(self, invented_pixel_weight: float) -> Array:
-        """Weights (n,) of the samples where an invented pixel counts for so much of a seen one.
+    def weights(self, invented_pixel_weight: float, rows: NDArray[np.int64] | slice = slice(None)) -> Array:
+        """Weights (n,) of samples, all by default, where an invented pixel counts for so much of a seen one.
 
         w = 1 - (1 - `invented_pixel_weight`) * share of invented pixels.
         """
-        return 1.0 - (1.0 - invented_pixel_weight) * self.invented
+        return 1.0 - (1.0 - invented_pixel_weight) * self.invented[rows]
 
     def mirrored(self) -> "DrivingSamples":
         """The same drives in a world where left is right."""

@@ -132,7 +132,7 @@ class StageTraining:
         """This process's parts of a step: which they are has no influence on what is drawn."""
         rows, world = np.asarray(self.steps[step]), self.accelerator.num_processes
         samples = self.samples.having(self.steps[step])
-        weights = _normalised(samples.weights(self.stage.invented_pixel_weight)[rows])
+        weights = _normalised(samples.weights(self.stage.invented_pixel_weight, rows))
         draws = draw_step(self.stage, len(rows), step)
         parts = min(self.stage.gradient_accumulation_steps * world, len(rows))
         mine = np.array_split(np.arange(len(rows)), parts)[self.accelerator.process_index :: world]
@@ -203,8 +203,8 @@ class StageTraining:
     def _count_saturated(self) -> int:
         """Future tokens of all samples that stand for the end of the range."""
         samples = self.samples.having(range(len(self.samples.keys)))
-        parts = [range(start, min(start + _AT_ONCE, len(samples))) for start in range(0, len(samples), _AT_ONCE)]
-        return sum(encode_actions(samples.take(list(part)).actions())[1] for part in parts)
+        parts = [slice(start, start + _AT_ONCE) for start in range(0, len(samples), _AT_ONCE)]
+        return sum(encode_actions(samples.take(part).actions())[1] for part in parts)
 
     def _is_due(self, interval: int) -> bool:
         step = self.state.global_step
