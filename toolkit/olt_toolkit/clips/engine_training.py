@@ -14,29 +14,27 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from safetensors.torch import save_file
 from torch import Tensor
 
 from olt_generator.diffusion.autoencoder_training import train_autoencoder
 from olt_generator.diffusion.backbone import load_autoencoder, load_backbone, read_config
 from olt_generator.diffusion.conditioned_model import ConditionedModel, build_model, cast
-from olt_generator.diffusion.config import EngineConfig
+from olt_generator.diffusion.config import CELL_PIXELS, EngineConfig
 from olt_generator.diffusion.engine_folder import EngineFacts, save_engine
 from olt_generator.diffusion.flow_training import ClipSource, FlowTraining
-from olt_generator.diffusion.latents import CELL_PIXELS, LatentCodec
+from olt_generator.diffusion.latents import LatentCodec
 from olt_generator.diffusion.released_cache import ReleasedCache
 from olt_generator.diffusion.splits import Split
-from olt_generator.diffusion.tensor_files import read_tensors
 from olt_generator.diffusion.training_cache import CacheFacts, TrainingCache, write_cache
 from olt_generator.diffusion.training_clips import ClipVideos, encode_clip, warp_videos
 from olt_generator.diffusion.training_loop import train
 from olt_generator.diffusion.training_settings import TrainingSettings
 from olt_generator.errors import InputError
-from olt_generator.files import write_whole
-from olt_generator.progress import Progress, silent
+from olt_generator.progress import Progress
 from olt_generator.seeds import derive_seed
 from olt_toolkit.clips.training_data import TrainingWindow, frame_time, make_window_videos, plan_windows
-from olt_toolkit.recordings.drives import Dataset
+from olt_toolkit.clips.training_videos import keep_videos, read_videos
+from olt_toolkit.recordings.drives import Dataset, DatasetPlace
 
 VIDEOS, AUTOENCODER, CACHE, ENGINE = "videos", "autoencoder", "cache", "engine"
 _TEXT_TOKENS = 4
@@ -65,25 +63,32 @@ class _Networks:
 
 
 def train_engine(
-    dataset: Dataset,
+    place: DatasetPlace,
     config: EngineConfig,
     settings: TrainingSettings,
     run: Path,
     seed: int,
     stages: Stages,
     weights: Weights | None = None,
+    workers: int = 1,
 ) -> Path:
     """Train an engine on all drives of a data set, or go on; returns its folder.
+
+    Args:
+        workers: processes that make videos of drives where they are kept; the videos are the same for any number.
 
     Raises:
         InputError: weights are missing or needless, drives cannot be trained on, or see `training_loop.train`.
     """
     if settings.whole_backbone and weights is not None:
         raise InputError("this configuration trains its own backbone; leave the weights out")
+    dataset = place.open()
     windows = plan_windows(dataset, settings, seed)
     facts = EngineFacts(config, settings.width, settings.height, frame_time(dataset, windows))
     if settings.whole_backbone:
-        networks = _build_networks(dataset, windows, facts, settings, run, seed, stages)
+        with _first_process(), stages("drives") as on_progress:
+            keep_videos(place, windows, settings, run / VIDEOS, workers, on_progress)
+        networks = _build_networks(windows, facts, settings, run, seed, stages)
     else:
         networks = _load_networks(facts, settings, weights)
     made_by = _digest(networks.autoencoder, config.conditioning.fill)
@@ -161,7 +166,6 @@ def tiny_texts(width: int) -> tuple[Tensor, Tensor]:
 
 
 def _build_networks(
-    dataset: Dataset,
     windows: Sequence[TrainingWindow],
     facts: EngineFacts,
     settings: TrainingSettings,
@@ -170,9 +174,7 @@ def _build_networks(
     stages: Stages,
 ) -> _Networks:
     """A model with random weights, all of which are trained, beside an autoencoder that is trained first."""
-    with _first_process(), stages("drives") as on_progress:
-        _keep_videos(dataset, windows, settings, run / VIDEOS, on_progress)
-    kept = [_read_videos(run / VIDEOS, number) for number, each in enumerate(windows) if each.split == "train"]
+    kept = [read_videos(run / VIDEOS, number) for number, each in enumerate(windows) if each.split == "train"]
     config = facts.config
     with stages("autoencoder") as on_progress:
         autoencoder, measured = train_autoencoder(
@@ -214,7 +216,7 @@ def _make_cache(
             raise InputError(f"{run / CACHE}: was made of other drives or by another autoencoder; give another folder")
         return cache
     if (run / VIDEOS).is_dir():
-        videos: Iterator[ClipVideos] = (_read_videos(run / VIDEOS, number) for number in range(len(windows)))
+        videos: Iterator[ClipVideos] = (read_videos(run / VIDEOS, number) for number in range(len(windows)))
     else:
         videos = make_window_videos(dataset, windows, settings)
 
@@ -225,31 +227,6 @@ def _make_cache(
 
     splits: list[Split] = [each.split for each in windows]
     return write_cache(run / CACHE, wanted, [each.window for each in windows], splits, encoded())
-
-
-def _keep_videos(
-    dataset: Dataset,
-    windows: Sequence[TrainingWindow],
-    settings: TrainingSettings,
-    folder: Path,
-    on_progress: Progress = silent,
-) -> None:
-    missing = [number for number in range(len(windows)) if not _video_file(folder, number).exists()]
-    made = make_window_videos(dataset, [windows[number] for number in missing], settings)
-    for number, clip in zip(missing, made, strict=True):
-        tensors = {name: torch.from_numpy(np.ascontiguousarray(value)) for name, value in vars(clip).items()}
-        with write_whole(_video_file(folder, number)) as temporary:
-            save_file(tensors, temporary)
-        on_progress((number + 1) / len(windows))
-
-
-def _read_videos(folder: Path, number: int) -> ClipVideos:
-    tensors = read_tensors(_video_file(folder, number), "remove it, and give the command again")
-    return ClipVideos(**{name: value.numpy() for name, value in tensors.items()})
-
-
-def _video_file(folder: Path, number: int) -> Path:
-    return folder / f"clip_{number:06d}.safetensors"
 
 
 def _read_texts(path: Path, width: int) -> tuple[Tensor, Tensor]:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from olt_toolkit.commands.parallel_options import WorkersOption
+
 if TYPE_CHECKING:
     from olt_generator.diffusion.config import EngineConfig
     from olt_generator.diffusion.training_settings import TrainingSettings
     from olt_generator.progress import Progress
-    from olt_toolkit.recordings.drives import Dataset
+    from olt_toolkit.recordings.drives import DatasetPlace
 
 # Drives of the synthetic world on which an engine is trained that is given none.
 DRIVES = """\
@@ -46,12 +48,14 @@ def train(
             help="safetensors file with the UMT5 embeddings `prompt` and `empty`, (tokens, width), for --backbone."
         ),
     ] = None,
+    workers: WorkersOption = None,
 ) -> None:
     """Make or read drives, warp their views, and train; the engine lies in the subfolder `engine`."""
     from olt_generator.diffusion.released_cache import ReleasedCache, is_released_cache
     from olt_generator.errors import InputError
     from olt_toolkit.clips.engine_training import Weights, train_engine, train_on_released
     from olt_toolkit.runtime.console import print_line
+    from olt_toolkit.runtime.workers import default_workers
 
     engine, settings = read_training(config)
     if steps is not None:
@@ -62,8 +66,8 @@ def train(
     if data is not None and is_released_cache(data):
         folder = train_on_released(ReleasedCache(data), engine, settings, out, seed, _show_stage, weights)
     else:
-        dataset = _open_drives(data, out, drives, seed)
-        folder = train_engine(dataset, engine, settings, out, seed, _show_stage, weights)
+        place = _place_drives(data, out, drives, seed)
+        folder = train_engine(place, engine, settings, out, seed, _show_stage, weights, workers or default_workers())
     print_line(f"engine: {folder}")
 
 
@@ -116,16 +120,16 @@ def _changed(base: Any, changes: Any, path: Path) -> dict[str, Any]:
     return fields
 
 
-def _open_drives(data: Path | None, out: Path, count: int, seed: int) -> "Dataset":
+def _place_drives(data: Path | None, out: Path, count: int, seed: int) -> "DatasetPlace":
     from olt_generator.files import make_folder, write_whole
-    from olt_toolkit.recordings.drives import open_dataset
+    from olt_toolkit.recordings.drives import DatasetPlace
 
-    if data is not None:
-        return open_dataset(data, make_folder(out / "drives"))
     folder = make_folder(out / "drives")
+    if data is not None:
+        return DatasetPlace(data, folder)
     with write_whole(folder / "synthetic.yaml") as temporary:
         temporary.write_text(DRIVES.format(seed=1000 * seed, count=count))
-    return open_dataset(folder)
+    return DatasetPlace(folder)
 
 
 @contextmanager

@@ -19,8 +19,8 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from olt_generator.diffusion.backbone import build_autoencoder
 from olt_generator.diffusion.conditioned_model import ConditionedModel, Conditions, build_model, cast
-from olt_generator.diffusion.config import CONTROL_CHANNELS, LATENT_CHANNELS, PATCH, EngineConfig
-from olt_generator.diffusion.latents import CELL_PIXELS, latent_frames
+from olt_generator.diffusion.config import CELL_PIXELS, CONTROL_CHANNELS, LATENT_CHANNELS, PATCH, EngineConfig
+from olt_generator.diffusion.latents import latent_frames
 from olt_generator.diffusion.memory_bank import ConditionViews
 from olt_generator.diffusion.view_graph import CONDITIONS
 from olt_generator.errors import InputError

@@ -9,6 +9,8 @@ from olt_generator.errors import InputError
 LATENT_CHANNELS = 16
 MASK_CHANNELS = 64
 CONTROL_CHANNELS = 2 * LATENT_CHANNELS + MASK_CHANNELS
+# Pixels (rows, columns) of one latent cell.
+CELL_PIXELS = 8
 # Latent cells (rows, columns) of one token.
 PATCH = 2
 
@@ -64,26 +66,45 @@ class AutoencoderConfig:
     """Sizes of the video autoencoder; the defaults are those of Wan 2.1.
 
     Attributes:
-        base_dim, dim_multiples, residual_blocks: channels of the finest level, their multiples at the four levels, and
-            residual blocks of a level.
+        base_dim, dim_multiples, residual_blocks: channels of the finest level, their multiples at the levels, each half
+            as fine as the one before, and residual blocks of a level.
+        patch: pixels (rows, columns) that become channels of the finest level; 2 needs a level less, and a third of
+            the time.
         latents_mean, latents_std: of each latent channel over training videos, by which latents are normalised; None
             for those of Wan's weights.
+
+    Raises:
+        InputError: the levels do not make cells of 8 x 8 pixels and 4 frames.
     """
 
     base_dim: int = 96
-    dim_multiples: tuple[int, int, int, int] = (1, 2, 4, 4)
+    dim_multiples: tuple[int, ...] = (1, 2, 4, 4)
     residual_blocks: int = 2
+    patch: int = 1
     latents_mean: tuple[float, ...] | None = None
     latents_std: tuple[float, ...] | None = None
+
+    def __post_init__(self) -> None:
+        if self.patch not in (1, 2) or self.patch * 2 ** (len(self.dim_multiples) - 1) != CELL_PIXELS:
+            raise InputError(
+                f"autoencoder: patch {self.patch} and {len(self.dim_multiples)} dim_multiples do not make cells of "
+                f"{CELL_PIXELS} pixels; give patch 1 and four of them, or patch 2 and three"
+            )
 
     def to_diffusers(self) -> dict[str, Any]:
         """Arguments of `diffusers.AutoencoderKLWan`."""
         given = {"latents_mean": self.latents_mean, "latents_std": self.latents_std}
+        channels = 3 * self.patch**2
         return {
             "base_dim": self.base_dim,
             "z_dim": LATENT_CHANNELS,
             "dim_mult": list(self.dim_multiples),
             "num_res_blocks": self.residual_blocks,
+            # The last two levels halve the frames, too.
+            "temperal_downsample": [False] * (len(self.dim_multiples) - 3) + [True, True],
+            "patch_size": self.patch if self.patch > 1 else None,
+            "in_channels": channels,
+            "out_channels": channels,
         } | {name: list(values) for name, values in given.items() if values is not None}
 
 
@@ -157,7 +178,12 @@ CONFIGS: dict[str, EngineConfig] = {
             heads=4, head_dim=24, ffn_dim=256, layers=6, vace_layers=(0, 2, 4), text_dim=32, frequency_dim=64
         ),
         AutoencoderConfig(
-            base_dim=8, dim_multiples=(1, 2, 4, 4), residual_blocks=1, latents_mean=(0.0,) * 16, latents_std=(1.0,) * 16
+            base_dim=16,
+            dim_multiples=(1, 2, 2),
+            residual_blocks=1,
+            patch=2,
+            latents_mean=(0.0,) * 16,
+            latents_std=(1.0,) * 16,
         ),
         ConditioningConfig(fill=True, hidden=64, memory_layers=(1, 3, 5), queries=16, window=1),
         LoraConfig(rank=4, alpha=2),

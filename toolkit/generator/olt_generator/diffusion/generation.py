@@ -11,10 +11,9 @@ from torch import Tensor
 
 from olt_generator.cameras import Camera
 from olt_generator.diffusion.conditioned_model import Conditions
-from olt_generator.diffusion.config import LATENT_CHANNELS
+from olt_generator.diffusion.config import CELL_PIXELS, LATENT_CHANNELS
 from olt_generator.diffusion.engine_folder import Engine
 from olt_generator.diffusion.geometry_encoder import ego_motion_features
-from olt_generator.diffusion.latents import CELL_PIXELS
 from olt_generator.diffusion.memory_bank import ConditionViews
 from olt_generator.diffusion.sampling import Solver, guided_velocity, integrate, sigma_grid
 from olt_generator.diffusion.view_graph import MOST_CONDITIONS

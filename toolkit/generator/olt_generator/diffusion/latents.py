@@ -5,14 +5,12 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
+from olt_generator.diffusion.config import CELL_PIXELS
 from olt_generator.errors import InputError
 from olt_generator.views.lookback import FRAMES_PER_LATENT
 
 if TYPE_CHECKING:
     from diffusers.models.autoencoders.autoencoder_kl_wan import AutoencoderKLWan
-
-# Pixels (rows, columns) of one latent cell.
-CELL_PIXELS = 8
 
 
 def latent_frames(frames: int) -> int:

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from olt_generator.cameras import PinholeCamera
+from olt_generator.diffusion.config import CELL_PIXELS
 from olt_generator.diffusion.geometry_encoder import ego_motion_features
-from olt_generator.diffusion.latents import CELL_PIXELS
 from olt_generator.diffusion.splits import Split
 from olt_generator.diffusion.training_clips import TrainingClip
 from olt_generator.diffusion.view_graph import VIEWS

@@ -11,7 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from olt_generator.diffusion.latents import CELL_PIXELS, LatentCodec
+from olt_generator.diffusion.config import CELL_PIXELS
+from olt_generator.diffusion.latents import LatentCodec
 from olt_generator.errors import InputError
 from olt_generator.views.lookback import FRAMES_PER_LATENT
 

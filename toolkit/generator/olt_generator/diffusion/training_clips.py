@@ -1,5 +1,6 @@
 """What a training sample is made of: the true views of a clip, and what the geometric engine makes of them."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -23,6 +24,9 @@ from olt_generator.views.plucker import anchor_poses, plucker_rays
 from olt_generator.views.synthesis import SynthesisSettings, synthesize_view
 
 Video = NDArray[np.uint8]
+
+# Encoded at once: small videos take as long one by one as some together, large ones need the memory.
+_MOST_PIXELS = 500_000
 
 
 @dataclass(frozen=True)
@@ -138,8 +142,8 @@ def warp_videos(videos: ClipVideos, fill: bool) -> list[tuple[Video, NDArray[np.
 def encode_clip(videos: ClipVideos, codec: LatentCodec, fill: bool) -> TrainingClip:
     """Encode true and warped videos; `fill` as of `warp_prior`."""
     warps = warp_videos(videos, fill)
-    latents = torch.cat([codec.encode(torch.from_numpy(video)[None]) for video in videos.truth])
-    warped = torch.cat([codec.encode(torch.from_numpy(image)[None]) for image, _ in warps])
+    latents = _encode(videos.truth, codec)
+    warped = _encode(np.stack([image for image, _ in warps]), codec)
     visibility = cell_visibility(torch.from_numpy(np.stack([visible for _, visible in warps])))
     return TrainingClip(
         latents,
@@ -148,3 +152,9 @@ def encode_clip(videos: ClipVideos, codec: LatentCodec, fill: bool) -> TrainingC
         torch.from_numpy(videos.rays),
         torch.from_numpy(videos.motion),
     )
+
+
+def _encode(videos: Video, codec: LatentCodec) -> Tensor:
+    """Latents of videos (n, f, h, w, 3), together where they are small."""
+    together = max(1, _MOST_PIXELS // math.prod(videos.shape[1:4]))
+    return torch.cat([codec.encode(part) for part in torch.from_numpy(videos).split(together)])

@@ -13,8 +13,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from olt_generator.diffusion.config import CONTROL_CHANNELS, MASK_CHANNELS
-from olt_generator.diffusion.latents import CELL_PIXELS, latent_frames
+from olt_generator.diffusion.config import CELL_PIXELS, CONTROL_CHANNELS, MASK_CHANNELS
+from olt_generator.diffusion.latents import latent_frames
 from olt_generator.views.lookback import FRAMES_PER_LATENT
 from olt_generator.views.pixel_origin import PixelOrigin
 
