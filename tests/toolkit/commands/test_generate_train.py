@@ -56,3 +56,16 @@ def test_what_was_not_measured_is_not_measured_in_the_mean():
     assert (view["psnr"], view["geokpm"], view["invented_psnr"], view["lpips"]) == (15.0, 50.0, None, None)
     (seen,) = summarise(rows, EvaluationSplit.SEEN, 2)["views"]
     assert seen["ssim"] is None
+
+
+def test_gains_over_the_geometric_engine_are_told_with_intervals_over_scenes():
+    rows = [
+        {"view": "a", "scene": scene, "psnr": 20.0, "geometric_psnr": 20.0 - gain, "invented_psnr": invented}
+        | {"geometric_invented_psnr": 10.0}
+        for scene, gain, invented in (("s", 1.0, 12.0), ("s", 3.0, None), ("t", 4.0, None), ("u", 6.0, None))
+    ]
+    (view,) = summarise(rows, EvaluationSplit.UNSEEN, 4)["views"]
+    # Scenes gain 2, 4 and 6 dB: the mean is 4, its standard error 2 / sqrt(3), and t for two degrees 4.3027.
+    assert view["gain"] == pytest.approx(4.0)
+    assert view["gain_interval"] == pytest.approx((4.0 - 4.9683, 4.0 + 4.9683), abs=1e-3)
+    assert (view["invented_gain"], view["invented_gain_interval"]) == (pytest.approx(2.0), None)
