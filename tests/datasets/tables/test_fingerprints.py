@@ -140,5 +140,6 @@ def test_what_is_found_of_a_clip_does_not_depend_on_the_clips_beside_it():
         pl.Series([each.tobytes() for each in draw_fingerprints(count, count)], dtype=pl.Binary) for count in (900, 60)
     )
     of_all = find_near_duplicates(first, second)
-    parts = [find_near_duplicates(first[start : start + 50], second) + [start, 0] for start in range(0, len(first), 50)]
+    starts = range(0, len(first), 50)
+    parts = [find_near_duplicates(first[start : start + 50], second) + np.array([start, 0]) for start in starts]
     assert np.concatenate(parts).tolist() == of_all.tolist()
