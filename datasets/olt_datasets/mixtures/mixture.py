@@ -245,7 +245,11 @@ def compose_and_check(
         for selection, most in zip(selections, most_items(recipe, items), strict=True)
     ]
     report = _find_leaks(
-        [samples.lazy().unique(["store", "clip_id"]) for samples in drawn], table, recipe, held_out_scenes
+        # In one order: clips that look alike are found by their places, and told in a second pass.
+        [samples.lazy().unique(["store", "clip_id"], maintain_order=True) for samples in drawn],
+        table,
+        recipe,
+        held_out_scenes,
     )
     if report.leaks:
         raise InputError(

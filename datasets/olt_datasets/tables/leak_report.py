@@ -134,7 +134,7 @@ def word_report(report: LeakReport, shown: int, rest: str = "olt data check --le
 def summarize_leaks(report: LeakReport) -> str:
     """One line that names the first few leaks and counts the rest."""
     shown, total = "; ".join(map(str, report.leaks[:SHOWN])), sum(report.counts.values())
-    return shown if total <= SHOWN else f"{shown}; and {total - SHOWN} more"
+    return shown if total <= SHOWN else f"{shown}; and {total - SHOWN} more (`olt data check --leaks FILE` lists them)"
 
 
 def join_reports(reports: Iterable[LeakReport], splits: dict[str, int], empty: str | None) -> LeakReport:

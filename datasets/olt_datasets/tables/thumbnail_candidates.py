@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from olt_datasets.tables.rough_alignment import RoughPairs, align_roughly
 from olt_datasets.tables.thumbnail_index import Index, Places, Thumbnails
 from olt_datasets.tables.thumbnail_keys import Packed, make_probes, pack, pack_probes
+from olt_toolkit.clips.fingerprint import IMAGES
 
 _OF_A_KEY = 8
 """Thumbnails that are taken of those that share a key."""
@@ -74,11 +75,13 @@ def find_candidates(part: Thumbnails, index: Index) -> Candidates:
         low = np.searchsorted(keys, wanted)
         counts = np.searchsorted(keys, wanted + np.uint64(1 << 32)) - low
         probe, image = np.divmod(np.arange(table.size), table.shape[1])
+        # Counted within its clip: what is found of a clip does not depend on the others that are looked up with it.
+        lookup = probe * IMAGES + image - part.starts[seen.owners[image]]
         met_keys += np.bincount(seen.owners[image[counts > 0]], minlength=len(met_keys))
         full_keys += np.bincount(seen.owners[image[counts > _CROWD * _OF_A_KEY]], minlength=len(full_keys))
         hits += [
             _keep_alike(part, index, seen, probe[places], image[places], theirs)
-            for places, theirs in _take_evenly(keys, low, counts)
+            for places, theirs in _take_evenly(keys, low, counts, lookup)
         ]
     pairs, left_out = _choose(index, seen, np.concatenate(hits, axis=1))
     passed = align_roughly(part, index.thumbnails, pairs)
@@ -87,10 +90,12 @@ def find_candidates(part: Thumbnails, index: Index) -> Candidates:
     return Candidates(pairs.clips[passed], pairs.others[passed], pairs.mirrored[passed], np.flatnonzero(crowded))
 
 
-def _take_evenly(keys: Packed, low: Places, counts: Places) -> Iterator[tuple[Places, Places]]:
-    """Which lookups (m,) meet a thumbnail, and which one (m,): of those that share a key a few, evenly."""
-    # So that lookups which meet the same ones take others of them.
-    phase = np.arange(len(counts)) * _GOLDEN_RATIO % 1.0
+def _take_evenly(keys: Packed, low: Places, counts: Places, lookup: Places) -> Iterator[tuple[Places, Places]]:
+    """Which lookups (m,) meet a thumbnail, and which one (m,): of those that share a key a few, evenly.
+
+    `lookup` (n,) numbers the lookups of a clip, so that those which meet the same thumbnails take others of them.
+    """
+    phase = lookup * _GOLDEN_RATIO % 1.0
     for taken in range(min(_OF_A_KEY, int(counts.max(initial=0)))):
         more = np.flatnonzero(counts > taken)
         stride = counts[more] / np.minimum(counts[more], _OF_A_KEY)

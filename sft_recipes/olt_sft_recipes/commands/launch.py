@@ -294,16 +294,26 @@ def _show_end(told: dict[str, Any]) -> None:
 def follow(
     out: Annotated[Path, typer.Argument(help="Folder of a launch.")],
     stage: Annotated[int, typer.Option(min=1, max=2, help="The stage whose log is on standard input.")],
+    kept: Annotated[
+        bool, typer.Option("--kept", help="Read no log: look whether what an earlier launch finished still fits.")
+    ] = False,
 ) -> None:
     """Read the log of a stage, show how far it is, and stop at a silent failure; batch files pipe through this."""
     import sys
 
+    from olt_generator.errors import InputError
     from olt_sft_recipes.launch.following import follow as follow_stage
-    from olt_sft_recipes.launch.following import followed_of_launch
+    from olt_sft_recipes.launch.following import followed_of_launch, keep
     from olt_toolkit.runtime.console import print_line, show_progress
 
+    followed = followed_of_launch(out.resolve(), 1 if stage == 1 else 2)
+    if kept:
+        if (result := keep(followed)) is None:
+            raise InputError(f"{followed.folder}: Stage {stage} is not finished; leave --kept out, and pipe in its log")
+        print_line(f"Stage {stage} is finished and kept: {result['checkpoint']}")
+        return
     with show_progress(f"Stage {stage}") as (progress, _):
-        result = follow_stage(followed_of_launch(out.resolve(), 1 if stage == 1 else 2), sys.stdin, progress)
+        result = follow_stage(followed, sys.stdin, progress)
     print_line(f"Stage {stage}: {result['checkpoint']}; {result['checked']}")
 
 

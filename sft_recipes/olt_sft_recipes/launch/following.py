@@ -108,6 +108,27 @@ def follow(stage: FollowedStage, lines: Iterable[str], on_progress: Progress = s
     return finish(stage, watch)
 
 
+def keep(stage: FollowedStage) -> dict[str, Any] | None:
+    """What `follow` noted of a stage that an earlier launch finished; None where none did.
+
+    Raises:
+        InputError: Stage 1 was trained anew since a Stage 2 that would be kept, which holds the model of before.
+    """
+    note = stage.folder / FINISHED
+    if not note.exists():
+        return None
+    kept = read_json(note, "note of a finished stage")
+    if stage.stage == 2 and stage.stage1 is not None and stage.stage1.exists():
+        try:
+            check_checkpoint(stage, Path(kept["checkpoint"]))
+        except InputError as error:
+            raise InputError(
+                f"{note}: Stage 2 was finished by an earlier launch, and does not fit ({error}); move {stage.folder} "
+                "away, and it is trained again"
+            ) from error
+    return kept
+
+
 @contextmanager
 def _checkpoints_looked_at(stage: FollowedStage) -> Iterator[Any]:
     """Gives a function that looks at checkpoints as they appear; each one once."""

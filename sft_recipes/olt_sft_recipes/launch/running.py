@@ -14,10 +14,9 @@ from typing import Any
 from olt_generator.errors import InputError
 from olt_generator.progress import Progress
 from olt_sft_recipes.launch.checkpoints import check_stage1
-from olt_sft_recipes.launch.following import FollowedStage, check_checkpoint, follow, followed
+from olt_sft_recipes.launch.following import follow, followed, keep
 from olt_sft_recipes.launch.log_watch import LogWatch
-from olt_sft_recipes.launch.plan import FINISHED, LaunchPlan, StageLaunch
-from olt_toolkit.runtime.json_files import read_json
+from olt_sft_recipes.launch.plan import LaunchPlan, StageLaunch
 
 ENVIRONMENT = {"PYTHONUNBUFFERED": "1", "HYDRA_FULL_ERROR": "1"}
 # Between being asked to end and being ended: a checkpoint may be half written.
@@ -34,28 +33,13 @@ def run_stage(plan: LaunchPlan, launch: StageLaunch, on_progress: Progress) -> d
         InputError: the command fails, or see `follow`; every process of it is ended.
     """
     stage = followed(plan, launch)
-    note = stage.folder / FINISHED
-    if note.exists():
-        kept = read_json(note, "note of a finished stage")
-        _check_kept(stage, Path(kept["checkpoint"]))
+    if (kept := keep(stage)) is not None:
         return kept | {"kept": True}
     if launch.stage == 2 and plan.stage1 is not None:
         check_stage1(plan.stage1, plan.base)
     set_aside(stage.folder)
     with _running(plan.command(launch.arguments), plan) as lines:
         return follow(stage, lines, on_progress) | {"kept": False}
-
-
-def _check_kept(stage: FollowedStage, checkpoint: Path) -> None:
-    """InputError where Stage 1 was trained anew since a Stage 2 that is kept, which holds the model of before."""
-    if stage.stage == 2 and stage.stage1 is not None and stage.stage1.exists():
-        try:
-            check_checkpoint(stage, checkpoint)
-        except InputError as error:
-            raise InputError(
-                f"{stage.folder / FINISHED}: Stage 2 was finished by an earlier launch, and does not fit ({error}); "
-                f"move {stage.folder} away, and it is trained again"
-            ) from error
 
 
 def run_evaluation(plan: LaunchPlan, on_progress: Progress) -> dict[str, float]:

@@ -38,7 +38,11 @@ run_stage() {{  # STAGE CHECKPOINT ARGUMENT...: trains until this checkpoint is 
     local folder
     folder=$(dirname "$checkpoint")
     if [ -f "$folder/finished.json" ]; then
-        echo "Stage $stage is finished and kept"
+        if [ -x "$olt" ]; then  # stops where Stage 1 was trained anew since
+            "$olt" sft follow "$out" --stage "$stage" --kept
+        else
+            echo "Stage $stage is finished and kept, and not looked at: $olt is not on this node" >&2
+        fi
         return
     fi
     if [ -e "$folder" ]; then

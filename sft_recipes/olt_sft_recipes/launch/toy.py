@@ -12,8 +12,15 @@ from olt_sft_recipes.open_loop import spread_keys
 from olt_sft_recipes.toy.checkpoint import ToyModel
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.training.processes import check_tracker, run_on_processes
+from olt_sft_recipes.training.sample_arrays import bytes_of_sample
 from olt_sft_recipes.training.stage_config import StageConfig, Tracker, builtin_stage_config, read_stage_config
-from olt_sft_recipes.training.two_stages import POLICY_FOLDER, StageChoice, StageResult, read_results, train_on_mixture
+from olt_sft_recipes.training.two_stages import (
+    POLICY_FOLDER,
+    StageChoice,
+    StageResult,
+    read_results,
+    train_on_mixture,
+)
 from olt_sft_recipes.training.validation import Validation
 from olt_toolkit import ClipStore
 from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT, CameraContract
@@ -102,12 +109,14 @@ def read_stages(
 
 def validation_of(stores: Sequence[Path], contract: CameraContract, scenes: Sequence[str]) -> Validation:
     """What judges the stages: at most 64 samples of the split "val", spread over its clips, and scenes to drive."""
-    samples = []
-    for path in stores:
-        store = ClipStore(path)
-        keys = spread_keys(store, "val", _SAMPLES_PER_CLIP)
-        keys = keys[:: -(-len(keys) * len(stores) // _MOST_SAMPLES) or 1]
-        samples += store.load_samples(keys, contract=contract)
+    opened = [ClipStore(path) for path in stores]
+    keys = [(store, key) for store in opened for key in spread_keys(store, "val", _SAMPLES_PER_CLIP)]
+    chosen = keys[:: -(-len(keys) // _MOST_SAMPLES) or 1]
+    samples = [
+        sample
+        for store in opened
+        for sample in store.load_samples([key for of, key in chosen if of is store], contract=contract)
+    ]
     return Validation(samples, scenes, VALIDATION_US)
 
 
@@ -140,6 +149,7 @@ def plan_toy(
         "recipe": mixture.recipe.name,
         "samples_per_epoch": len(mixture),
         "distinct_samples": len(mixture.samples),
+        "decoded_bytes": len(mixture.samples) * bytes_of_sample(config),
         "validation_samples": len(validation.samples),
         "validation_scenes": list(validation.scenes),
         "stages": rows,
@@ -151,6 +161,7 @@ def describe_toy(result: dict[str, Any]) -> list[str]:
     plan = result["plan"]
     lines = [
         f"recipe {plan['recipe']}: {plan['samples_per_epoch']} samples an epoch, {plan['distinct_samples']} distinct; "
+        f"decoded they take {plan['decoded_bytes'] / 1e9:.1f} GB of the disk while it trains; "
         f"judged on {plan['validation_samples'] or 'no'} held-out samples and {len(plan['validation_scenes'])} scenes"
     ]
     for row in plan["stages"]:

@@ -11,7 +11,7 @@ from olt_sft_recipes.preflight.names import PolicyName
 from olt_sft_recipes.preflight.plan import PreflightPlan
 from olt_sft_recipes.preflight.rows import PreflightReport, Row
 from olt_sft_recipes.preflight.step_rows import step_rows, total_steps
-from olt_sft_recipes.preflight.toy_rows import toy_data_rows, toy_disk_row, toy_memory_rows
+from olt_sft_recipes.preflight.toy_rows import toy_data, toy_disk_row, toy_memory_rows
 from olt_sft_recipes.preflight.verified_rows import verified_row
 from olt_sft_recipes.preflight.version_rows import own_version_rows, version_rows
 
@@ -42,11 +42,11 @@ def _alpamayo_rows(plan: PreflightPlan) -> Iterator[Row]:
 
 
 def _toy_rows(plan: PreflightPlan) -> Iterator[Row]:
-    rows, samples = toy_data_rows(plan)
-    yield from rows
+    data = toy_data(plan)
+    yield from data.rows
     yield verified_row(plan)
     yield from own_version_rows()
-    yield toy_disk_row(plan)
+    yield toy_disk_row(plan, data.samples)
     yield from toy_memory_rows()
-    yield from step_rows(plan, samples)
+    yield from step_rows(plan, data.items)
     yield from licence_rows(plan)

@@ -42,6 +42,8 @@ def _clips_of(data: Path) -> list[tuple[ClipStore, str]]:
         store = ClipStore(data)
     elif (data / CLIP_INDEX).is_file():
         store = PublicFolder(data)
+    elif not data.exists():
+        raise InputError(f"{data}: no such file or folder")
     else:
         raise InputError(f"{data}: neither {CLIP_TABLE} nor {CLIP_INDEX} is here; give a clip store or an export")
     return [(store, info.clip_id) for info in store.clips()]

@@ -220,6 +220,7 @@ class StageTraining:
         if self.stage.stage == 2 and hash_tensors(self.model.vlm) != self.state.vlm_sha256:
             raise RuntimeError("stage 2 changed the frozen vision-language model")
         if self.state.global_step == len(self.steps):
+            self._tell("reading samples", now=True)  # who goes on late in an epoch has most of them still to decode
             with self._timed("waiting for data"):
                 self.state.saturated_tokens = self._count_saturated()
         if self.accelerator.is_main_process:

@@ -17,11 +17,12 @@ import numpy as np
 from numpy.lib.format import open_memmap
 
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, write_whole
+from olt_generator.files import make_folder, naming, write_whole
 from olt_generator.seeds import derive_seed
-from olt_sft_recipes.toy.config import ToyPolicyConfig
+from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
 from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_toolkit import PolicySample, SampleKey
+from olt_toolkit.policy.contract import FUTURE_STEPS, HISTORY_STEPS, IMAGE_FRAMES
 from olt_toolkit.runtime.json_files import read_json
 from olt_toolkit.runtime.workers import working_ahead
 
@@ -42,6 +43,25 @@ _SECONDS_TO_START = 4.0
 def name_samples(keys: Sequence[SampleKey], config: ToyPolicyConfig) -> str:
     """What tells the samples with these keys, at the size that the model takes, from any other."""
     return f"{derive_seed(config.model_dump_json(), *(f'{key.clip_id} {key.t0_us}' for key in keys)):x}"
+
+
+def bytes_of_sample(config: ToyPolicyConfig) -> int:
+    """What a decoded sample takes on the disk while it is trained on."""
+    cameras = len(config.contract.cameras)
+    places, turns = np.zeros((1, FUTURE_STEPS, 3), np.float32), np.zeros((1, FUTURE_STEPS, 3, 3), np.float32)
+    sample = PolicySample(
+        image_frames=np.zeros((cameras, IMAGE_FRAMES, 3, PATCH, PATCH), np.uint8),
+        camera_indices=np.array(config.contract.indices, np.int64),
+        ego_history_xyz=places[:, :HISTORY_STEPS],
+        ego_history_rot=turns[:, :HISTORY_STEPS],
+        ego_future_xyz=places,
+        ego_future_rot=turns,
+        relative_timestamps=np.zeros((cameras, IMAGE_FRAMES), np.float32),
+        absolute_timestamps=np.zeros((cameras, IMAGE_FRAMES), np.int64),
+        t0_us=0,
+        clip_id="none",
+    )
+    return sum(values.nbytes for values in _to_arrays(DrivingSamples.gather([sample], config)).values())
 
 
 class SampleArrays:
@@ -170,7 +190,9 @@ class SampleArrays:
         arrays = self._gather(keys)
         for name, values in arrays.items():
             path = make_folder(self._folder) / f"{name}.npy"
-            open_memmap(path, mode="w+", dtype=values.dtype, shape=(len(self.keys), *values.shape[1:]))
+            with naming(path):
+                open_memmap(path, mode="w+", dtype=values.dtype, shape=(len(self.keys), *values.shape[1:]))
+                _reserve(path)
         _write(self._folder, rows, arrays)
         self._missing.remove(0)
         seconds = (time.perf_counter() - start) / len(rows) * (len(self.keys) - len(rows))
@@ -205,6 +227,13 @@ class SampleArrays:
         return rows, [self.keys[row] for row in rows]
 
 
+def _reserve(path: Path) -> None:
+    """Take a file's space on the disk: the system ends who writes to a map where there is none."""
+    if hasattr(os, "posix_fallocate"):
+        with path.open("r+b") as file:
+            os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
+
+
 def _divide(keys: Sequence[SampleKey], steps: Sequence[Sequence[int]]) -> list[list[int]]:
     """Rows that are decoded together, in the order in which steps first want a clip, whose samples come together."""
     of_clip: dict[tuple[str, str], list[int]] = {}
@@ -229,6 +258,10 @@ def _decode(load_samples: LoadSamples, config: ToyPolicyConfig, folder: Path, pi
 def _gather(load_samples: LoadSamples, config: ToyPolicyConfig, keys: Sequence[SampleKey]) -> Arrays:
     samples = DrivingSamples.gather(list(load_samples(keys)), config)
     _refuse_not_finite(samples, keys)
+    return _to_arrays(samples)
+
+
+def _to_arrays(samples: DrivingSamples) -> Arrays:
     values = {field.name: getattr(samples, field.name) for field in fields(samples)}
     return {name: value for name, value in values.items() if isinstance(value, np.ndarray)}
 

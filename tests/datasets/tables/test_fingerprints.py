@@ -6,6 +6,7 @@ import polars as pl
 import pytest
 
 from olt_datasets.benchmarks.copies import KINDS, Drive, copy_window
+from olt_datasets.benchmarks.fake_fingerprints import draw_fingerprints
 from olt_datasets.benchmarks.near_duplicates import fingerprint
 from olt_datasets.tables import fingerprints as module
 from olt_datasets.tables import thumbnail_index
@@ -131,3 +132,14 @@ def test_the_search_in_parts_finds_what_it_finds_at_once(drives, monkeypatch):
     monkeypatch.setattr(module, "_PROBES_AT_ONCE", 16 * 8 * 6)
     monkeypatch.setattr(thumbnail_index, "_ROWS_AT_ONCE", 3)
     assert find_near_duplicates(looks, looks).tolist() == found == [[place, place] for place in range(len(drives))]
+
+
+def test_what_is_found_of_a_clip_does_not_depend_on_the_clips_beside_it():
+    """A mixture is held against less than a whole table is, and must not leak where the table does not."""
+    first, second = (
+        pl.Series([each.tobytes() for each in draw_fingerprints(count, count)], dtype=pl.Binary) for count in (900, 60)
+    )
+    of_all = find_near_duplicates(first, second)
+    starts = range(0, len(first), 50)
+    parts = [find_near_duplicates(first[start : start + 50], second) + np.array([start, 0]) for start in starts]
+    assert np.concatenate(parts).tolist() == of_all.tolist()

@@ -1,11 +1,16 @@
 """A planted leak of each kind is found, and a clean table has none."""
 
+import re
+
 import numpy as np
 import polars as pl
 import pytest
 
+from olt_datasets.mixtures.mixture import compose_mixture
+from olt_datasets.mixtures.recipe import parse_recipe
 from olt_datasets.tables.leak_report import summarize_leaks
 from olt_datasets.tables.leaks import find_leaks, find_table_leaks
+from olt_generator.errors import InputError
 from olt_generator.seeds import make_generator
 from olt_toolkit.clips.clip import ClipOrigin
 from olt_toolkit.clips.fingerprint import RECORD
@@ -101,6 +106,18 @@ def test_near_duplicates_of_another_scene_in_another_split(make_clip, make_table
     assert rules(find_leaks(chosen, table)) == [("near-duplicate", "scene_1"), ("near-duplicate", "scene_3")] * leaks
 
 
+def test_a_mixture_is_refused_for_the_clips_that_look_alike_and_for_no_other(make_clip, make_table):
+    """Among many: which rows a search found is asked of the table a second time."""
+    clips = [make_clip(number, fingerprint=draw_look(number)) for number in range(300)]
+    copies = [make_clip(300 + number, fingerprint=draw_look(number), split="val") for number in (7, 150)]
+    recipe = {"name": "all", "description": "", "version": 1}
+    component = {"name": "all", "where": {"kind": "GT"}, "count": 300}
+    with pytest.raises(InputError) as refused:
+        compose_mixture(parse_recipe({**recipe, "components": [component]}, "all"), make_table(*clips, *copies), 0)
+    told = re.findall(r"scene (\S+) in split train .*? looks like clip \S+ of scene (\S+) ", str(refused.value))
+    assert sorted(told) == [("scene_150", "scene_450"), ("scene_7", "scene_307")]
+
+
 def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
     clean = [
         make_clip(1, fingerprint=draw_look(1)),
@@ -125,7 +142,7 @@ def test_a_whole_table_is_checked_between_all_splits(make_clip, make_table):
 def test_summary_counts_what_it_does_not_show(table):
     leaks = find_leaks(choose(table, "a", "b", "d", "e"), table, held_out_scenes={"a", "b", "d"})
     assert len(leaks.leaks) == 6
-    assert summarize_leaks(leaks).endswith("; and 3 more")
+    assert summarize_leaks(leaks).endswith("; and 3 more (`olt data check --leaks FILE` lists them)")
 
 
 def comparison(report, rule):

@@ -169,6 +169,23 @@ def test_a_stage_2_that_is_kept_is_held_against_a_stage_1_that_was_trained_anew(
     assert calls(environment) == ["sft_stage1 1", "sft_stage2 2", "sft_stage1 1"]
 
 
+def test_a_batch_looks_at_what_it_keeps(launch, base, tmp_path):
+    out = str(tmp_path / "run")
+    launch("--stage", "1")
+    with pytest.raises(InputError, match="Stage 2 is not launched there"):
+        CliRunner().invoke(app, ["follow", out, "--stage", "2", "--kept"], catch_exceptions=False)
+    launch()
+    kept = CliRunner().invoke(app, ["follow", out, "--stage", "2", "--kept"], catch_exceptions=False)
+    assert "Stage 2 is finished and kept" in kept.stdout
+    shard = next((tmp_path / "run/stage1/checkpoint-6").glob("*.safetensors"))
+    save_file({name: value + 1.0 for name, value in load_file(shard).items()}, shard)
+    with pytest.raises(InputError, match=r"does not fit.*move .*stage2 away"):
+        CliRunner().invoke(app, ["follow", out, "--stage", "2", "--kept"], catch_exceptions=False)
+    (tmp_path / "run/stage2/finished.json").unlink()
+    with pytest.raises(InputError, match="Stage 2 is not finished; leave --kept out"):
+        CliRunner().invoke(app, ["follow", out, "--stage", "2", "--kept"], catch_exceptions=False)
+
+
 def _lose_the_index(base):
     (base / INDEX).unlink()
     return "index.json.*no such file"

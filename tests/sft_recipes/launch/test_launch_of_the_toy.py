@@ -14,6 +14,9 @@ from olt_sft_recipes.commands.sft import app
 from olt_sft_recipes.launch import toy
 from olt_sft_recipes.training import two_stages
 from olt_sft_recipes.training.stage_config import StageConfig
+from olt_toolkit.rigs.contracts import DEFAULT_CONTRACT
+
+from ...straight_clips import straight_clip, write_clips
 
 
 @pytest.fixture
@@ -68,3 +71,12 @@ def test_what_is_of_alpamayo_is_refused_for_the_toy(asked, option):
 def test_processes_are_of_the_toy(asked):
     with pytest.raises(InputError, match="--processes"):
         CliRunner().invoke(app, ["launch", "--policy", "alpamayo-r1", "--processes", "2"], catch_exceptions=False)
+
+
+def test_stores_without_clips_to_judge_by_take_nothing_from_those_that_have_some(tmp_path):
+    held_out = [straight_clip(f"held out {number}", split="val") for number in range(20)]
+    stores = [write_clips(tmp_path / "judged", held_out)]
+    stores += [write_clips(tmp_path / name, [straight_clip(name)]) for name in ("nominal", "long_tail")]
+    alone, among = (toy.validation_of(each, DEFAULT_CONTRACT, ()) for each in (stores[:1], stores))
+    assert 32 <= len(among.samples) <= 64 and len({sample.clip_id for sample in among.samples}) == 20
+    assert among.identity(1) == alone.identity(1)

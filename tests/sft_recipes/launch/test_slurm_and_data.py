@@ -68,7 +68,18 @@ def test_a_finished_stage_is_kept_and_an_interrupted_one_put_aside(tmp_path):
     assert (out / "stage1_interrupted_17" / "checkpoint-3").is_dir()
     (out / "stage1" / "finished.json").write_text("{}")
     again = run_batch(tmp_path, batch(out), None)
-    assert again.returncode == 0 and "finished and kept" in again.stdout
+    assert again.returncode == 0 and "finished and kept, and not looked at" in again.stderr
+
+
+@pytest.mark.parametrize("fits", [True, False])
+def test_a_finished_stage_is_looked_at_before_it_is_kept(tmp_path, fits):
+    out, olt = tmp_path / "a run", tmp_path / "olt"
+    (out / "stage1").mkdir(parents=True)
+    (out / "stage1" / "finished.json").write_text("{}")
+    olt.write_text(f'#!/bin/bash\necho "$*" > "$LOG"\nexit {0 if fits else 1}\n')
+    olt.chmod(0o755)
+    assert (run_batch(tmp_path, batch(out, str(olt)), None).returncode == 0) is fits
+    assert (tmp_path / "log").read_text() == f"sft follow {out} --stage 1 --kept\n"
 
 
 def test_an_option_that_sbatch_cannot_read_is_refused(tmp_path):

@@ -89,7 +89,8 @@ def test_two_processes_train_the_same(mixture, store, stages, tmp_path):
     alone = launch_toy(mixture, tmp_path / "one", stores=[store], **stages)
     two = launch_toy(mixture, tmp_path / "two", stores=[store], processes=2, **stages)
     for one, other in zip(alone["stages"], two["stages"], strict=True):
-        assert other["losses"] == pytest.approx(one["losses"], abs=1e-5)
+        # The image encoder counts in bfloat16, which some processors round by the size of a batch.
+        assert other["losses"] == pytest.approx(one["losses"], rel=2e-4)
     assert Path(two["policy"]).is_dir()
 
 

@@ -2,6 +2,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from typer.testing import CliRunner
@@ -10,6 +11,7 @@ from olt_datasets import compose_mixture, read_clip_tables, write_mixture
 from olt_datasets.mixtures.recipe import Recipe
 from olt_generator.errors import InputError
 from olt_sft_recipes.commands.sft import app
+from olt_sft_recipes.preflight import toy_rows
 from olt_sft_recipes.preflight.check import check
 from olt_sft_recipes.preflight.plan import PreflightPlan, recipe_stages
 from olt_sft_recipes.preflight.rows import Verdict
@@ -92,7 +94,14 @@ def test_the_toy_is_looked_at_too(source, mixture, clean_export, tmp_path):
     report = toy(data=data, out=tmp_path, seconds=60.0)
     assert not report.failures
     passed = {row.check for row in report.rows if row.verdict is Verdict.PASSED}
-    assert {"samples", "verified", "pins", "space for checkpoints"} <= passed
+    assert {"samples", "verified", "pins", "space for checkpoints and samples"} <= passed
+
+
+def test_decoded_samples_need_room_on_the_disk(mixture, tmp_path, monkeypatch):
+    usage = SimpleNamespace(free=201 << 20)  # enough for checkpoints
+    monkeypatch.setattr(toy_rows.shutil, "disk_usage", lambda _: usage)
+    needed = [row for row in toy(data=mixture, out=tmp_path).failures if row.check.startswith("space")]
+    assert len(needed) == 1 and "GB of decoded samples while it trains" in needed[0].found
 
 
 def test_a_mixture_whose_samples_are_gone(mixture, tmp_path):
@@ -102,6 +111,8 @@ def test_a_mixture_whose_samples_are_gone(mixture, tmp_path):
     assert any("no such clip store" in row.found for row in toy(data=path).failures)
     path.write_text(text[: len(text) // 2])
     assert any(row.check == "samples" for row in toy(data=path).failures)
+    path.unlink()
+    assert any(row.found == "no such file or folder" for row in toy(data=path).failures)
 
 
 def test_help_of_the_command_loads_nothing_heavy():

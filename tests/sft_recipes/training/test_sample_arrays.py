@@ -12,7 +12,7 @@ import pytest
 from olt_generator.errors import InputError
 from olt_sft_recipes.training import sample_arrays
 from olt_sft_recipes.training.driving_samples import DrivingSamples
-from olt_sft_recipes.training.sample_arrays import SampleArrays
+from olt_sft_recipes.training.sample_arrays import SampleArrays, bytes_of_sample
 from olt_sft_recipes.training.stage_config import StageConfig
 from olt_sft_recipes.training.status import read_statuses
 from olt_sft_recipes.training.two_stages import train_two_stages
@@ -73,6 +73,28 @@ def test_another_process_decodes_the_same_and_ends(drives, tiny_config, tmp_path
     assert len(loaded) == len(keys) and len(set(loaded)) == 2
     assert not set(multiprocessing.active_children()) - others
     assert (tmp_path / "samples/samples.json").exists()
+
+
+def test_the_space_of_all_samples_is_taken_before_the_first_step(drives, tiny_config, tmp_path):
+    """On a disk that fills up later the system would end the process, without a word, where it writes to a map."""
+    keys, folder = sorted(drives) * 20, tmp_path / "samples"
+    with SampleArrays(keys, partial(load, drives, tmp_path / "told"), tiny_config, folder) as samples:
+        samples.open([[3]])
+        files = [path.stat() for path in folder.glob("*.npy")]
+        assert all(file.st_blocks * 512 >= file.st_size for file in files)
+        headers = 128 * len(files)
+        assert sum(file.st_size for file in files) - headers == len(keys) * bytes_of_sample(tiny_config)
+
+
+def test_a_disk_without_room_for_the_samples_is_told_in_words(drives, tiny_config, tmp_path, full_disk):
+    keys, folder = sorted(drives), tmp_path / "samples"
+    with (
+        full_disk(10_000),
+        pytest.raises(InputError, match=r"images\.npy: cannot be written .*; free some space or"),
+        SampleArrays(keys, partial(load, drives, tmp_path / "told"), tiny_config, folder) as samples,
+    ):
+        samples.open([[3]])
+    assert not folder.exists()
 
 
 def test_a_damaged_clip_ends_the_training_wherever_it_is_decoded(drives, tiny_config, tmp_path):
