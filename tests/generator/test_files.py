@@ -99,6 +99,21 @@ def test_written_files_obey_the_umask(tmp_path):
     assert (tmp_path / "a.txt").stat().st_mode == plain.stat().st_mode
 
 
+def test_files_in_a_written_folder_obey_the_umask_too(tmp_path):
+    plain = tmp_path / "plain.txt"
+    plain.write_text("x")
+    kept = tmp_path / "kept.txt"
+    kept.touch(0o600)
+    with write_whole_folder(tmp_path / "folder") as temporary:
+        (temporary / "deep").mkdir()
+        save_file({"noise": torch.tensor([1.0])}, temporary / "deep" / "model.safetensors")
+        (temporary / "run.sh").touch(0o700)
+        os.link(kept, temporary / "linked.txt")
+    modes = {path.name: path.stat().st_mode & 0o777 for path in (tmp_path / "folder").rglob("*") if path.is_file()}
+    usual = plain.stat().st_mode & 0o777
+    assert modes == {"model.safetensors": usual, "run.sh": 0o700 | usual, "linked.txt": 0o600}
+
+
 def test_a_file_in_the_way_of_a_folder_is_an_input_error(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="choose another output folder"):

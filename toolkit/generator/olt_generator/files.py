@@ -6,6 +6,7 @@ What the system refuses to write becomes an `InputError` that names the file; no
 import errno
 import os
 import shutil
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -118,7 +119,7 @@ def write_whole_folder(path: Path) -> Iterator[Path]:
     try:
         with naming(path):
             yield temporary
-        temporary.chmod(0o777 & ~_umask())
+            _let_others_read(temporary)
         with _placing(path):
             if path.exists():
                 shutil.rmtree(_aside(path), ignore_errors=True)
@@ -127,6 +128,17 @@ def write_whole_folder(path: Path) -> Iterator[Path]:
         shutil.rmtree(_aside(path), ignore_errors=True)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _let_others_read(folder: Path) -> None:
+    """Give a folder and all that was written into it the permissions that new files have: some libraries give less."""
+    new = 0o666 & ~_umask()
+    folder.chmod(0o777 & ~_umask())
+    for path in folder.rglob("*"):
+        facts = path.lstat()
+        # What is linked belongs elsewhere, too.
+        if stat.S_ISREG(facts.st_mode) and facts.st_nlink == 1 and facts.st_mode & new != new:
+            path.chmod(stat.S_IMODE(facts.st_mode) | new)
 
 
 def find_whole_folder(path: Path) -> Path:
