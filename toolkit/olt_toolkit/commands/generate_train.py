@@ -36,7 +36,7 @@ def train(
             "by default."
         ),
     ] = None,
-    drives: Annotated[int, typer.Option(min=1, help="Synthetic drives of each of four kinds, without --data.")] = 12,
+    drives: Annotated[int, typer.Option(min=1, help="Synthetic drives of each of four kinds, without --data.")] = 40,
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = 0,
     steps: Annotated[
         int | None, typer.Option(min=1, help="Steps of the model, others than the configuration's.")

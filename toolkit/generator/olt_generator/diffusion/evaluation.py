@@ -15,7 +15,6 @@ from olt_generator.cameras import PinholeCamera
 from olt_generator.diffusion.engine_folder import Engine
 from olt_generator.diffusion.flow_training import collect_conditions, move
 from olt_generator.diffusion.generation import GenerationSettings, sample_view
-from olt_generator.diffusion.observed_pixels import give_back_lost
 from olt_generator.diffusion.training_clips import ClipVideos, TrainingClip
 from olt_generator.diffusion.view_graph import CONDITIONS, VIEWS
 from olt_generator.metrics.cross_view_consistency import PosedView, measure_consistency
@@ -78,11 +77,7 @@ def sample_views(
         generator = torch.Generator().manual_seed(derive_seed("evaluation", seed, view))
         noise = torch.randn(clip.latents[:1].shape, generator=generator)
         latents[view] = sample_view(engine, view, conditions, noise, settings)[0]
-    made = {view: engine.codec.decode(latents[view][None])[0].cpu().numpy() for view in views}
-    if not (engine.facts.config.conditioning.fill and use_warp):
-        return made
-    again = {view: engine.codec.decode(clip.warped[view][None])[0].cpu().numpy() for view in views}
-    return {view: give_back_lost(video, videos.filled[view], again[view]) for view, video in made.items()}
+    return {view: engine.codec.decode(latents[view][None])[0].cpu().numpy() for view in views}
 
 
 def score_views(

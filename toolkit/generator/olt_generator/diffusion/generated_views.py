@@ -30,7 +30,7 @@ from olt_generator.diffusion.generation import (
     needed_pixels,
     sample_view,
 )
-from olt_generator.diffusion.observed_pixels import give_back_lost, keep_observed
+from olt_generator.diffusion.observed_pixels import keep_observed
 from olt_generator.diffusion.rectified import latent_steps, rectified_camera
 from olt_generator.diffusion.tiled_decoding import decode_needed
 from olt_generator.diffusion.view_graph import VIEWS, conditions_of, order_views
@@ -84,7 +84,6 @@ class GeneratedViews:
         self._geometric = GeometricViews(front, targets, self._indices, SynthesisSettings())
         self._windows = plan_windows(len(self._indices), settings.window, settings.overlap)
         self._latents: dict[int, tuple[Tensor, ...]] = {}
-        self._shown: dict[tuple[int, int], tuple[Video, Tensor]] = {}
         self._videos: dict[int, dict[int, Video]] = {}
         self._tiles = np.zeros(2, np.int64)
 
@@ -159,8 +158,6 @@ class GeneratedViews:
                     self._videos[view][number - 1] = before[1]
             cut = _cut(prior, window, before)
             encoded = self._encode(cut.images)
-            if fill:
-                self._shown[view, number] = cut.images, encoded
             sampled.append(self._sample_window(view, number, encoded, cut.visible))
             on_progress((number + 1) / len(self._windows))
         self._latents[view] = tuple(sampled)
@@ -190,11 +187,7 @@ class GeneratedViews:
         """The video of the latents of a window, right where pixels (h, w) are needed."""
         decoded = decode_needed(self._engine.codec, latents, needed, self._settings.tile)
         self._tiles += np.array([decoded.left_out, decoded.tiles])
-        if not self._engine.facts.config.conditioning.fill:
-            return decoded.video
-        shown, encoded = self._shown[view, window]
-        again = decode_needed(self._engine.codec, encoded, needed, self._settings.tile)
-        return give_back_lost(decoded.video, shown, again.video)
+        return decoded.video
 
     def _bend(self, name: str) -> SynthesizedView:
         """The view through the lens of the rig, generated where the front camera saw nothing."""

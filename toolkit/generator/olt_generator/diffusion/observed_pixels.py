@@ -1,4 +1,4 @@
-"""What the front camera saw, and the geometric engine filled, beside what the learned engine makes of it."""
+"""What the front camera saw of a view beside what the learned engine makes of the rest."""
 
 import cv2
 import numpy as np
@@ -8,18 +8,6 @@ Video = NDArray[np.uint8]
 
 # Share of the width over which a generated part fades into what surrounds it.
 _FADE = 1 / 72
-
-
-def give_back_lost(generated: Video, shown: Video, again: Video) -> Video:
-    """A generated video (f, h, w, 3) with what the autoencoder loses of the filled warp that the engine was shown.
-
-    An engine that goes on from the filled warp changes some of it; what it leaves as it is should not be worse for
-    its way through the autoencoder. `generated + shown - again`.
-
-    Args:
-        shown, again: the filled warp, and the same from its latents.
-    """
-    return np.clip(generated.astype(np.int16) + shown - again, 0, 255).astype(np.uint8)
 
 
 def keep_observed(generated: Video, warped: Video, free: NDArray[np.bool_]) -> Video:

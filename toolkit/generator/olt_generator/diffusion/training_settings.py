@@ -107,7 +107,7 @@ TRAININGS: dict[str, TrainingSettings] = {
             steps=3000, batch=2, new_rate=4e-3, weight_decay=0.0, warmup=50, clip=1.0, average=0.99, save_every=500
         ),
         optimizer=OptimizerSettings(
-            steps=800, batch=8, adapter_rate=1e-3, new_rate=1e-3, weight_decay=0.01, warmup=100, clip=1.0,
+            steps=2000, batch=8, adapter_rate=1e-3, new_rate=1e-3, weight_decay=0.01, warmup=100, clip=1.0,
             average=0.99, save_every=200,
         ),
     ),
