@@ -77,6 +77,28 @@ def test_noise_levels_are_shifted(cache):
     assert float(sigma.mean()) > 0.6
 
 
+def test_what_a_warp_saw_counts_less_where_said(cache):
+    class Wrong(torch.nn.Module):
+        """Off by 1 where nothing was seen, and by 3 where everything was."""
+
+        def __init__(self, batch):
+            super().__init__()
+            self.answer = torch.nn.Parameter(batch.target + 1.0 + 2.0 * batch.visibility)
+
+        def forward(self, latents, sigma, conditions):
+            return self.answer
+
+    batch = toy_cache.make_flow(cache).draw(range(5))
+    seen = batch.visibility.flatten(1)
+    for weight in (1.0, 0.25):
+        losses = toy_cache.make_flow(cache, seen_weight=weight).losses(Wrong(batch), list(range(5)))
+        counts = 1.0 - (1.0 - weight) * seen
+        expected = (counts * (1.0 + 2.0 * seen) ** 2).sum(dim=1) / counts.sum(dim=1)
+        torch.testing.assert_close(losses, expected * batch.weight, rtol=1e-4, atol=1e-5)
+    with pytest.raises(InputError, match="seen_weight"):
+        toy_cache.make_flow(cache, seen_weight=0.0)
+
+
 def test_cache_is_read_as_it_was_written(cache):
     again = TrainingCache(cache.folder)
     clip, videos = toy_cache.draw_clip(2)

@@ -46,6 +46,7 @@ class FlowBatch:
         sigma: (b,) noise levels.
         conditions: of the views.
         weight: (b,) of the losses.
+        visibility: (b, 1, t, h, w) 0 to 1, how far a warp saw each cell.
     """
 
     latents: Tensor
@@ -53,6 +54,7 @@ class FlowBatch:
     sigma: Tensor
     conditions: Conditions
     weight: Tensor
+    visibility: Tensor
 
 
 class FlowTraining:
@@ -68,11 +70,13 @@ class FlowTraining:
         self._prompt, self._empty = prompt, empty
 
     def losses(self, model: nn.Module, numbers: list[int]) -> Tensor:
-        """Weighted mean square errors (b,) of the samples of these numbers."""
+        """Weighted mean square errors (b,) of the samples of these numbers, cells weighted by `seen_weight`."""
         device = next(model.parameters()).device
         batch = move(self.draw(numbers), device)
         velocity = model(batch.latents, batch.sigma, batch.conditions)
-        return batch.weight * ((velocity.float() - batch.target) ** 2).flatten(1).mean(dim=1)
+        errors = ((velocity.float() - batch.target) ** 2).mean(dim=1, keepdim=True).flatten(1)
+        weights = (1.0 - (1.0 - self._settings.seen_weight) * batch.visibility).flatten(1)
+        return batch.weight * (errors * weights).sum(dim=1) / weights.sum(dim=1)
 
     def draw(self, numbers: Sequence[int]) -> FlowBatch:
         """The samples of these numbers; the same number is always the same sample. Views take turns."""
@@ -84,7 +88,8 @@ class FlowTraining:
             [clip for _, clip, _ in drawn], views, texts, [seen for *_, seen in drawn], settings.use_warp
         )
         weight = [settings.rear_weight if view == _GENERATED else 1.0 for view in views]
-        return FlowBatch(latents, target, sigma, conditions, torch.tensor(weight))
+        visibility = torch.stack([clip.visibility[view] for (_, clip, _), view in zip(drawn, views, strict=True)])
+        return FlowBatch(latents, target, sigma, conditions, torch.tensor(weight), visibility)
 
     def _draw_one(self, number: int, view: int) -> tuple[list[Tensor], TrainingClip, list[Tensor]]:
         """Noised latents, target, noise level and text; the clip; the latents of what the view is conditioned on."""

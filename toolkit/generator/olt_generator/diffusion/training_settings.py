@@ -56,6 +56,11 @@ class FlowSettings:
         front_noise, neighbour_noise: probability that the front view, or another condition, is noised, and the lowest
             and highest noise level that it then gets.
         use_warp: False to train without the warp, to measure what it is worth.
+        seen_weight: weight of the loss where a warp saw everything; it is 1 where none saw anything. The paper's is 1.
+            Less helps a small engine, whose seen pixels are taken from the warp.
+
+    Raises:
+        InputError: a number has no sense.
     """
 
     rear_weight: float = 0.5
@@ -64,6 +69,11 @@ class FlowSettings:
     front_noise: tuple[float, float, float] = (0.05, 0.005, 0.03)
     neighbour_noise: tuple[float, float, float] = (0.3, 0.02, 0.15)
     use_warp: bool = True
+    seen_weight: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.seen_weight <= 1.0:
+            raise InputError(f"seen_weight: {self.seen_weight} is not more than 0 and at most 1")
 
 
 @dataclass(frozen=True)
@@ -110,5 +120,6 @@ TRAININGS: dict[str, TrainingSettings] = {
             steps=2000, batch=8, adapter_rate=1e-3, new_rate=1e-3, weight_decay=0.01, warmup=100, clip=1.0,
             average=0.99, save_every=200,
         ),
+        flow=FlowSettings(seen_weight=0.1),
     ),
 }  # fmt: skip
