@@ -2,6 +2,7 @@
 
 import json
 
+import cv2
 import pytest
 from typer.testing import CliRunner
 
@@ -59,12 +60,16 @@ def test_a_run_on_two_processes_and_taken_up_again_gives_the_same_bytes(run, con
     assert last.exists()
 
 
-def test_an_engine_is_scored_beside_the_geometric_one(run):
+def test_an_engine_is_scored_beside_the_geometric_one(run, tmp_path):
     told = json.loads(invoke("evaluate", run, "--split", "unseen", "--steps", 1, "--json"))
     assert (told["split"], told["steps"], len(told["views"])) == ("unseen", 1, 5)
     assert told["n"] >= told["scenes"] >= 1
     for view in told["views"]:
         assert "geokpm" in view and view["lpips"] is None
         assert view["gain"] == pytest.approx(view["psnr"] - view["geometric_psnr"], abs=1e-6)
-    table = invoke("evaluate", run, "--split", "seen", "--steps", 1)
+    picture = tmp_path / "sheet.png"
+    table = invoke("evaluate", run, "--split", "seen", "--steps", 1, "--picture", picture)
+    # Three columns of 288 pixels, and five views below each other.
+    height, width = cv2.imread(str(picture)).shape[:2]
+    assert width >= 3 * 288 and height >= 5 * 192
     assert "ssim" in table and "gain there" in table

@@ -79,7 +79,7 @@ def contact_sheet(
     """
     indices = np.linspace(0, len(timestamps_us) - 1, min(columns, len(timestamps_us))).round().astype(int)
     times = [f"{timestamps_us[index] / 1e6:.1f} s" for index in indices]
-    rows = [_caption(times, tile_width)]
+    rows: dict[str, list[Image]] = {}
     for name, frames in images.items():
         origin = origins.get(name)
         title, tiles = name, [frames[index] for index in indices]
@@ -87,8 +87,16 @@ def contact_sheet(
             title += _share_text(origin, PixelOrigin.INVENTED, "invented (tinted)")
             title += _share_text(origin, PixelOrigin.UNSEEN, "not seen (hatched)")
             tiles = [tint_invented(frames[index], origin[index]) for index in indices]
-        rows += [_caption([title], len(indices) * tile_width), _side_by_side(tiles, tile_width)]
-    return np.concatenate(rows)
+        rows[title] = tiles
+    return table_of_pictures(times, rows, tile_width)
+
+
+def table_of_pictures(heads: Sequence[str], rows: Mapping[str, Sequence[Image]], tile_width: int = 288) -> Image:
+    """Rows of images (H, W, 3) of one size under their titles, and below the heads of their columns: one picture."""
+    table = [_caption(list(heads), tile_width)]
+    for title, tiles in rows.items():
+        table += [_caption([title], len(heads) * tile_width), _side_by_side(list(tiles), tile_width)]
+    return np.concatenate(table)
 
 
 def preview(

@@ -3,11 +3,17 @@
 from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from olt_toolkit.commands.clip_options import DeviceOption, JsonOption
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from olt_generator.diffusion.training_clips import ClipVideos
 
 
 class EvaluationSplit(StrEnum):
@@ -35,6 +41,9 @@ def evaluate(
     lpips_weights: Annotated[Path | None, typer.Option(help="Folder of LPIPS's weights.")] = None,
     loftr_weights: Annotated[Path | None, typer.Option(help="LoFTR's weights; SIFT without them.")] = None,
     device: DeviceOption = "cpu",
+    picture: Annotated[
+        Path | None, typer.Option(help="PNG to write: the first clip as it was, as warped and as generated.")
+    ] = None,
     as_json: JsonOption = False,
 ) -> None:
     """Generate all views of the clips, and score them and the geometric engine's against the truth."""
@@ -48,6 +57,8 @@ def evaluate(
     from olt_toolkit.clips.score import open_lpips, open_matcher
     from olt_toolkit.runtime.console import print_json, show_progress
 
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise InputError(f"{picture}: give a name that ends in .png")
     engine, cache = load_engine(run / "engine", backbone, device), TrainingCache(run / "cache")
     # An engine that never had a warp is not given one.
     use_warp = read_settings(run)["flow"]["use_warp"]
@@ -65,6 +76,8 @@ def evaluate(
                     view: keep(video, videos.filled[view], videos.origin[view] == PixelOrigin.INVENTED)
                     for view, video in made.items()
                 }
+            if picture is not None and done == 0:
+                _draw(picture, videos, made)
             rows += [
                 {"scene": cache.windows[number].scene, **asdict(score)}
                 for score in score_views(videos, made, lpips, matcher)
@@ -77,6 +90,22 @@ def evaluate(
         print_json(result)
     else:
         _print(result, split)
+
+
+def _draw(path: Path, videos: "ClipVideos", made: "dict[int, NDArray[np.uint8]]") -> None:
+    """The last image of each view: the truth, the warp with what it invents tinted, and what the engine makes."""
+    from olt_generator.diffusion.view_graph import VIEWS
+    from olt_toolkit.clips.pictures import table_of_pictures, tint_invented, write_picture
+
+    rows = {
+        VIEWS[view]: [
+            videos.truth[view][-1],
+            tint_invented(videos.filled[view][-1], videos.origin[view][-1]),
+            image[-1],
+        ]
+        for view, image in made.items()
+    }
+    write_picture(path, table_of_pictures(("as it was", "warped (invented: tinted)", "generated"), rows))
 
 
 def summarise(rows: list[dict[str, Any]], split: EvaluationSplit, clips: int) -> dict[str, Any]:
