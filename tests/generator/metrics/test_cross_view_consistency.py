@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given
@@ -182,3 +183,16 @@ def test_views_from_one_point_or_of_different_length_are_refused(front):
         measure_consistency(front, front, SiftMatcher())
     with pytest.raises(InputError, match="1 and 0 images"):
         measure_consistency(front, replace(front, images=front.images[:0]), SiftMatcher())
+
+
+def test_matches_do_not_depend_on_what_was_matched_before():
+    pictures = make_generator("matched").integers(0, 256, (70, 24, 32, 3), dtype=np.uint8)
+    pictures = np.stack([cv2.resize(picture, (128, 96), interpolation=cv2.INTER_CUBIC) for picture in pictures])
+    # The same bytes, of another shape.
+    flat = pictures[0].reshape(128, 96, 3)
+    matcher = SiftMatcher()
+    for first, second in [*zip(pictures, np.roll(pictures, 2, axis=2), strict=True), (flat, flat), (pictures[0],) * 2]:
+        found, fresh = matcher.match(first, second), SiftMatcher().match(first, second)
+        assert len(fresh) > 10
+        np.testing.assert_array_equal(found.pixels_a, fresh.pixels_a)
+        np.testing.assert_array_equal(found.pixels_b, fresh.pixels_b)

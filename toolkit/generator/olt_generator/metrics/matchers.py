@@ -3,6 +3,7 @@
 Convention: pixels are those of `olt_generator.cameras`, the origin in the centre of the top-left pixel.
 """
 
+import hashlib
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,6 +18,8 @@ Image = NDArray[np.uint8]
 RATIO = 0.65
 # The strongest are enough, and the time to match them grows with their square.
 MAX_KEY_POINTS = 2000
+# Images whose key points are kept, a megabyte each: a view is held against several others, one after the other.
+_KEPT_IMAGES = 64
 
 
 @dataclass(frozen=True)
@@ -56,10 +59,13 @@ class SiftMatcher:
 
     name = f"RootSIFT, mutual, ratio {RATIO}"
 
+    def __init__(self) -> None:
+        self._known: dict[tuple[tuple[int, ...], bytes], _KeyPoints] = {}
+
     def match(self, image_a: Image, image_b: Image) -> Matches:
         """See `Matcher.match`."""
-        pixels_a, descriptors_a = _describe(image_a)
-        pixels_b, descriptors_b = _describe(image_b)
+        pixels_a, descriptors_a = self._describe_once(image_a)
+        pixels_b, descriptors_b = self._describe_once(image_b)
         if min(len(pixels_a), len(pixels_b)) < 2:
             return Matches(np.zeros((0, 2)), np.zeros((0, 2)))
         forward, clear = _nearest(descriptors_a, descriptors_b)
@@ -67,8 +73,20 @@ class SiftMatcher:
         mutual = backward[forward] == np.arange(len(forward))
         return Matches(pixels_a, pixels_b[forward]).only(clear & mutual)
 
+    def _describe_once(self, image: Image) -> "_KeyPoints":
+        key = image.shape, hashlib.blake2b(image.tobytes(), digest_size=16).digest()
+        if key not in self._known:
+            if len(self._known) == _KEPT_IMAGES:
+                del self._known[next(iter(self._known))]
+            self._known[key] = _describe(image)
+        return self._known[key]
 
-def _describe(image: Image) -> tuple[NDArray[np.float64], NDArray[np.float32]]:
+
+# Pixels (n, 2) and descriptors (n, 128).
+_KeyPoints = tuple[NDArray[np.float64], NDArray[np.float32]]
+
+
+def _describe(image: Image) -> _KeyPoints:
     """Pixels (n, 2) and descriptors (n, 128) of unit length of the key points of an image."""
     gray = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     key_points, descriptors = cv2.SIFT.create(MAX_KEY_POINTS).detectAndCompute(gray, np.empty(0, np.uint8))
