@@ -132,8 +132,9 @@ def write_whole_folder(path: Path) -> Iterator[Path]:
 
 def _let_others_read(folder: Path) -> None:
     """Give a folder and all that was written into it the permissions that new files have: some libraries give less."""
-    new = 0o666 & ~_umask()
-    folder.chmod(0o777 & ~_umask())
+    umask = _umask()
+    new = 0o666 & ~umask
+    folder.chmod(0o777 & ~umask)
     for path in folder.rglob("*"):
         facts = path.lstat()
         # What is linked belongs elsewhere, too.

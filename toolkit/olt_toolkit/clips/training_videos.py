@@ -11,7 +11,7 @@ from safetensors.torch import save_file
 from olt_generator.diffusion.tensor_files import read_tensors
 from olt_generator.diffusion.training_clips import ClipVideos
 from olt_generator.diffusion.training_settings import TrainingSettings
-from olt_generator.files import make_folder, write_whole
+from olt_generator.files import write_whole
 from olt_generator.progress import Progress, silent
 from olt_toolkit.clips.training_data import TrainingWindow, make_window_videos
 from olt_toolkit.recordings.drives import DatasetPlace
@@ -31,7 +31,6 @@ def keep_videos(
     for number, window in enumerate(windows):
         if not _video_file(folder, number).exists():
             missing.setdefault(window.key, []).append(number)
-    make_folder(folder)
     jobs = [
         _DriveJob(place, settings, folder, tuple((number, windows[number]) for number in numbers))
         for numbers in missing.values()

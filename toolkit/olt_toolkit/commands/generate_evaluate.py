@@ -70,7 +70,7 @@ def evaluate(
     with show_progress("clips", len(numbers)) as (on_progress, _):
         for done, number in enumerate(numbers):
             videos = cache.videos(number)
-            made = sample_views(engine, cache.clip(number), videos, (1, 2, 3, 4, 5), steps, seed + done, use_warp)
+            made = sample_views(engine, cache.clip(number), (1, 2, 3, 4, 5), steps, seed + done, use_warp)
             if keep_observed:
                 made = {
                     view: keep(video, videos.filled[view], videos.origin[view] == PixelOrigin.INVENTED)

@@ -56,7 +56,6 @@ class ViewScore:
 def sample_views(
     engine: Engine,
     clip: TrainingClip,
-    videos: ClipVideos,
     views: Sequence[int],
     steps: int,
     seed: int,
@@ -65,7 +64,7 @@ def sample_views(
     """Generated videos (f, h, w, 3) by view id, each conditioned on those generated before it.
 
     Args:
-        clip, videos: the clip as the network takes it, and as the geometric engine makes it.
+        clip: as the network takes it.
         views: ids in an order in which all that a view is conditioned on comes before it (`view_graph.order_views`).
         steps: Euler steps; one step from pure noise tells the mean of what the model holds possible.
     """

@@ -74,7 +74,7 @@ class FlowTraining:
         device = next(model.parameters()).device
         batch = move(self.draw(numbers), device)
         velocity = model(batch.latents, batch.sigma, batch.conditions)
-        errors = ((velocity.float() - batch.target) ** 2).mean(dim=1, keepdim=True).flatten(1)
+        errors = ((velocity.float() - batch.target) ** 2).mean(dim=1).flatten(1)
         weights = (1.0 - (1.0 - self._settings.seen_weight) * batch.visibility).flatten(1)
         return batch.weight * (errors * weights).sum(dim=1) / weights.sum(dim=1)
 
