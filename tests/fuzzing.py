@@ -501,6 +501,7 @@ READERS = {
     "obstacles": _read_bytes("read_obstacles"),
     "recipe": _check_recipe,
     "rig": _function("olt_toolkit.rigs.rig_files:read_rig"),
+    "road": _read_bytes("read_road"),
     "rollout": _function("olt_closed_loop.rollouts.rollout_files:read_rollout_file"),
     "rollouts": _function("olt_closed_loop.rollouts.rollout_tables:load_rollouts"),
     "route": _read_bytes("read_route"),

@@ -156,6 +156,7 @@ SINGLE = {
     "route": "route.parquet",
     "obstacles": "obstacle.offline.parquet",
     "holds": "hold.parquet",
+    "road": "road.parquet",
     "recipe": "recipe.yaml",
     "rig": "rig.yaml",
     "stage config": "stage.yaml",

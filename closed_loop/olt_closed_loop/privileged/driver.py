@@ -46,7 +46,7 @@ class PrivilegedDriver:
     def plan(self, observation: Observation) -> PlannedTrajectory:
         """See `Policy.plan`."""
         if self._reckoning is None:
-            self._reckoning = Reckoning(_recorded_pose(self._scene, observation.time_us), observation.time_us)
+            self._reckoning = Reckoning(recorded_pose(self._scene, observation.time_us), observation.time_us)
         else:
             self._reckoning.move_to(observation)
         T_world_rig = self._reckoning.T_frame_rig
@@ -69,7 +69,7 @@ class PrivilegedDriver:
         return self._drive
 
 
-def _recorded_pose(scene: Scene, time_us: int) -> Array:
+def recorded_pose(scene: Scene, time_us: int) -> Array:
     """The recorded pose (4, 4) at a time, upright as the simulated vehicle is."""
     states, heights = recorded_motion(scene, np.array([time_us], dtype=np.int64))
     x, y, yaw = states[0, : STATE.speed]

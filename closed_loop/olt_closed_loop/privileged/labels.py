@@ -1,4 +1,5 @@
-"""What a scene tells beside its images: boxes of others as the vehicle has them around it, and whether its way is held.
+"""What a scene tells beside its images: boxes of others as the vehicle has them around it, whether its way is held, and
+how far the road goes beside its route.
 
 Labels for auxiliary losses, every 0.1 s from a time of the recording on, to which their times are counted.
 """
@@ -8,15 +9,19 @@ import shapely
 from numpy.typing import NDArray
 
 from olt_closed_loop.privileged.holds import holds_of
+from olt_closed_loop.privileged.truth import area_of
 from olt_closed_loop.scenes.actors import agent_poses
+from olt_closed_loop.scenes.polylines import arc_lengths, without_repeats
 from olt_closed_loop.scenes.scene import Scene
-from olt_generator.poses import Array, invert, yaw_of
+from olt_generator.poses import Array, invert, planar_pose, yaw_of
 from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.policy.route import ROUTE_LENGTH, PathTracker
 from olt_toolkit.recordings.truth import Holds, ObstacleTracks
 
 REACH = 80.0
 """Metres up to which others are told."""
+ROADSIDE, ROADSIDE_STEP = 10.0, 0.1
+"""Metres up to which road is told beside the route, and how finely."""
 _PASSED = 1.0
 """Metres beyond a line up to which it is still the next one."""
 
@@ -69,6 +74,30 @@ def label_holds(scene: Scene, start_us: int) -> Holds:
                 if gap - nearest < _PASSED
             )
     return Holds(times - start_us, held, distance)
+
+
+def label_road(scene: Scene, start_us: int) -> Array | None:
+    """Points of the route, and metres of road to the right and left of each that can be driven without a gap (n, 4).
+
+    Places are seen from the rig at a time of the recording, without its roll and pitch. None without route or road.
+    """
+    drivable = area_of(scene.drivable)
+    if drivable is None or len(scene.route) < 2:
+        return None
+    points = without_repeats(scene.route[:, :2])
+    tangent = np.gradient(points, arc_lengths(points), axis=0)
+    left = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1) / np.linalg.norm(tangent, axis=1)[:, None]
+    metres = np.arange(ROADSIDE_STEP, ROADSIDE + 0.5 * ROADSIDE_STEP, ROADSIDE_STEP)
+    shapely.prepare(drivable)
+    sides = []
+    for side in (-left, left):
+        x, y = np.moveaxis(points[:, None] + metres[:, None] * side[:, None], -1, 0)
+        road = np.asarray(shapely.contains_xy(drivable, x, y))
+        sides.append(ROADSIDE_STEP * np.cumprod(road, axis=1).sum(axis=1))
+    T_world_rig = scene.ego.interpolate(np.array([start_us], dtype=np.int64))[0]
+    T_rig_world = invert(planar_pose(T_world_rig[0, 3], T_world_rig[1, 3], float(yaw_of(T_world_rig))))
+    seen = points @ T_rig_world[:2, :2].T + T_rig_world[:2, 3]
+    return np.column_stack([seen, *sides])
 
 
 def _times(scene: Scene, start_us: int) -> NDArray[np.int64]:

@@ -48,7 +48,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
-from olt_closed_loop.privileged.labels import label_holds, label_obstacles
+from olt_closed_loop.privileged.labels import label_holds, label_obstacles, label_road
 from olt_closed_loop.scenes.conditions import CLEAR_DAY, Conditions, Light
 from olt_closed_loop.scenes.procedural import DURATION_US as PROCEDURAL_US
 from olt_closed_loop.sensors.camera_effects import CameraEffects
@@ -277,7 +277,7 @@ class Synthetic:
             renderer=found.renderer(self._asked.conditions.build()),
         )
         shown_us = times_us[times_us >= first_us]
-        labels = {"obstacles": label_obstacles, "holds": label_holds}
+        labels = {"obstacles": label_obstacles, "holds": label_holds, "road": label_road}
         return replace(recording, **{name: label(scene, int(shown_us[0])) for name, label in labels.items()})
 
     def _find(self, key: str) -> SceneDrive:

@@ -11,13 +11,13 @@ import typer
 
 if TYPE_CHECKING:
     from olt_generator.poses import Array
-    from olt_sft_recipes.toy.plan_choice import Occupancy
+    from olt_sft_recipes.toy.occupancy import Occupancy
     from olt_sft_recipes.toy.policy import ToyPolicy
     from olt_toolkit import PolicySample
 
 app = typer.Typer(add_completion=False)
 
-WORTHS = (0.03, 0.06, 0.08, 0.1, 0.15, 0.3)
+WORTHS = (0.03, 0.06, 0.12, 0.2, 0.4)
 BINS = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 1.0)
 MET = 0.05
 """A plan meets somebody where its contact with what is really taken counts more."""
@@ -78,9 +78,8 @@ def plan_choice(
 def gather_moments(policy: "ToyPolicy", samples: "Iterable[PolicySample]") -> "Iterable[Moment]":
     """A moment of each sample that knows what is where."""
     from olt_sft_recipes.open_loop import observe
-    from olt_sft_recipes.toy.inputs import are_known, cells_along, pad_route, planar_poses
-    from olt_sft_recipes.toy.plan_choice import Occupancy
-    from olt_sft_recipes.toy.route_line import RouteLine
+    from olt_sft_recipes.toy.inputs import cells_along, pad_route, planar_poses
+    from olt_sft_recipes.toy.occupancy import Occupancy
     from olt_sft_recipes.training.auxiliary import gather_truth
 
     for sample in samples:
@@ -88,24 +87,22 @@ def gather_moments(policy: "ToyPolicy", samples: "Iterable[PolicySample]") -> "I
         history = planar_poses(observation.history_xyz, observation.history_rotation)[None]
         routes = pad_route(observation.route_xy)[None]
         along = cells_along(history, routes)
-        known, route, world = gather_truth([sample], along)
+        known, truth = gather_truth([sample], along)
         if not known[0]:
             continue
         drawn = policy.draw(observation)
         driven = planar_poses(sample.ego_future_xyz[0].astype(np.float64), sample.ego_future_rot[0].astype(np.float64))
-        truth = Occupancy.of_truth(route[0], world[0], RouteLine.of(along[0], bool(are_known(routes)[0])))
-        yield Moment(drawn.plans, drawn.speed, drawn.occupancy(), truth, driven)
+        yield Moment(drawn.plans, drawn.speed, drawn.occupancy(), Occupancy.of_truth(truth[0], drawn.line), driven)
 
 
 def measure(moments: Sequence[Moment]) -> dict[str, Any]:
     """Calibration of contacts of the plans drawn first, and way and contacts of what is chosen at every worth."""
-    from olt_sft_recipes.toy.plan_choice import WAY_WORTH, choose_plan
-    from olt_sft_recipes.toy.tried_plans import ways_along
+    from olt_sft_recipes.toy.plan_choice import WAY_WORTH, choose_plan, contacts_of_plan
 
     drawn = [moment.plans[0] for moment in moments]
-    thought = np.array([moment.sight.contacts(plan) for moment, plan in zip(moments, drawn, strict=True)])
-    true = np.array([moment.truth.contacts(plan) for moment, plan in zip(moments, drawn, strict=True)])
-    driven = float(np.mean([ways_along(moment.driven)[-1] for moment in moments]))
+    thought = np.array([contacts_of_plan(plan, moment.sight) for moment, plan in zip(moments, drawn, strict=True)])
+    true = np.array([contacts_of_plan(plan, moment.truth) for moment, plan in zip(moments, drawn, strict=True)])
+    driven = float(np.mean([_way(moment.driven) for moment in moments]))
     calibration = []
     for least, most in pairwise(BINS):
         inside = (thought >= least) & ((thought < most) | (most == BINS[-1]))
@@ -117,17 +114,25 @@ def measure(moments: Sequence[Moment]) -> dict[str, Any]:
         (f"{worth:g}", [choose_plan(moment.plans, moment.speed, moment.sight, worth) for moment in moments])
         for worth in WORTHS
     ]
+    choices += [("true sight", [choose_plan(moment.plans, moment.speed, moment.truth) for moment in moments])]
     rows = [
         {
             "worth": name,
-            "way_share": float(np.mean([ways_along(plan)[-1] for plan in plans])) / driven,
+            "way_share": float(np.mean([_way(plan) for plan in plans])) / driven,
             "meets_share": float(
-                np.mean([moment.truth.contacts(plan) > MET for moment, plan in zip(moments, plans, strict=True)])
+                np.mean(
+                    [contacts_of_plan(plan, moment.truth) > MET for moment, plan in zip(moments, plans, strict=True)]
+                )
             ),
         }
         for name, plans in choices
     ]
     return {"own_worth": WAY_WORTH, "driven_m": driven, "calibration": calibration, "choices": rows}
+
+
+def _way(plan: "Array") -> float:
+    """Metres that a plan (64, 3) makes."""
+    return float(np.hypot(*np.diff(plan[:, :2], axis=0, prepend=0.0).T).sum())
 
 
 def print_result(result: dict[str, Any]) -> None:

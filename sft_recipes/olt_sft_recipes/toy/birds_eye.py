@@ -1,8 +1,8 @@
-"""Where the cells of two bird's-eye grids are in the images. Toy only: the real model is told no camera geometry.
+"""Where the cells of a bird's-eye grid are in the images. Toy only: the real model is told no camera geometry.
 
-The route grid follows the route that the policy is shown: stations along it, offsets to its left. What a bend, a turn
-at a junction and a straight road have in common is the same there, so that few samples teach it. The world grid lies
-square ahead of the vehicle and shows who comes from the sides.
+The grid follows the route that the policy is shown: stations along it, offsets to its left. What a bend, a turn at a
+junction and a straight road have in common is the same there, so that few samples teach it. Far beside the route its
+cells are wide, and show who comes from the sides.
 """
 
 from functools import lru_cache
@@ -20,23 +20,23 @@ _STATION = np.arange(32, dtype=np.float64)
 STATIONS: Array = 2.0 + _STATION + 0.022 * _STATION**2
 """Metres along the route, close ahead finer than far ahead."""
 OFFSETS: Array = 0.8 * (np.arange(14, dtype=np.float64) - 6.5)
-"""Metres to the left of the route."""
+"""Metres to the left of the route of the cells of which the heads tell."""
+_FARTHER = np.array([7.0, 9.5, 13.0, 18.0, 25.0])
+ROUTE_OFFSETS: Array = np.concatenate([-_FARTHER[::-1], OFFSETS, _FARTHER])
+"""Metres to the left of the route of all cells: who comes from the side is seen far beside it."""
+TOLD = slice(len(_FARTHER), -len(_FARTHER))
+"""Which of all are OFFSETS."""
 FRONT = DEFAULT_VEHICLE.rear_axle_to_bbox_center + DEFAULT_VEHICLE.length / 2.0
 """Metres from the rig's origin to the vehicle's front."""
-WORLD_CELL = 2.5
-WORLD_X: Array = -6.0 + WORLD_CELL * np.arange(24, dtype=np.float64)
-WORLD_Y: Array = WORLD_CELL * (np.arange(24, dtype=np.float64) - 11.5)
-"""Metres ahead and to the left of the rig."""
 Indices = NDArray[np.int64]
 HEIGHTS = (0.0, 1.2)
 """Metres above the ground at which a cell looks into the images: its foot, and what stands on it."""
 
-ROUTE_CELLS, WORLD_CELLS = len(STATIONS) * len(OFFSETS), len(WORLD_X) * len(WORLD_Y)
 _BETWEEN = 4.0
 
 
 def route_cells(route_xy: Array, curvature: float) -> Array:
-    """Centres and headings (stations, offsets, 3) of the cells of the route grid in the rig frame.
+    """Centres and headings (stations, offsets, 3) of the cells of the grid in the rig frame.
 
     Args:
         route_xy: (n, 2) route ahead; with fewer than two points the way of the present curvature stands for it.
@@ -50,18 +50,12 @@ def route_cells(route_xy: Array, curvature: float) -> Array:
         )
     points, heading = _along(known, STATIONS)
     normal = np.stack([-np.sin(heading), np.cos(heading)], axis=-1)
-    cells = points[:, None] + OFFSETS[:, None] * normal[:, None]
+    cells = points[:, None] + ROUTE_OFFSETS[:, None] * normal[:, None]
     return np.concatenate([cells, np.broadcast_to(heading[:, None, None], (*cells.shape[:2], 1))], axis=-1)
 
 
-def world_cells() -> Array:
-    """Centres and headings (rows, columns, 3) of the cells of the world grid in the rig frame."""
-    x, y = np.meshgrid(WORLD_X, WORLD_Y, indexing="ij")
-    return np.stack([x, y, np.zeros_like(x)], axis=-1)
-
-
 def look_up(cells: Array, frame_poses: Array, config: ToyPolicyConfig) -> csr_array:
-    """Where the cells of a grid are in the features of images, as a sparse matrix of weights.
+    """Where cells are in the features of images, as a sparse matrix of weights.
 
     A cell takes the four features around its place, bilinearly, in every image that shows it, and is their mean.
 

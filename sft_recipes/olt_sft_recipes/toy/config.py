@@ -21,7 +21,8 @@ class ToyPolicyConfig(BaseModel, frozen=True, extra="forbid"):
         image_top: rows that are cut off above; they show the sky.
         frames: which of the four frames of each camera it uses, 0 the oldest and 3 that at t0.
         cameras: indices of the cameras of the contract that it uses, in order; None for all.
-        image_channels: channels of the features of images and of the bird's-eye grids.
+        image_channels: channels of the features of images and of the bird's-eye grid.
+        image_blocks: residual blocks that images pass.
         precision: of the convolutions of the image encoder; everything else is float32.
         width: width of the language model.
         layers: layers of the language model and of the action expert, which meet layer by layer.
@@ -40,6 +41,7 @@ class ToyPolicyConfig(BaseModel, frozen=True, extra="forbid"):
     frames: tuple[Annotated[int, Field(ge=0, lt=IMAGE_FRAMES)], ...] = (0, 3)
     cameras: tuple[Annotated[int, Field(ge=0)], ...] | None = None
     image_channels: Annotated[int, Field(ge=1, le=128)] = 32
+    image_blocks: Annotated[int, Field(ge=0, le=32)] = 2
     precision: Literal["bfloat16", "float32"] = "bfloat16"
     width: Annotated[int, Field(ge=1, le=512)] = 96
     layers: Annotated[int, Field(ge=1, le=32)] = 2

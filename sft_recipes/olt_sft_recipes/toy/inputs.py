@@ -9,7 +9,7 @@ from scipy.sparse import csr_array
 from torch import Tensor
 
 from olt_generator.poses import Array, yaw_of
-from olt_sft_recipes.toy.birds_eye import WORLD_CELLS, look_up, route_cells, world_cells
+from olt_sft_recipes.toy.birds_eye import look_up, route_cells
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.toy.tokens import encode_history
 from olt_toolkit.clips.images import resize_images
@@ -33,8 +33,8 @@ class PolicyInputs:
 
     Attributes:
         images: (n, cameras, frames, 3, H, W) uint8.
-        along: (n, stations, offsets, 3) cells of the route grid in the rig frame.
-        route, world: where the cells of the two bird's-eye grids are in the images.
+        along: (n, stations, offsets, 3) cells of the bird's-eye grid in the rig frame.
+        route: where they are in the images.
         history_tokens: (n, 48).
         motion: (n, MOTION_FEATURES) speed and curvature now, and where the route goes, of about unit size.
     """
@@ -42,7 +42,6 @@ class PolicyInputs:
     images: Tensor
     along: Array
     route: csr_array
-    world: csr_array
     history_tokens: Tensor
     motion: Tensor
 
@@ -63,14 +62,12 @@ def encode_inputs(images: NDArray[np.uint8], history: Array, routes: Array, conf
     flat = np.concatenate([history[..., :2], np.zeros_like(history[..., :1])], axis=-1)
     speed, curvature = _speed_and_curvature(history)
     along = cells_along(history, routes)
-    world = np.broadcast_to(world_cells().reshape(1, -1, 3), (len(history), WORLD_CELLS, 3))
     frame_poses = history[:, [frame - IMAGE_FRAMES for frame in config.frames]]
     motion = np.concatenate([_motion(speed, curvature), _route_numbers(along, routes)], axis=-1)
     return PolicyInputs(
         torch.from_numpy(np.ascontiguousarray(images)),
         along,
         look_up(along.reshape(len(along), -1, 3)[..., :2], frame_poses, config),
-        look_up(world[..., :2], frame_poses, config),
         torch.from_numpy(encode_history(flat)),
         torch.from_numpy(motion.astype(np.float32)),
     )

@@ -127,7 +127,7 @@ class VisionLanguageModel(nn.Module):
 
     def _embed_prefix(self, inputs: PolicyInputs) -> tuple[Sight, Tensor, Tensor]:
         """Sight, history tokens and future-start, (batch, tokens, width) and still without positions."""
-        sight = self.image_encoder(inputs.images, inputs.route, inputs.world)
+        sight = self.image_encoder(inputs.images, inputs.route)
         projected = self.prefix_projection(torch.cat([sight.tokens.flatten(1), inputs.motion], dim=1))
         return sight, self.token_embedding(inputs.history_tokens), (self.future_start + projected)[:, None]
 

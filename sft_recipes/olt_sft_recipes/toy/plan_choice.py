@@ -1,99 +1,124 @@
 """Of several plans the one that the policy's own sight finds free. Toy only.
 
-Tried are the plans that it is given, such a little to their sides, and all of these slower and faster (`tried_plans`).
-A plan is worth the way that it makes in the seconds of which its sight tells, less what that thinks that it runs into,
-somebody at the times and places where the vehicle would be or a line that is held, and less for being where the road
-likely is no more (`route_line`).
+Tried are many paces (`paces`) along many paths: those of the plans that it is given, such that go over to another place
+on the road (`tried_paths`), and the freest ones (`free_path`). A plan is worth the way that it makes, the sooner the
+better, in the seconds of which its sight tells. It costs what it is thought to run into then and in coming to a stand
+after that, a line that is held, being off the road, being close behind somebody, and being aside.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from olt_generator.poses import Array
-from olt_sft_recipes.toy.birds_eye import FRONT, STATIONS, WORLD_CELL, WORLD_X, WORLD_Y
-from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, TAKEN_WEIGHT, Sight
-from olt_sft_recipes.toy.route_line import RouteLine
-from olt_sft_recipes.toy.tried_plans import try_plans, ways_along
-from olt_toolkit.policy.contract import STEP_SECONDS
+from olt_sft_recipes.toy.free_path import find_free_path
+from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD
+from olt_sft_recipes.toy.occupancy import BODY, Occupancy
+from olt_sft_recipes.toy.paces import ACCELERATIONS, pace_ways
+from olt_sft_recipes.toy.route_line import LATERAL
+from olt_sft_recipes.toy.tried_paths import TriedPath, drawn_paths, paths_aside
+from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
 
-WAY_WORTH = 0.08
-"""What the whole way is worth, against 1 for a contact that is certain and now (`olt bench plan_choice`)."""
-ASIDE_COST = 0.02
-"""What a metre aside costs."""
-OFF_ROAD_COST = 1.0
+WAY_WORTH = 0.12
+"""What the way of all seconds at CRUISE is worth, against 1 for a contact that is certain and now."""
+CRUISE = 8.0
+"""Speed that a free road is driven with where no plan is faster, m/s."""
+FASTEST = 12.0
+"""Speed beyond which none is kept up that the plans do not have, m/s."""
+FADES, LEAST_FADED = 0.12, 0.3
+"""By how much less a contact counts for every second until then, and what is left: there is time to see better."""
+STANDING, MOVING = 0.15, 1.0
+"""What a contact counts for who stands, and the speed from which on it counts whole, m/s."""
+OFF_ROAD_COST = 2.0
 """What it costs to be off the road all the time."""
-FADES = 0.15
-"""By how much less a contact counts for every second until then: there is time to see better."""
-PROBES: Array = np.array([-0.2, 1.4, 3.0])
-"""Metres ahead of the rig's origin of the points of the vehicle that are looked up."""
-HOLD_SECONDS = 3.0
-_BESIDE = 1.3
-_LEAST_WAY = 1.0
-_STEPS = round(SECONDS_AHEAD[-1] / STEP_SECONDS)
+CLOSE_COST, CLOSE = 0.05, (2.5, 5.0)
+"""What it costs to be behind somebody all the time, and how many metres before the vehicle are looked at."""
+BEND_COST = 0.3
+"""What it costs to accelerate to the side by twice LATERAL all the time."""
+ASIDE_COST = 0.01
+"""What a metre aside costs."""
+EFFORT_COST = 0.001
+"""What it costs to begin with 1 m/s2."""
+OTHER_COST, FREE_COST = 0.01, 0.003
+"""What it costs to take a path aside, or the freest one, in place of one that was drawn."""
+STOPPING = 3.0
+"""Deceleration of coming to a stand after the seconds that are told, m/s2."""
+_LAST_STEPS = 10
+_EVERY = 2
+_LOOKED_UP = np.arange(_EVERY - 1, FUTURE_STEPS, _EVERY)
+_SECONDS: Array = STEP_SECONDS * (1 + _LOOKED_UP.astype(np.float64))
+_TOLD = round(SECONDS_AHEAD[-1] / STEP_SECONDS)
+_BEFORE = _LOOKED_UP < _TOLD
+_FADED: Array = np.maximum(1.0 - FADES * _SECONDS, LEAST_FADED)
 
 
 @dataclass(frozen=True)
-class Occupancy:
-    """What is thought to be taken, as shares of 1.
+class _Paces:
+    """Paces from a speed.
 
     Attributes:
-        route: (seconds, stations, offsets); held: (stations,) the way held now.
-        world: (seconds, rows, columns).
-        line: the middle of the route grid.
+        driven: ways (paces, 64), metres.
+        ways, speeds: (paces, times) where it is looked up who is there; after the seconds that are told they brake.
+        last: (paces,) speeds at the end of those.
     """
 
-    route: Array
-    held: Array
-    world: Array
-    line: RouteLine
+    driven: Array
+    ways: Array
+    speeds: Array
+    last: Array
 
     @classmethod
-    def of(cls, sight: Sight, line: RouteLine) -> "Occupancy":
-        """What the sight of one observation thinks."""
-        # Taken back is by how much taken cells count more in training, so that these are probabilities.
-        odds = math.log(TAKEN_WEIGHT)
-        route, world = ((logits[0] - odds).sigmoid().double().numpy() for logits in (sight.route, sight.world))
-        return cls(route[:-1], route[-1].mean(axis=-1), world, line)
-
-    @classmethod
-    def of_truth(cls, route: NDArray[np.uint8], world: NDArray[np.uint8], line: RouteLine) -> "Occupancy":
-        """What is really taken (`training.auxiliary.gather_truth`, of one sample)."""
-        told = route.astype(np.float64)
-        return cls(told[:-1], told[-1].mean(axis=-1), world.astype(np.float64), line)
-
-    def contacts(self, plans: Array) -> Array:
-        """How likely plans (..., steps, 3) of x, y, yaw meet somebody (...), contacts later counted less."""
-        plans = plans[..., :_STEPS, :]
-        time = STEP_SECONDS * np.arange(1, plans.shape[-2] + 1)
-        second = np.rint(time / (SECONDS_AHEAD[1] - SECONDS_AHEAD[0])).astype(np.int64)[:, None]
-        x, y, yaw = (plans[..., axis, None] for axis in range(3))
-        x, y = x + PROBES * np.cos(yaw), y + PROBES * np.sin(yaw)
-        away, nearest = self.line.cells.query(np.stack([x, y], axis=-1))
-        on_route = self.route.reshape(len(self.route), -1)[second, nearest]
-        row, column = (
-            np.rint((at - begin[0]) / WORLD_CELL).astype(np.int64) for at, begin in ((x, WORLD_X), (y, WORLD_Y))
-        )
-        inside = (row >= 0) & (row < len(WORLD_X)) & (column >= 0) & (column < len(WORLD_Y)) & (x > FRONT)
-        off_route = self.world[second, np.clip(row, 0, len(WORLD_X) - 1), np.clip(column, 0, len(WORLD_Y) - 1)]
-        taken = np.where(away < _BESIDE, on_route, np.where(inside, off_route, 0.0)).max(axis=-1)
-        return np.asarray((taken * (1.0 - FADES * time)).max(axis=-1))
-
-    def crossings(self, ways: Array) -> Array:
-        """How likely plans that make ways (..., steps) in metres pass a line that is held (...)."""
-        front = FRONT + ways[..., round(HOLD_SECONDS / STEP_SECONDS) - 1, None]
-        return np.where((STATIONS > FRONT) & (front > STATIONS), self.held, 0.0).max(axis=-1)
+    def of(cls, speed: float, most: float) -> "_Paces":
+        driven, speeds = pace_ways(speed, most)
+        last = speeds[:, _TOLD - 1]
+        braked = np.minimum(np.maximum(_SECONDS - SECONDS_AHEAD[-1], 0.0), last[:, None] / STOPPING)
+        stopping = driven[:, _TOLD - 1, None] + last[:, None] * braked - 0.5 * STOPPING * braked**2
+        ways = np.where(_BEFORE, driven[:, _LOOKED_UP], stopping)
+        return cls(driven, ways, np.where(_BEFORE, speeds[:, _LOOKED_UP], last[:, None] - STOPPING * braked), last)
 
 
 def choose_plan(plans: Array, speed: float, occupancy: Occupancy, way_worth: float = WAY_WORTH) -> Array:
     """The best (64, 3) of what is tried in place of plans (k, 64, 3) of x, y, yaw, from a speed in m/s."""
-    tried, aside = try_plans(plans, speed, occupancy.line)
-    ways = ways_along(tried)
-    made = ways[..., _STEPS - 1]
-    worth = way_worth * made / max(float(made.max()), _LEAST_WAY)
-    worth -= ASIDE_COST * np.abs(aside)[:, None]
-    worth -= np.maximum(occupancy.contacts(tried), occupancy.crossings(ways))
-    worth -= OFF_ROAD_COST * occupancy.line.off_road(tried[..., :_STEPS, :])
-    return tried[np.unravel_index(int(worth.argmax()), worth.shape)]
+    line = occupancy.line
+    paces = _Paces.of(speed, _most_speed(plans, speed, line.bend_speed))
+    tried = [(path, 0.0) for path in drawn_paths(plans, line)]
+    tried += [(path, OTHER_COST) for path in paths_aside(line, speed)]
+    tried += [(find_free_path(occupancy, at), FREE_COST) for at in (None, max(speed, 0.5 * CRUISE))]
+    worth = np.stack([_worth(path, paces, occupancy, way_worth) - cost for path, cost in tried])
+    path, pace = np.unravel_index(int(worth.argmax()), worth.shape)
+    return tried[path][0].poses_at(paces.driven[pace])
+
+
+def _most_speed(plans: Array, speed: float, bend_speed: float) -> float:
+    """Speed that is not exceeded, m/s."""
+    ends = np.hypot(*(plans[:, -1, :2] - plans[:, -1 - _LAST_STEPS, :2]).T) / (STEP_SECONDS * _LAST_STEPS)
+    kept = speed if speed < FASTEST else 0.0
+    return min(max(float(ends[0]), kept, CRUISE), bend_speed)
+
+
+def _worth(path: TriedPath, paces: _Paces, occupancy: Occupancy, way_worth: float) -> Array:
+    """What paces (paces,) along a path are worth."""
+    station, left, turned = path.beside_at(paces.ways)
+    made = 2.0 * paces.ways[:, _BEFORE].mean(axis=1) + 0.5 * paces.last
+    counts = STANDING + (1.0 - STANDING) * np.minimum(paces.speeds / MOVING, 1.0)
+    met = (occupancy.contacts(_SECONDS, station, left, turned) * counts * _FADED).max(axis=1)
+    close = np.zeros(len(station))
+    for metres in CLOSE:
+        ahead, beside, _ = path.beside_at(paces.ways[:, _BEFORE] + metres + BODY[-1])
+        close += occupancy.room.taken(_SECONDS[_BEFORE], ahead, beside).mean(axis=1) / len(CLOSE)
+    sideways = paces.speeds**2 * np.interp(paces.ways, path.arc, path.bends)
+    return (
+        way_worth * made / (CRUISE * (SECONDS_AHEAD[-1] + 0.5))
+        - np.maximum(met, occupancy.crossings(_SECONDS, station))
+        - OFF_ROAD_COST * occupancy.off_road(station, left, turned)[:, _BEFORE].mean(axis=1)
+        - CLOSE_COST * close
+        - BEND_COST * np.maximum(sideways / LATERAL - 1.0, 0.0)[:, _BEFORE].mean(axis=1)
+        - ASIDE_COST * np.abs(left[:, _BEFORE]).mean(axis=1)
+        - EFFORT_COST * np.abs(ACCELERATIONS)
+    )
+
+
+def contacts_of_plan(plan: Array, occupancy: Occupancy) -> float:
+    """How likely a plan (64, 3) of x, y, yaw meets somebody, contacts later counted less."""
+    station, left, turned = occupancy.line.locate(plan[_LOOKED_UP[_BEFORE]]).T
+    return float((occupancy.contacts(_SECONDS[_BEFORE], station, left, turned) * _FADED[_BEFORE]).max())

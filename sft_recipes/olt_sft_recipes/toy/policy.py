@@ -10,8 +10,9 @@ from olt_generator.poses import Array, planar_pose
 from olt_sft_recipes.toy.action_expert import ACTION_SIZE
 from olt_sft_recipes.toy.checkpoint import ToyModel, read_model
 from olt_sft_recipes.toy.image_encoder import Sight
-from olt_sft_recipes.toy.inputs import are_known, encode_inputs, pad_route, planar_poses, select_images
-from olt_sft_recipes.toy.plan_choice import Occupancy, choose_plan
+from olt_sft_recipes.toy.inputs import encode_inputs, pad_route, planar_poses, select_images
+from olt_sft_recipes.toy.occupancy import Occupancy
+from olt_sft_recipes.toy.plan_choice import choose_plan
 from olt_sft_recipes.toy.route_line import RouteLine
 from olt_toolkit.policy.action_space import actions_to_trajectory, estimate_initial_speed
 from olt_toolkit.policy.contract import FUTURE_STEPS, Observation, PlannedTrajectory
@@ -92,8 +93,7 @@ class ToyPolicy:
             actions = self.model.expert.sample(noise, prefix.repeated(len(noise))).double().numpy()
         speed = float(estimate_initial_speed(observation.history_xyz, observation.history_rotation))
         xyz, rotation = actions_to_trajectory(actions, speed)
-        line = RouteLine.of(inputs.along[0], bool(are_known(routes)[0]))
-        return Drawn(xyz, rotation, max(speed, 0.0), prefix.sight, line)
+        return Drawn(xyz, rotation, max(speed, 0.0), prefix.sight, RouteLine.of(inputs.along[0]))
 
 
 def load_toy(path: str | None) -> ToyPolicy:

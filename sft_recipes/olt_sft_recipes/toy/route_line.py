@@ -1,7 +1,6 @@
-"""The route ahead as a line: how far beside it the vehicle is, how it goes on, and how fast its bends let it be driven.
+"""The route ahead as a line: where places are along and beside it, and how fast its bends let it be driven.
 
-Toy only. Nothing that the policy sees tells where the road ends; how far beside a route it mostly does is known of the
-roads that it learns from (docs/toy.md).
+Toy only.
 """
 
 import math
@@ -9,18 +8,18 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial import KDTree
 
 from olt_generator.poses import Array
-from olt_sft_recipes.toy.birds_eye import FRONT, OFFSETS, STATIONS
+from olt_sft_recipes.toy.birds_eye import STATIONS
 
-ROAD = (-2.1, -1.1, 4.5, 6.0)
-"""Metres to the left of the route at which the vehicle has left the road for certain, begins to, and the same left."""
 LATERAL = 2.0
 """Acceleration to the side at which bends are driven, m/s2."""
 BENDS_WITHIN = 20.0
 """Metres ahead of which bends count."""
+STEP = 0.5
+"""Metres between places of the line."""
+_BEHIND, _BEYOND = 6.0, 60.0
+_LEAST = 0.3
 
 
 @dataclass(frozen=True)
@@ -28,50 +27,51 @@ class RouteLine:
     """The middle of the route grid.
 
     Attributes:
-        poses: (stations, 3) x, y in metres and heading in the rig frame.
-        cells: of the route grid, their places in the rig frame.
-        known: whether there is a route; else the line is that of the present turn.
+        poses: (stations, 3) x, y in metres and heading in the rig frame at STATIONS; it goes on straight at both ends.
     """
 
     poses: Array
-    cells: KDTree
-    known: bool
 
     @classmethod
-    def of(cls, along: Array, known: bool = True) -> "RouteLine":
+    def of(cls, along: Array) -> "RouteLine":
         """That of the cells (stations, offsets, 3) of a route grid."""
-        return cls(along.mean(axis=1), KDTree(along[..., :2].reshape(-1, 2)), known)
+        return cls(along.mean(axis=1))
 
-    def offsets(self, places: Array) -> Array:
-        """Metres (...) to the left of the line of places (..., 2)."""
-        x, y, yaw = np.moveaxis(self.poses[self._station(places)], -1, 0)
-        return np.cos(yaw) * (places[..., 1] - y) - np.sin(yaw) * (places[..., 0] - x)
+    @cached_property
+    def _fine(self) -> tuple[Array, Array, Array, Array, Array]:
+        """Station, x, y, heading and curvature (n,) of places every STEP."""
+        station = np.arange(STATIONS[0] - _BEHIND, STATIONS[-1] + _BEYOND, STEP)
+        x, y, heading = (np.interp(station, STATIONS, column) for column in self.poses.T)
+        beyond = station - np.clip(station, STATIONS[0], STATIONS[-1])
+        x, y = x + beyond * np.cos(heading), y + beyond * np.sin(heading)
+        return station, x, y, heading, np.gradient(heading, station)
 
-    def off_road(self, plans: Array) -> Array:
-        """What share of its time a plan of plans (..., steps, 3) is likely off the road (...); 0 without a route.
+    def locate(self, poses: Array) -> Array:
+        """Station, metres to the left of the line and turn against it (..., 3) of poses (..., 3) of x, y, yaw."""
+        station, x, y, heading, _ = self._fine
+        nearest = np.argmin((poses[..., 0, None] - x) ** 2 + (poses[..., 1, None] - y) ** 2, axis=-1)
+        dx, dy, yaw = poses[..., 0] - x[nearest], poses[..., 1] - y[nearest], heading[nearest]
+        along, left = np.cos(yaw) * dx + np.sin(yaw) * dy, np.cos(yaw) * dy - np.sin(yaw) * dx
+        turned = (poses[..., 2] - yaw + np.pi) % (2.0 * np.pi) - np.pi
+        return np.stack([station[nearest] + along, left, turned], axis=-1)
 
-        Looked up is where the front goes, which leaves it first.
-        """
-        if not self.known:
-            return np.zeros(plans.shape[:-2])
-        x, y, yaw = np.moveaxis(plans, -1, 0)
-        offsets = self.offsets(np.stack([x + FRONT * np.cos(yaw), y + FRONT * np.sin(yaw)], axis=-1))
-        return np.interp(offsets, ROAD, (1.0, 0.0, 0.0, 1.0)).mean(axis=-1)
+    def poses_beside(self, stations: Array, offsets: Array) -> Array:
+        """Poses (n, 3) of a path that is at rising stations (n,) so many metres to the left (n,)."""
+        known, *columns = self._fine
+        x, y, heading, curvature = (np.interp(stations, known, column) for column in columns)
+        slope = np.gradient(offsets, stations) / np.maximum(1.0 - curvature * offsets, _LEAST)
+        return np.stack(
+            [x - offsets * np.sin(heading), y + offsets * np.cos(heading), heading + np.arctan(slope)], axis=-1
+        )
 
     def beyond(self, pose: Array) -> Array:
         """Poses (n, 3) along the line from a pose (3,) on, as far to its side."""
-        line = self.poses[int(self._station(pose[:2])) + 1 :]
-        left = np.stack([-np.sin(line[:, 2]), np.cos(line[:, 2]), np.zeros(len(line))], axis=-1)
-        poses = line + self.offsets(pose[:2]) * left
-        ahead = (poses[:, 0] - pose[0]) * math.cos(pose[2]) + (poses[:, 1] - pose[1]) * math.sin(pose[2])
-        return poses[ahead > 0.0]
+        station, left, _ = self.locate(pose)
+        stations = np.arange(station + STEP, self._fine[0][-1], STEP)
+        return self.poses_beside(stations, np.full(len(stations), left)) if len(stations) > 1 else np.empty((0, 3))
 
     @cached_property
     def bend_speed(self) -> float:
         """Metres per second at which the sharpest bend close ahead is driven."""
         bends = np.abs(np.gradient(self.poses[:, 2], STATIONS))[STATIONS < BENDS_WITHIN]
         return math.sqrt(LATERAL / max(float(bends.max()), 1e-6))
-
-    def _station(self, places: Array) -> NDArray[np.int64]:
-        """Indices (...) of the stations of the cells nearest to places (..., 2)."""
-        return np.asarray(self.cells.query(places)[1], dtype=np.int64) // len(OFFSETS)

@@ -1,8 +1,9 @@
 """What only the toy is trained on beside its stages' own losses: plans in numbers, and what is where.
 
 The real model brings knowledge of the world from its pre-training. The toy starts from nothing and with minutes to
-learn, so Stage 1 also tells it, where a data set knows the truth, which cells of its bird's-eye grids are taken now and
-in the seconds to come, and where a red light or somebody's hand holds the way; and it regresses the whole plan at once.
+learn, so Stage 1 also tells it, where a data set knows the truth, which cells of its bird's-eye grid are taken now and
+in the seconds to come, where a red light or somebody's hand holds the way, and where road is; and it regresses the
+whole plan at once.
 """
 
 from collections.abc import Sequence
@@ -15,17 +16,20 @@ from torch import Tensor
 from torch.nn import functional
 
 from olt_generator.poses import Array
-from olt_sft_recipes.toy.birds_eye import FRONT, STATIONS, world_cells
+from olt_sft_recipes.toy.birds_eye import FRONT, OFFSETS, STATIONS, TOLD
 from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, TAKEN_WEIGHT, Sight
 from olt_toolkit.policy.action_space import ACTION_MEAN, ACTION_STD
 from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS
 from olt_toolkit.policy.sample import TRUTH_OFFSETS_US, PolicySample
 
-ROUTE_ROOM, WORLD_ROOM = 0.8, 1.0
-"""A cell is taken where its centre is nearer to somebody than so many metres."""
+FAR, NEAR = 1.04, 0.24
+"""A cell is not taken where its centre is so many metres from somebody, wholly where it is that near, and by a share
+between: so cells of almost a metre tell where somebody ends."""
 HELD_ROOM = 1.5
 _SIGHT_SCALE = 6.0
 _FADES_SECONDS = 3.0
+_WHOLE = 255
+_PARTS = (-1 / 3, 0.0, 1 / 3)
 
 
 @dataclass(frozen=True)
@@ -34,39 +38,47 @@ class SightTruth:
 
     Attributes:
         known: (n,) bool, whether the sample knows it.
-        route: (n, seconds + 1, stations, offsets) uint8 as `Sight.route`.
-        world: (n, seconds, rows, columns) uint8 as `Sight.world`.
+        route: (n, seconds + 2, stations, offsets) uint8 as `Sight.route`, 255 for 1.
     """
 
     known: Tensor
     route: Tensor
-    world: Tensor
 
 
-def gather_truth(
-    samples: Sequence[PolicySample], along: Array
-) -> tuple[NDArray[np.bool_], NDArray[np.uint8], NDArray[np.uint8]]:
+def gather_truth(samples: Sequence[PolicySample], along: Array) -> tuple[NDArray[np.bool_], NDArray[np.uint8]]:
     """Whether samples know what is where, and what, as `SightTruth` has it.
 
     Args:
         samples: n samples.
-        along: (n, stations, offsets, 3) cells of their route grids.
+        along: (n, stations, offsets, 3) cells of their bird's-eye grids.
     """
-    seconds, world = len(SECONDS_AHEAD), world_cells()
     known = np.zeros(len(samples), bool)
-    route_truth = np.zeros((len(samples), seconds + 1, *along.shape[1:3]), np.uint8)
-    world_truth = np.zeros((len(samples), seconds, *world.shape[:2]), np.uint8)
+    truth = np.zeros((len(samples), len(SECONDS_AHEAD) + 2, len(STATIONS), len(OFFSETS)), np.uint8)
     for row, sample in enumerate(samples):
-        if sample.obstacle_boxes is None or sample.hold is None or np.isnan(sample.hold[0]):
+        if sample.obstacle_boxes is None or sample.hold is None or sample.road is None:
+            continue
+        if np.isnan(sample.hold[0]) or np.isnan(sample.road[0, 0]):
             continue
         known[row] = True
         boxes = _boxes_at_heads(sample.obstacle_boxes.astype(np.float64))
-        route_truth[row, :-1] = _taken(along[row], boxes, ROUTE_ROOM)
-        world_truth[row] = _taken(world, boxes, WORLD_ROOM)
-        held, metres = sample.hold
-        if held == 1.0:
-            route_truth[row, -1] = (np.abs(STATIONS - FRONT - metres) < HELD_ROOM)[:, None]
-    return known, route_truth, world_truth
+        truth[row] = cell_truth(along[row], boxes, sample.hold, sample.road.astype(np.float64))
+    return known, truth
+
+
+def cell_truth(along: Array, boxes: Array, hold: NDArray[np.floating], road: Array) -> NDArray[np.uint8]:
+    """What is true of cells (seconds + 2, stations, offsets), as `SightTruth` has it.
+
+    Args:
+        along: (stations, offsets, 3) cells of the bird's-eye grid.
+        boxes: (seconds, k, 5) at SECONDS_AHEAD in the rig frame at t0.
+        hold, road: as in `PolicySample`.
+    """
+    truth = np.zeros((len(SECONDS_AHEAD) + 2, len(STATIONS), len(OFFSETS)), np.uint8)
+    truth[:-2] = np.rint(_WHOLE * nearness(along[:, TOLD], boxes))
+    if hold[0] == 1.0:
+        truth[-2] = _WHOLE * (np.abs(STATIONS - FRONT - hold[1]) < HELD_ROOM)[:, None]
+    truth[-1] = np.rint(_WHOLE * road_share(road))
+    return truth
 
 
 def _boxes_at_heads(boxes: Array) -> Array:
@@ -82,31 +94,42 @@ def _boxes_at_heads(boxes: Array) -> Array:
     return np.where(between[:, None, None], mixed, found)
 
 
-def _taken(cells: Array, boxes: Array, room: float) -> NDArray[np.bool_]:
-    """Whether cells (rows, columns, 3) are nearer than `room` to a box (seconds, k, 5): (seconds, rows, columns)."""
-    taken = np.zeros((len(boxes), *cells.shape[:2]), dtype=bool)
-    reach = (room + np.hypot(boxes[..., 3], boxes[..., 4]) / 2)[..., None]
-    first, last = cells[..., :2].min(axis=(0, 1)), cells[..., :2].max(axis=(0, 1))
+def nearness(cells: Array, boxes: Array) -> Array:
+    """How near boxes (seconds, k, 5) are to cells (rows, columns, 3): (seconds, rows, columns) of 0 to 1.
+
+    A cell is as long as rows are apart, and the nearest of its parts tells.
+    """
+    found = np.zeros((len(boxes), *cells.shape[:2]))
+    reach = (FAR + np.hypot(boxes[..., 3], boxes[..., 4]) / 2)[..., None]
+    apart = np.gradient(cells[..., :2], axis=0)
+    first, last = (cells[..., :2] - apart).min(axis=(0, 1)), (cells[..., :2] + apart).max(axis=(0, 1))
     near = ((boxes[..., :2] + reach > first) & (boxes[..., :2] - reach < last)).all(axis=-1)  # NaN is near nothing
     x, y, yaw, length, width = np.moveaxis(boxes[near], -1, 0)[..., None, None]
-    dx, dy = cells[..., 0] - x, cells[..., 1] - y
-    ahead = np.abs(np.cos(yaw) * dx + np.sin(yaw) * dy) - length / 2
-    aside = np.abs(np.cos(yaw) * dy - np.sin(yaw) * dx) - width / 2
-    found = np.maximum(ahead, 0.0) ** 2 + np.maximum(aside, 0.0) ** 2 < room**2
-    np.logical_or.at(taken, np.nonzero(near)[0], found)
-    return taken
+    for part in _PARTS:
+        dx, dy = np.moveaxis(cells[..., :2] + part * apart, -1, 0)[:, None] - np.stack([x, y])
+        ahead = np.abs(np.cos(yaw) * dx + np.sin(yaw) * dy) - length / 2
+        aside = np.abs(np.cos(yaw) * dy - np.sin(yaw) * dx) - width / 2
+        distance = np.hypot(np.maximum(ahead, 0.0), np.maximum(aside, 0.0))
+        np.maximum.at(found, np.nonzero(near)[0], np.clip((FAR - distance) / (FAR - NEAR), 0.0, 1.0))
+    return found
+
+
+def road_share(road: Array) -> Array:
+    """What share of cells (stations, offsets) is road, of points of the route with the road beside them (20, 4)."""
+    known = road[~np.isnan(road[:, 0])]
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(known[:, :2], axis=0).T))])
+    right, left = (np.interp(STATIONS, way, column)[:, None] for column in known[:, 2:].T)
+    width = OFFSETS[1] - OFFSETS[0]
+    inner = np.minimum(left - OFFSETS, right + OFFSETS)
+    return np.clip(inner / width + 0.5, 0.0, 1.0)
 
 
 def sight_errors(sight: Sight, truth: SightTruth) -> Tensor:
-    """Cross-entropy (n,) of both grids; 0 where the truth is not known."""
-    errors = _cross_entropy(sight.route, truth.route) + _cross_entropy(sight.world, truth.world)
-    return _SIGHT_SCALE * errors * truth.known
-
-
-def _cross_entropy(logits: Tensor, truth: Tensor) -> Tensor:
-    weight = torch.tensor(TAKEN_WEIGHT)
-    errors = functional.binary_cross_entropy_with_logits(logits, truth.float(), pos_weight=weight, reduction="none")
-    return errors.mean((1, 2, 3))
+    """Cross-entropy (n,) of the heads; 0 where the truth is not known."""
+    errors = functional.binary_cross_entropy_with_logits(
+        sight.route, truth.route / _WHOLE, pos_weight=torch.tensor(TAKEN_WEIGHT), reduction="none"
+    )
+    return _SIGHT_SCALE * errors.mean((1, 2, 3)) * truth.known
 
 
 def plan_errors(planned: Tensor, wanted: Tensor, speeds: Tensor) -> Tensor:

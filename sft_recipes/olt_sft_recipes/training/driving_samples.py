@@ -42,7 +42,7 @@ class DrivingSamples:
         config: of the model that they are for.
         invented: (n,) share of the pixels of the images that is invented, at the size of the clip.
         truth_known: (n,) bool, whether it is known what is where.
-        truth_route, truth_world: (n, ...) uint8 of what is where (`auxiliary.SightTruth`).
+        truth_route: (n, ...) uint8 of what is where (`auxiliary.SightTruth`).
     """
 
     images: NDArray[np.uint8]
@@ -53,7 +53,6 @@ class DrivingSamples:
     invented: Array
     truth_known: NDArray[np.bool_]
     truth_route: NDArray[np.uint8]
-    truth_world: NDArray[np.uint8]
 
     @classmethod
     def gather(cls, samples: list[PolicySample], config: ToyPolicyConfig) -> "DrivingSamples":
@@ -105,7 +104,6 @@ class DrivingSamples:
             future=self.future * flip,
             routes=self.routes * flip[:2],
             truth_route=self.truth_route[..., ::-1],
-            truth_world=self.truth_world[..., ::-1],
         )
 
     def perturbed(self, offsets: Array, angles: Array) -> "DrivingSamples":

@@ -96,7 +96,6 @@ def prepare_batch(samples: DrivingSamples, draws: StepDraws) -> TrainingBatch:
         SightTruth(
             torch.from_numpy(samples.truth_known.copy()),
             torch.from_numpy(samples.truth_route.copy()),
-            torch.from_numpy(samples.truth_world.copy()),
         ),
         {name: torch.from_numpy(np.ascontiguousarray(values)) for name, values in draws.items()},
     )

@@ -1,13 +1,16 @@
 """Labels of what is around the vehicle, and of held lines."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import shapely
 
-from olt_closed_loop.privileged.labels import REACH, label_holds, label_obstacles
+from olt_closed_loop.privileged.labels import REACH, ROADSIDE, label_holds, label_obstacles, label_road
 from olt_closed_loop.scenes.actors import agent_poses
 from olt_closed_loop.suite.scenes import make_scene
 from olt_closed_loop.suite.training import make_training_scene
-from olt_generator.poses import transform, yaw_of
+from olt_generator.poses import planar_pose, transform, yaw_of
 from olt_toolkit.recordings.truth import OBSTACLE_CLASSES
 
 
@@ -50,3 +53,32 @@ def test_nothing_holds_a_road_without_lights():
     holds = label_holds(make_scene("straight_road"), 500_000)
     assert not holds.is_held.any() and np.isnan(holds.distance).all()
     assert holds.timestamps_us[0] == 0 and holds.timestamps_us[-1] == 19_500_000
+
+
+@pytest.mark.parametrize("event", ["straight_road", "left_hand_crossing", "roundabout_busy"])
+def test_the_road_goes_as_far_as_is_told_and_ends_there(event):
+    scene, start_us = make_scene(event), 2_000_000
+    road = label_road(scene, start_us)
+    T_world_rig = scene.ego.interpolate(np.array([start_us]))[0]
+    T_world_rig = planar_pose(*T_world_rig[:2, 3], yaw_of(T_world_rig))
+    points = transform(T_world_rig, np.column_stack([road[:, :2], np.zeros(len(road))]))[:, :2]
+    assert shapely.distance(shapely.points(points), shapely.LineString(scene.route[:, :2])).max() < 1e-6
+    drivable = shapely.union_all([shapely.Polygon(outline[:, :2]) for outline in scene.drivable])
+    tangent = np.gradient(points, axis=0)
+    left = np.stack([-tangent[:, 1], tangent[:, 0]], axis=-1) / np.linalg.norm(tangent, axis=1)[:, None]
+    for place, side, (right_metres, left_metres) in list(zip(points, left, road[:, 2:], strict=True))[10:-10:7]:
+        for metres, out in ((right_metres, -side), (left_metres, side)):
+            way = shapely.LineString([place, place + (metres - 0.01) * out]) if metres > 0.1 else shapely.Point(place)
+            assert drivable.buffer(0.11).covers(way)
+            if metres < ROADSIDE - 0.1:
+                assert drivable.boundary.distance(shapely.Point(place + (metres + 0.05) * out)) < 0.15
+
+
+def test_left_hand_traffic_has_its_road_to_the_right():
+    right, left = label_road(make_scene("left_hand_crossing"), 0)[5, 2:]
+    assert right > left + 2.0
+
+
+def test_without_road_nothing_is_told():
+    scene = make_scene("straight_road")
+    assert label_road(replace(scene, drivable=()), 0) is None

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from olt_sft_recipes.toy.birds_eye import HEIGHTS, OFFSETS, STATIONS, look_up, route_cells, world_cells
+from olt_sft_recipes.toy.birds_eye import HEIGHTS, OFFSETS, ROUTE_OFFSETS, STATIONS, TOLD, look_up, route_cells
 from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
 from olt_toolkit.rigs.rig_files import pav_rig
 
@@ -55,7 +55,8 @@ def test_an_earlier_frame_is_looked_up_from_where_the_vehicle_was():
 def test_cells_of_a_straight_route_are_a_rectangle():
     route = np.column_stack([np.linspace(0.0, 80.0, 20), np.full(20, 1.0)])
     cells = route_cells(route, curvature=0.3)
-    assert np.allclose(cells[..., 0], STATIONS[:, None]) and np.allclose(cells[..., 1], 1.0 + OFFSETS)
+    assert np.allclose(cells[..., 0], STATIONS[:, None]) and np.allclose(cells[..., 1], 1.0 + ROUTE_OFFSETS)
+    assert np.array_equal(ROUTE_OFFSETS[TOLD], OFFSETS)
     assert np.allclose(cells[..., 2], 0.0)
 
 
@@ -63,11 +64,10 @@ def test_without_a_route_cells_follow_the_present_turn():
     curvature = 0.02
     cells = route_cells(UNKNOWN, curvature)
     radius = np.hypot(cells[:10, :, 0], cells[:10, :, 1] - 1.0 / curvature)
-    assert np.allclose(radius, 1.0 / curvature - OFFSETS, atol=0.2)
+    assert np.allclose(radius, 1.0 / curvature - ROUTE_OFFSETS, atol=0.2)
 
 
 def test_a_mirrored_route_has_mirrored_cells():
     route = np.column_stack([20.0 * np.sin(np.linspace(0.0, 1.2, 20)), 20.0 - 20.0 * np.cos(np.linspace(0.0, 1.2, 20))])
     flip = np.array([1.0, -1.0, -1.0])
     assert np.allclose(route_cells(route * flip[:2], 0.0), route_cells(route, 0.0)[:, ::-1] * flip)
-    assert np.allclose(world_cells()[:, ::-1] * flip, world_cells())

@@ -150,7 +150,7 @@ def test_samples_are_decoded_once_when_they_are_wanted_and_mapped(drives, tiny_c
         samples.open([[3]])
         again = samples.having(range(len(many))).take([100, 50])
     assert len(asked) == len(many)
-    for name in ("images", "history", "future", "truth_world"):
+    for name in ("images", "history", "future", "truth_route"):
         np.testing.assert_array_equal(getattr(again, name), getattr(whole, name))
     expected = DrivingSamples.gather([drives[keys[11]], drives[keys[5]]], tiny_config)
     np.testing.assert_array_equal(whole.images, expected.images)

@@ -8,9 +8,9 @@ import pytest
 from olt_generator.errors import InputError
 from olt_generator.poses import invert, transform, yaw_of
 from olt_toolkit.clips.clip import make_clip_id
-from olt_toolkit.clips.pai_layout import HOLDS, OBSTACLES, ROUTE
+from olt_toolkit.clips.pai_layout import HOLDS, OBSTACLES, ROAD, ROUTE
 from olt_toolkit.clips.store import ClipStore
-from olt_toolkit.clips.truth_tables import read_holds, read_obstacles, read_route, truth_tables
+from olt_toolkit.clips.truth_tables import read_holds, read_obstacles, read_road, read_route, truth_tables
 from olt_toolkit.policy.route import routes_ahead
 from olt_toolkit.policy.sample import TRUTH_OFFSETS_US, SampleKey
 from olt_toolkit.recordings.truth import OBSTACLE_CLASSES, Holds, ObstacleTracks
@@ -40,7 +40,8 @@ def known_clip(make_clip):
         np.concatenate([boxes, person])[order],
     )
     holds = Holds(times, times < 3_000_000, np.where(times < 3_000_000, 20.0, np.nan))
-    return replace(clip, route=ROUTE_LINE, obstacles=tracks, holds=holds)
+    sides = np.linspace([2.0, 3.0], [4.0, 7.0], len(ROUTE_LINE))
+    return replace(clip, route=ROUTE_LINE, obstacles=tracks, holds=holds, road=np.column_stack([ROUTE_LINE, sides]))
 
 
 def stored(folder, clip):
@@ -68,15 +69,19 @@ def test_samples_tell_what_is_known(tmp_path, known_clip):
     assert sample.obstacle_boxes[0, 0, :2].tolist() == [5.0, -2.0]
     assert np.isnan(sample.obstacle_boxes[1:, 0]).all() and np.isnan(sample.obstacle_boxes[:, 2:]).all()
     assert sample.hold.tolist() == [1.0, 20.0]
+    np.testing.assert_array_equal(sample.road[:, :2], sample.route_xy)
+    right, left = sample.road[~np.isnan(sample.road[:, 0]), 2:].T
+    assert np.all(np.diff(right) > 0.0) and np.allclose(left, 2.0 * right - 1.0, atol=1e-4)
 
 
 def test_nothing_is_told_where_it_is_not_asked_for_or_not_known(tmp_path, known_clip, make_clip):
     store = stored(tmp_path / "known", known_clip)
     sample = store.load_sample(SampleKey("", known_clip.clip_id, T0_US))
-    assert sample.obstacle_boxes is None and sample.obstacle_classes is None and sample.hold is None
+    assert sample.obstacle_boxes is None and sample.obstacle_classes is None and sample.hold is sample.road is None
     plain = stored(tmp_path / "plain", make_clip())
     sample = plain.load_sample(SampleKey("", make_clip_id("bend"), T0_US), with_truth=True)
     assert np.isnan(sample.route_xy).all() and np.isnan(sample.obstacle_boxes).all() and np.isnan(sample.hold).all()
+    assert np.isnan(sample.road).all() and plain.read_road(make_clip_id("bend")) is None
     assert np.all(sample.obstacle_classes == -1)
     assert plain.read_route(make_clip_id("bend")) is None
 
@@ -102,6 +107,7 @@ def test_tables_come_back(known_clip, tmp_path):
     assert tracks.track_ids.tolist() == known_clip.obstacles.track_ids.tolist()
     holds = read_holds(to_bytes(tables[HOLDS], tmp_path), "here")
     np.testing.assert_array_equal(holds.distance, known_clip.holds.distance)
+    np.testing.assert_array_equal(read_road(to_bytes(tables[ROAD], tmp_path), "here"), known_clip.road)
 
 
 @pytest.mark.parametrize(
@@ -115,6 +121,9 @@ def test_tables_come_back(known_clip, tmp_path):
         (OBSTACLES, read_obstacles, lambda table: table.assign(timestamp_us=0.5), "int64"),
         (HOLDS, read_holds, lambda table: table[::-1], "increasing"),
         (HOLDS, read_holds, lambda table: table.assign(is_held="no"), "true or false"),
+        (ROAD, read_road, lambda table: table.drop(columns="left"), "column left is missing"),
+        (ROAD, read_road, lambda table: table.assign(right=-1.0), "negative"),
+        (ROAD, read_road, lambda table: table[:1], "two or more"),
     ],
 )
 def test_damaged_tables_are_named(known_clip, tmp_path, name, read, change, complaint):

@@ -250,6 +250,7 @@ def _assemble(
         route=recording.route,
         obstacles=recording.obstacles,
         holds=recording.holds,
+        road=recording.road,
     )
 
 

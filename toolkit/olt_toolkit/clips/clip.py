@@ -252,8 +252,8 @@ class Clip(ClipDescription):
     """One clip, ready to be stored; its streams, and where they came from, by camera name.
 
     `sample_t0_us` are the only times t0 at which it may be sampled, such as those before a crash; None for all times
-    that it covers. `build_options` are those of `ClipInfo`. The `route` (n, 2) is in the anchor frame, times of
-    `obstacles` and `holds` are clip times; None where the source does not know them (`Recording`).
+    that it covers. `build_options` are those of `ClipInfo`. The `route` (n, 2) and the `road` (k, 4) are in the anchor
+    frame, times of `obstacles` and `holds` are clip times; None where the source does not know them (`Recording`).
     """
 
     streams: dict[str, CameraStream]
@@ -265,6 +265,7 @@ class Clip(ClipDescription):
     route: Array | None = None
     obstacles: ObstacleTracks | None = None
     holds: Holds | None = None
+    road: Array | None = None
 
     @property
     def images(self) -> dict[str, NDArray[np.uint8]]:

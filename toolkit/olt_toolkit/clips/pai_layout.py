@@ -19,6 +19,7 @@ PIXEL_ORIGIN = "pixel_origin"
 ROUTE = "route"
 OBSTACLES = "obstacle.offline"
 HOLDS = "hold"
+ROAD = "road"
 CAMERA_INTRINSICS = "camera_intrinsics"
 SENSOR_EXTRINSICS = "sensor_extrinsics"
 VEHICLE_DIMENSIONS = "vehicle_dimensions"
@@ -76,7 +77,7 @@ PIXEL_ORIGINS: dict[str, Feature] = {
 }
 # And what a source knows beyond images and motion; boxes in the columns of the public table.
 TRUTHS: dict[str, Feature] = {
-    name: Feature(name, "labels", {name: f"{{clip_id}}.{name}.parquet"}) for name in (ROUTE, OBSTACLES, HOLDS)
+    name: Feature(name, "labels", {name: f"{{clip_id}}.{name}.parquet"}) for name in (ROUTE, OBSTACLES, HOLDS, ROAD)
 }
 STORED: dict[str, Feature] = FEATURES | {feature.name: feature for feature in PIXEL_ORIGINS.values()} | TRUTHS
 """Everything that a store holds in chunks, by name."""

@@ -39,13 +39,21 @@ from olt_toolkit.clips.pai_layout import (
     OBSTACLES,
     PIXEL_ORIGIN,
     PIXEL_ORIGINS,
+    ROAD,
     ROUTE,
     STORED,
     TRUTHS,
     VIDEO,
 )
 from olt_toolkit.clips.table import CLIP_TABLE, read_clip_table, write_clip_table
-from olt_toolkit.clips.truth_tables import read_holds, read_obstacles, read_route, sample_routes, sample_truth
+from olt_toolkit.clips.truth_tables import (
+    read_holds,
+    read_obstacles,
+    read_road,
+    read_route,
+    sample_routes,
+    sample_truth,
+)
 from olt_toolkit.clips.video import check_video, decode_frames, decode_images
 from olt_toolkit.policy.sample import PolicySample, SampleKey
 from olt_toolkit.policy.window import IMAGE_OFFSETS_US, Coverage, check_sample_window, newest_frames
@@ -287,6 +295,10 @@ class ClipStore:
         """When the way is held; None where it is not known."""
         return self._truth(clip_id, HOLDS, read_holds)
 
+    def read_road(self, clip_id: str) -> Array | None:
+        """Points of the route in the anchor frame with the road to both sides (n, 4); None where it is not known."""
+        return self._truth(clip_id, ROAD, read_road)
+
     def _truth(self, clip_id: str, name: str, read: Callable[[bytes, str], Known]) -> Known | None:
         if not has_feature(self.info(clip_id), TRUTHS[name]):
             return None
@@ -340,7 +352,7 @@ class ClipStore:
         """Load samples in the order of `keys`; every clip is opened and decoded once, whatever their order.
 
         The stores of the keys are not looked at. Images are scaled to a height and width where these are given, their
-        masks (`with_origin`) to the nearest pixel. `with_truth` asks for what is known of obstacles and holds.
+        masks (`with_origin`) to the nearest pixel. `with_truth` asks for what is known of obstacles, holds and road.
 
         Raises:
             InputError: see `load_sample`.
@@ -389,7 +401,7 @@ class ClipStore:
         routes = sample_routes(self.read_route(clip_id), motion, np.array(t0s_us))
         truth = None
         if with_truth:
-            known = self.read_obstacles(clip_id), self.read_holds(clip_id)
+            known = self.read_obstacles(clip_id), self.read_holds(clip_id), self.read_road(clip_id)
             truth = sample_truth(*known, motion, np.array(t0s_us))
         return [
             PolicySample(

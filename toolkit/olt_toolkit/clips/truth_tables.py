@@ -1,7 +1,8 @@
-"""Route, boxes of others, and holds of a clip as tables, and as samples take them.
+"""Route, boxes of others, holds and road of a clip as tables, and as samples take them.
 
 `{clip}.route.parquet` has x, y of the route in the anchor frame; `{clip}.obstacle.offline.parquet` the columns of the
-public table of that name, in the rig frame at each time; `{clip}.hold.parquet` what `Holds` has.
+public table of that name, in the rig frame at each time; `{clip}.hold.parquet` what `Holds` has; `{clip}.road.parquet`
+points of the route with the metres of road to their right and left.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from olt_generator.errors import InputError
 from olt_generator.poses import Array, transform, yaw_of
 from olt_toolkit.clips.clip import Clip, EgoMotion
-from olt_toolkit.clips.pai_layout import HOLDS, OBSTACLES, ROUTE
+from olt_toolkit.clips.pai_layout import HOLDS, OBSTACLES, ROAD, ROUTE
 from olt_toolkit.clips.pai_tables import read_table
 from olt_toolkit.policy.contract import STEP_US
 from olt_toolkit.policy.route import ROUTE_POINTS, routes_ahead
@@ -26,6 +27,7 @@ from olt_toolkit.recordings.truth import OBSTACLE_CLASSES, Holds, ObstacleTracks
 _CENTER = ("center_x", "center_y", "center_z")
 _SIZE = ("size_x", "size_y", "size_z")
 _ORIENTATION = ("orientation_x", "orientation_y", "orientation_z", "orientation_w")
+_ROAD = ("x", "y", "right", "left")
 _SYNTHETIC = "truth"
 _OTHER = OBSTACLE_CLASSES.index("other")
 
@@ -41,6 +43,8 @@ def truth_tables(clip: Clip) -> dict[str, pd.DataFrame]:
         tables[HOLDS] = pd.DataFrame(
             {"timestamp_us": clip.holds.timestamps_us, "is_held": clip.holds.is_held, "distance": clip.holds.distance}
         )
+    if clip.road is not None:
+        tables[ROAD] = pd.DataFrame(dict(zip(_ROAD, clip.road.T, strict=True)))
     return tables
 
 
@@ -65,6 +69,16 @@ def read_route(data: bytes, where: str) -> Array:
     if len(route) < 2:
         raise InputError(f"{where}: {len(route)} points; a route has two or more")
     return route
+
+
+def read_road(data: bytes, where: str) -> Array:
+    """Points and road (n, 4) of `{clip}.road.parquet`; an `InputError` where they are not two or more or not finite."""
+    road = _floats(read_table(data, list(_ROAD), where), _ROAD, where)
+    if len(road) < 2:
+        raise InputError(f"{where}: {len(road)} points; a road has two or more")
+    if np.any(road[:, 2:] < 0.0):
+        raise InputError(f"{where}: columns right and left hold negative metres")
+    return road
 
 
 def read_obstacles(data: bytes, where: str) -> ObstacleTracks:
@@ -103,6 +117,7 @@ class SampleTruth:
     obstacle_boxes: NDArray[np.float32]
     obstacle_classes: NDArray[np.int64]
     hold: NDArray[np.float32]
+    road: NDArray[np.float32]
 
     def of(self, row: int) -> dict[str, Any]:
         """Those of one sample, by name."""
@@ -111,17 +126,26 @@ class SampleTruth:
 
 def sample_routes(route: Array | None, motion: EgoMotion, t0s_us: NDArray[np.int64]) -> NDArray[np.float32]:
     """The route ahead (n, 20, 2) at times t0 on the 0.1 s grid, as the closed loop would show it; NaN if not known."""
-    if route is None:
-        return np.full((len(t0s_us), ROUTE_POINTS, 2), np.nan, dtype=np.float32)
+    return _ahead(route, 2, motion, t0s_us)
+
+
+def _ahead(line: Array | None, columns: int, motion: EgoMotion, t0s_us: NDArray[np.int64]) -> NDArray[np.float32]:
+    """What lies ahead on a line (n, columns) at times t0: (times, 20, columns), NaN if not known."""
+    if line is None:
+        return np.full((len(t0s_us), ROUTE_POINTS, columns), np.nan, dtype=np.float32)
     first = LONGEST_REFUSED_T0_US + STEP_US
     times = np.arange(first, int(t0s_us.max()) + 1, STEP_US, dtype=np.int64)
     poses = motion.interpolate(times)
-    ahead = routes_ahead(route, np.column_stack([poses[:, :2, 3], yaw_of(poses)]))
+    ahead = routes_ahead(line, np.column_stack([poses[:, :2, 3], yaw_of(poses)]))
     return ahead[(t0s_us - first) // STEP_US].astype(np.float32)
 
 
 def sample_truth(
-    obstacles: ObstacleTracks | None, holds: Holds | None, motion: EgoMotion, t0s_us: NDArray[np.int64]
+    obstacles: ObstacleTracks | None,
+    holds: Holds | None,
+    road: Array | None,
+    motion: EgoMotion,
+    t0s_us: NDArray[np.int64],
 ) -> SampleTruth:
     """What is known about times t0 (n,), which lie on the grid of the labels where there are any."""
     boxes = np.full((len(t0s_us), len(TRUTH_OFFSETS_US), MOST_OBSTACLES, 5), np.nan, dtype=np.float32)
@@ -132,7 +156,7 @@ def sample_truth(
             _fill_obstacles(obstacles, motion, t0_us, boxes[row], classes[row])
         if holds is not None and (place := np.flatnonzero(holds.timestamps_us == t0_us)).size:
             hold[row] = holds.is_held[place[0]], holds.distance[place[0]]
-    return SampleTruth(boxes, classes, hold)
+    return SampleTruth(boxes, classes, hold, _ahead(road, len(_ROAD), motion, t0s_us))
 
 
 def _fill_obstacles(

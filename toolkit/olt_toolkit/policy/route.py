@@ -25,16 +25,16 @@ class PathTracker:
     """
 
     def __init__(self, path: Array) -> None:
-        """Start at the beginning of `path` (n, 2), n >= 1, metres."""
-        moved = np.linalg.norm(np.diff(path, axis=0), axis=1) > 0.0
+        """Start at the beginning of `path` (n, 2 or more), n >= 1, metres; further columns go along with x and y."""
+        moved = np.linalg.norm(np.diff(path[:, :2], axis=0), axis=1) > 0.0
         self._points = path[np.concatenate([[True], moved])]
-        directions = np.diff(self._points, axis=0)
+        directions = np.diff(self._points[:, :2], axis=0)
         lengths = np.linalg.norm(directions, axis=1)
         self._starts = np.concatenate([[0.0], np.cumsum(lengths)])
-        self._vertices: list[list[float]] = self._points.tolist()
+        self._vertices: list[list[float]] = self._points[:, :2].tolist()
         self._units: list[list[float]] = (directions / lengths[:, None]).tolist()
         self._arc_lengths: list[float] = self._starts.tolist()
-        self._last_point = self._points[0]
+        self._last_point = self._points[0, :2]
         self.arc_length = 0.0
         self.distance = 0.0
         """Metres from the last point to its position on the path."""
@@ -55,7 +55,7 @@ class PathTracker:
         return self.arc_length
 
     def points_ahead(self, distances: Array) -> Array:
-        """Points (m, 2) of the path at distances (n,) ahead, metres; those beyond its end are left out."""
+        """Points (m, 2 or more) of the path at distances (n,) ahead, metres; those beyond its end are left out."""
         asked = self.arc_length + distances
         asked = asked[asked <= self.length]
         return np.stack([np.interp(asked, self._starts, column) for column in self._points.T], axis=-1)
@@ -94,16 +94,18 @@ def route_ahead(tracker: PathTracker | None, x: float, y: float, yaw: float) -> 
     """Move a tracker of the route on to a pose of the rig, and tell the route ahead in the rig frame.
 
     Returns:
-        Points (20, 2) every 80 / 19 metres, NaN where the route ends earlier or is not known.
+        Points (20, 2) every 80 / 19 metres with what goes along, NaN where the route ends earlier or is not known.
     """
-    route = np.full((ROUTE_POINTS, 2), np.nan)
     if tracker is None:
-        return route
+        return np.full((ROUTE_POINTS, 2), np.nan)
     tracker.advance(np.array([x, y]))
-    ahead = tracker.points_ahead(_ROUTE_DISTANCES) - (x, y)
+    ahead = tracker.points_ahead(_ROUTE_DISTANCES)
+    apart_x, apart_y = ahead[:, 0] - x, ahead[:, 1] - y
     cos, sin = np.cos(yaw), np.sin(yaw)
-    route[: len(ahead), 0] = cos * ahead[:, 0] + sin * ahead[:, 1]
-    route[: len(ahead), 1] = cos * ahead[:, 1] - sin * ahead[:, 0]
+    route = np.full((ROUTE_POINTS, ahead.shape[1]), np.nan)
+    route[: len(ahead), 0] = cos * apart_x + sin * apart_y
+    route[: len(ahead), 1] = cos * apart_y - sin * apart_x
+    route[: len(ahead), 2:] = ahead[:, 2:]
     return route
 
 
@@ -111,7 +113,7 @@ def routes_ahead(route: Array, poses: Array) -> Array:
     """The route ahead (n, 20, 2) at poses (n, 3) x, y, yaw of the rig, each 0.1 s after the one before.
 
     As the closed loop shows it to a policy that takes over at the first of them (`route_ahead`); the route (m, 2) has
-    one point or more.
+    one point or more, and further columns, where there are any, go along.
     """
     tracker = PathTracker(route)
     tracker.start_at(poses[0, :2])

@@ -43,7 +43,9 @@ class PolicySample:
             at TRUTH_OFFSETS_US, each in its place at all times; NaN where nobody is or nothing is known.
         obstacle_classes: (32,) int64 numbers of `recordings.truth.OBSTACLE_CLASSES`, -1 where there is none.
         hold: (2,) float32: whether the way is held (1 or 0), and metres to the line that is or will be held; NaN where
-            there is none, or nothing is known. These three are None where they were not asked for.
+            there is none, or nothing is known.
+        road: (20, 4) float32 x, y of points ahead on the route, and metres of road to the right and left of each; NaN
+            where the route ends or nothing is known. These four are None where they were not asked for.
     """
 
     image_frames: NDArray[np.uint8]
@@ -61,3 +63,4 @@ class PolicySample:
     obstacle_boxes: NDArray[np.float32] | None = None
     obstacle_classes: NDArray[np.int64] | None = None
     hold: NDArray[np.float32] | None = None
+    road: NDArray[np.float32] | None = None

@@ -52,6 +52,7 @@ class Recording:
         route: (n, 2) metres, n >= 2, the line that the vehicle was meant to follow, seen from the rig at time 0 without
             its roll and pitch; None where it is not known.
         obstacles, holds: what is known of others and of the right to go on (`recordings.truth`).
+        road: (k, 4) x, y of points of the route, k >= 2, as `route`, and metres of road to the right and left of each.
     """
 
     name: str
@@ -73,6 +74,7 @@ class Recording:
     route: Array | None = None
     obstacles: ObstacleTracks | None = None
     holds: Holds | None = None
+    road: Array | None = None
 
 
 def refuse_unused(given: Mapping[str, bool], why: str) -> None:
