@@ -88,7 +88,7 @@ def gather_moments(policy: "ToyPolicy", samples: "Iterable[PolicySample]") -> "I
         routes = pad_route(observation.route_xy)[None]
         along = cells_along(history, routes)
         known, truth = gather_truth([sample], along)
-        if not known[0]:
+        if not known[0].all():
             continue
         drawn = policy.draw(observation)
         driven = planar_poses(sample.ego_future_xyz[0].astype(np.float64), sample.ego_future_rot[0].astype(np.float64))

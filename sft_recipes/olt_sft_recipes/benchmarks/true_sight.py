@@ -108,7 +108,7 @@ class TrueSightDriver:
         from olt_closed_loop.privileged.labels import label_holds, label_obstacles
         from olt_generator.poses import yaw_of
         from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD
-        from olt_sft_recipes.training.auxiliary import cell_truth
+        from olt_sft_recipes.training.auxiliary import others_truth, road_truth
         from olt_toolkit.policy.route import route_ahead
 
         standing = _standing(self._scene, time_us, T_world_rig)
@@ -120,7 +120,7 @@ class TrueSightDriver:
         hold = np.array([float(holds.is_held[0]), holds.distance[0]])
         x, y = T_world_rig[:2, 3].tolist()
         road = route_ahead(self._road, x, y, float(yaw_of(T_world_rig)))
-        return cell_truth(along, boxes, hold, road)
+        return np.concatenate([others_truth(along, boxes, hold), road_truth(road)[None]])
 
 
 def _standing(scene: "Scene", time_us: int, T_world_rig: "Array") -> "Scene":

@@ -52,7 +52,7 @@ def find_free_path(occupancy: Occupancy, speed: float | None) -> TriedPath:
     offsets = gaussian_filter1d(np.interp(way, stations - station, smooth), _FINE_SMOOTHING, mode="nearest")
     offsets += (left - offsets[0]) * np.exp(-way / _RETURN)
     offsets += (start - (offsets[1] - offsets[0]) / STEP) * way * np.exp(-way / _TURNS_BACK)
-    return TriedPath.of(line.poses_beside(station + way, offsets), line)
+    return TriedPath.beside(line, station + way, offsets)
 
 
 def _costs(occupancy: Occupancy, stations: Array, speed: float | None) -> Array:

@@ -22,8 +22,8 @@ BODY = (-0.7, 0.7, 2.1, 3.5)
 """Metres ahead of the rig's origin of the points of the vehicle at which others are looked up."""
 BESIDE = 0.2
 """Metres to both sides of them that are looked up. Cells tell of boxes up to a metre away (`training.auxiliary`)."""
-HALF_WIDTH = 1.0
-"""Metres to both sides of them that must be road."""
+ENDS, HALF_WIDTH = (-1.2, 4.0), 1.1
+"""Metres ahead of the rig's origin, and to both sides of them, that must be road."""
 HOLD_SECONDS = 3.0
 """How long a line that is held is not passed."""
 _STATION_STEP, _OFFSET_STEP = 0.5, 0.1
@@ -33,20 +33,28 @@ _INTERVAL = SECONDS_AHEAD[1] - SECONDS_AHEAD[0]
 
 @dataclass(frozen=True)
 class Room:
-    """Shares of 1 (seconds and one more, stations, offsets): from each of SECONDS_AHEAD to the next; last those that
-    stay all the time."""
+    """Shares of 1 on a fine grid.
+
+    Attributes:
+        shares: (seconds and one more, stations, offsets) from each of SECONDS_AHEAD to the next; last those that stay
+            all the time. The grid has a border of 0.
+    """
 
     shares: NDArray[np.floating]
+
+    @classmethod
+    def of(cls, moving: NDArray[np.floating], staying: NDArray[np.floating]) -> "Room":
+        """Of shares (seconds, stations, offsets) and of those (stations, offsets) that stay."""
+        return cls(np.pad(np.concatenate([moving, staying[None]]), ((0, 0), (1, 1), (1, 1))))
 
     def taken(self, seconds: Array | None, stations: Array, offsets: Array) -> Array:
         """How likely somebody is there (...) at times and places that are broadcast; None for who stays."""
         last = len(self.shares) - 1
         when = last if seconds is None else np.clip((seconds / _INTERVAL + 1e-6).astype(np.int64), 0, last - 1)
-        row = np.rint(stations / _STATION_STEP).astype(np.int64)
-        column = np.rint((offsets - OFFSETS[0]) / _OFFSET_STEP).astype(np.int64)
-        rows, columns = self.shares.shape[1:]
-        inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-        return np.where(inside, self.shares[when, np.clip(row, 0, rows - 1), np.clip(column, 0, columns - 1)], 0.0)
+        _, rows, columns = self.shares.shape
+        row = np.clip(stations / _STATION_STEP + 1.5, 0.0, rows - 0.5).astype(np.int64)
+        column = np.clip((offsets - OFFSETS[0]) / _OFFSET_STEP + 1.5, 0.0, columns - 0.5).astype(np.int64)
+        return self.shares[when, row, column]
 
 
 @dataclass(frozen=True)
@@ -88,18 +96,18 @@ class Occupancy:
         shares = maximum_filter1d(shares, 2 * round(BESIDE / _OFFSET_STEP) + 1, axis=2)
         shares = maximum_filter1d(shares, 3, axis=1)
         between = np.maximum(shares, np.concatenate([shares[1:], shares[-1:]]))
-        return Room(np.concatenate([between, np.minimum(shares[:1], shares[-1:])]))
+        return Room.of(between, np.minimum(shares[0], shares[-1]))
 
     @cached_property
     def roadside(self) -> Room:
         """How likely the vehicle, turned along the route, has a side where no road is, on the same grid."""
         beyond = maximum_filter1d(1.0 - _refined(self.road[None]), 2 * round(HALF_WIDTH / _OFFSET_STEP) + 1, axis=2)
-        return Room(np.concatenate([beyond, beyond]))
+        return Room.of(beyond, beyond[0])
 
     def off_road(self, station: Array, left: Array, turned: Array) -> Array:
         """How likely the vehicle is off the road (...) at places beside the route (...)."""
         aside = np.sin(turned)
-        return np.max([self.roadside.taken(None, station + at, left + at * aside) for at in BODY[::3]], axis=0)
+        return np.max([self.roadside.taken(None, station + at, left + at * aside) for at in ENDS], axis=0)
 
     def contacts(self, seconds: Array, station: Array, left: Array, turned: Array) -> Array:
         """How likely the vehicle meets somebody (...) at times and places beside the route (...)."""

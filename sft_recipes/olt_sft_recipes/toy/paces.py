@@ -13,14 +13,14 @@ FIRST: Array = np.array([-7.0, -5.0, -3.0, -1.5, -0.7, 0.0, 0.7, 1.5])
 SECOND: Array = np.array([-6.0, -3.0, -1.0, 0.0, 1.5])
 """Accelerations, m/s2."""
 FIRST_SECONDS = 1.0
-ACCELERATIONS: Array = np.repeat(FIRST, len(SECOND))
-"""What each pace begins with, m/s2."""
+ACCELERATIONS: Array = np.stack([np.repeat(FIRST, len(SECOND)), np.tile(SECOND, len(FIRST))])
+"""Those of each pace (2, paces), m/s2."""
 
 
 def pace_ways(speed: float, most: float) -> tuple[Array, Array]:
     """Metres made and speeds in m/s, each (paces, 64), of all paces from a speed, which speed up to `most` m/s."""
     first = np.arange(FUTURE_STEPS) * STEP_SECONDS < FIRST_SECONDS
-    rates = np.where(first, ACCELERATIONS[:, None], np.tile(SECOND, len(FIRST))[:, None])
+    rates = np.where(first, *ACCELERATIONS[..., None])
     speeds = np.empty((len(rates), FUTURE_STEPS + 1))
     speeds[:, 0] = speed
     for step, rate in enumerate(rates.T):

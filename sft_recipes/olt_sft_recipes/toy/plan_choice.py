@@ -6,6 +6,7 @@ better, in the seconds of which its sight tells. It costs what it is thought to 
 after that, a line that is held, being off the road, being close behind somebody, and being aside.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,16 +30,21 @@ FADES, LEAST_FADED = 0.12, 0.3
 """By how much less a contact counts for every second until then, and what is left: there is time to see better."""
 STANDING, MOVING = 0.15, 1.0
 """What a contact counts for who stands, and the speed from which on it counts whole, m/s."""
-OFF_ROAD_COST = 2.0
-"""What it costs to be off the road all the time."""
+OFF_ROAD_COST = 1.0
+"""What it costs to be off the road at all."""
 CLOSE_COST, CLOSE = 0.05, (2.5, 5.0)
 """What it costs to be behind somebody all the time, and how many metres before the vehicle are looked at."""
+SLOW = 2.0
+"""Speed below which it costs as much to have somebody straight ahead where the path leads past, m/s: who stops there
+does not get around any more."""
 BEND_COST = 0.3
 """What it costs to accelerate to the side by twice LATERAL all the time."""
+SHARPEST = 0.16
+"""Curvature beyond which a path is not driven, 1/m; it costs 1 for every SHARPEST more."""
 ASIDE_COST = 0.01
 """What a metre aside costs."""
-EFFORT_COST = 0.001
-"""What it costs to begin with 1 m/s2."""
+EFFORT_COST = 0.0015
+"""What it costs to accelerate or brake with 1 m/s2 at first and with as much later; with the square of it."""
 OTHER_COST, FREE_COST = 0.01, 0.003
 """What it costs to take a path aside, or the freest one, in place of one that was drawn."""
 STOPPING = 3.0
@@ -84,9 +90,10 @@ def choose_plan(plans: Array, speed: float, occupancy: Occupancy, way_worth: flo
     tried = [(path, 0.0) for path in drawn_paths(plans, line)]
     tried += [(path, OTHER_COST) for path in paths_aside(line, speed)]
     tried += [(find_free_path(occupancy, at), FREE_COST) for at in (None, max(speed, 0.5 * CRUISE))]
-    worth = np.stack([_worth(path, paces, occupancy, way_worth) - cost for path, cost in tried])
+    paths, costs = zip(*tried, strict=True)
+    worth = _worth(paths, paces, occupancy, way_worth) - np.array(costs)[:, None]
     path, pace = np.unravel_index(int(worth.argmax()), worth.shape)
-    return tried[path][0].poses_at(paces.driven[pace])
+    return paths[path].poses_at(paces.driven[pace])
 
 
 def _most_speed(plans: Array, speed: float, bend_speed: float) -> float:
@@ -96,25 +103,33 @@ def _most_speed(plans: Array, speed: float, bend_speed: float) -> float:
     return min(max(float(ends[0]), kept, CRUISE), bend_speed)
 
 
-def _worth(path: TriedPath, paces: _Paces, occupancy: Occupancy, way_worth: float) -> Array:
-    """What paces (paces,) along a path are worth."""
-    station, left, turned = path.beside_at(paces.ways)
+def _worth(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy, way_worth: float) -> Array:
+    """What paces along paths are worth (paths, paces)."""
+    station, left, turned = np.stack([path.beside_at(paces.ways) for path in paths], axis=1)
     made = 2.0 * paces.ways[:, _BEFORE].mean(axis=1) + 0.5 * paces.last
-    counts = STANDING + (1.0 - STANDING) * np.minimum(paces.speeds / MOVING, 1.0)
-    met = (occupancy.contacts(_SECONDS, station, left, turned) * counts * _FADED).max(axis=1)
-    close = np.zeros(len(station))
+    counts = (STANDING + (1.0 - STANDING) * np.minimum(paces.speeds / MOVING, 1.0)) * _FADED
+    met = (occupancy.contacts(_SECONDS, station, left, turned) * counts).max(axis=-1)
+    slow = np.maximum(1.0 - paces.speeds[:, _BEFORE] / SLOW, 0.0)
+    close = np.zeros(met.shape)
     for metres in CLOSE:
-        ahead, beside, _ = path.beside_at(paces.ways[:, _BEFORE] + metres + BODY[-1])
-        close += occupancy.room.taken(_SECONDS[_BEFORE], ahead, beside).mean(axis=1) / len(CLOSE)
-    sideways = paces.speeds**2 * np.interp(paces.ways, path.arc, path.bends)
+        beyond = metres + BODY[-1]
+        ahead, beside, _ = np.stack([path.beside_at(paces.ways[:, _BEFORE] + beyond) for path in paths], axis=1)
+        on_path = occupancy.room.taken(_SECONDS[_BEFORE], ahead, beside)
+        aside = left[..., _BEFORE] + beyond * np.sin(turned[..., _BEFORE])
+        straight = occupancy.room.taken(_SECONDS[_BEFORE], station[..., _BEFORE] + beyond, aside)
+        close += np.maximum(on_path, slow * straight).mean(axis=-1) / len(CLOSE)
+    bends = np.stack([np.interp(paces.ways[:, _BEFORE], path.arc, path.bends) for path in paths])
+    off_road = occupancy.off_road(*(each[..., _BEFORE] for each in (station, left, turned)))
+    sideways = paces.speeds[:, _BEFORE] ** 2 * bends
     return (
         way_worth * made / (CRUISE * (SECONDS_AHEAD[-1] + 0.5))
         - np.maximum(met, occupancy.crossings(_SECONDS, station))
-        - OFF_ROAD_COST * occupancy.off_road(station, left, turned)[:, _BEFORE].mean(axis=1)
+        - OFF_ROAD_COST * off_road.max(axis=-1)
         - CLOSE_COST * close
-        - BEND_COST * np.maximum(sideways / LATERAL - 1.0, 0.0)[:, _BEFORE].mean(axis=1)
-        - ASIDE_COST * np.abs(left[:, _BEFORE]).mean(axis=1)
-        - EFFORT_COST * np.abs(ACCELERATIONS)
+        - BEND_COST * np.maximum(sideways / LATERAL - 1.0, 0.0).mean(axis=-1)
+        - np.maximum(bends / SHARPEST - 1.0, 0.0).max(axis=-1)
+        - ASIDE_COST * np.abs(left[..., _BEFORE]).mean(axis=-1)
+        - EFFORT_COST * 0.5 * (ACCELERATIONS**2).sum(axis=0)
     )
 
 

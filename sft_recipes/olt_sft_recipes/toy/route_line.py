@@ -55,20 +55,19 @@ class RouteLine:
         turned = (poses[..., 2] - yaw + np.pi) % (2.0 * np.pi) - np.pi
         return np.stack([station[nearest] + along, left, turned], axis=-1)
 
-    def poses_beside(self, stations: Array, offsets: Array) -> Array:
-        """Poses (n, 3) of a path that is at rising stations (n,) so many metres to the left (n,)."""
+    def path_beside(self, stations: Array, offsets: Array) -> tuple[Array, Array]:
+        """Poses (n, 3) of a path that is at rising stations (n,) so many metres to the left (n,), and its turn (n,)."""
         known, *columns = self._fine
         x, y, heading, curvature = (np.interp(stations, known, column) for column in columns)
-        slope = np.gradient(offsets, stations) / np.maximum(1.0 - curvature * offsets, _LEAST)
-        return np.stack(
-            [x - offsets * np.sin(heading), y + offsets * np.cos(heading), heading + np.arctan(slope)], axis=-1
-        )
+        turned = np.arctan(np.gradient(offsets, stations) / np.maximum(1.0 - curvature * offsets, _LEAST))
+        poses = np.stack([x - offsets * np.sin(heading), y + offsets * np.cos(heading), heading + turned], axis=-1)
+        return poses, turned
 
     def beyond(self, pose: Array) -> Array:
         """Poses (n, 3) along the line from a pose (3,) on, as far to its side."""
         station, left, _ = self.locate(pose)
         stations = np.arange(station + STEP, self._fine[0][-1], STEP)
-        return self.poses_beside(stations, np.full(len(stations), left)) if len(stations) > 1 else np.empty((0, 3))
+        return self.path_beside(stations, np.full(len(stations), left))[0] if len(stations) > 1 else np.empty((0, 3))
 
     @cached_property
     def bend_speed(self) -> float:

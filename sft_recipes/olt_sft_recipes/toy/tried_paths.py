@@ -14,7 +14,7 @@ from olt_sft_recipes.toy.route_line import STEP, RouteLine
 
 ASIDE: Array = np.array([-4.0, -3.25, -2.5, -1.75, -1.0, -0.5, 0.0, 0.5, 1.0, 1.75, 2.5, 3.25, 4.0])
 """Metres to the left of the route that paths go over to."""
-SHORT, LONG = (6.0, 2.0, 20.0), (14.0, 4.0, 32.0)
+SHORT, LONG = (9.0, 2.0, 20.0), (16.0, 4.0, 32.0)
 """The way that going over takes: at least so many metres, so many seconds, at most so many metres."""
 LENGTH = 80.0
 """Metres that paths are long."""
@@ -29,12 +29,12 @@ class TriedPath:
     Attributes:
         arc: (n,) rising, metres.
         poses: (n, 3) x, y in metres and yaw in the rig frame.
-        beside: (n, 3) station, metres to the left of the route and turn against it.
+        places: (n, 3) station, metres to the left of the route and turn against it.
     """
 
     arc: Array
     poses: Array
-    beside: Array
+    places: Array
 
     @classmethod
     def of(cls, poses: Array, line: RouteLine) -> "TriedPath":
@@ -43,6 +43,13 @@ class TriedPath:
         moved = np.concatenate([[True], steps > 1e-6])
         arc = np.concatenate([[0.0], np.cumsum(steps)])[moved]
         return cls(arc, poses[moved], line.locate(poses[moved]))
+
+    @classmethod
+    def beside(cls, line: RouteLine, stations: Array, offsets: Array) -> "TriedPath":
+        """The path that is at rising stations (n,) so many metres to the left of a line (n,)."""
+        poses, turned = line.path_beside(stations, offsets)
+        arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+        return cls(arc, poses, np.stack([stations, offsets, turned], axis=-1))
 
     @cached_property
     def bends(self) -> Array:
@@ -55,7 +62,7 @@ class TriedPath:
 
     def beside_at(self, ways: Array) -> tuple[Array, Array, Array]:
         """Station, metres to the left and turn (...) after ways (...) in metres."""
-        station, left, turned = (np.interp(ways, self.arc, column) for column in self.beside.T)
+        station, left, turned = (np.interp(ways, self.arc, column) for column in self.places.T)
         return station, left, turned
 
 
@@ -81,4 +88,4 @@ def path_aside(line: RouteLine, aside: float, over: tuple[float, float, float], 
     offsets = left + slope * share
     offsets += (10.0 * apart - 6.0 * slope) * share**3
     offsets += (8.0 * slope - 15.0 * apart) * share**4 + (6.0 * apart - 3.0 * slope) * share**5
-    return TriedPath.of(line.poses_beside(station + way, offsets), line)
+    return TriedPath.beside(line, station + way, offsets)

@@ -37,7 +37,7 @@ class SightTruth:
     """What the heads of the image encoder are to tell.
 
     Attributes:
-        known: (n,) bool, whether the sample knows it.
+        known: (n, 2) bool, whether the sample knows others and holds, and the road.
         route: (n, seconds + 2, stations, offsets) uint8 as `Sight.route`, 255 for 1.
     """
 
@@ -50,34 +50,33 @@ def gather_truth(samples: Sequence[PolicySample], along: Array) -> tuple[NDArray
 
     Args:
         samples: n samples.
-        along: (n, stations, offsets, 3) cells of their bird's-eye grids.
+        along: (n, stations, offsets, 3) cells of their bird's-eye grids along the route.
     """
-    known = np.zeros(len(samples), bool)
+    known = np.zeros((len(samples), 2), bool)
     truth = np.zeros((len(samples), len(SECONDS_AHEAD) + 2, len(STATIONS), len(OFFSETS)), np.uint8)
     for row, sample in enumerate(samples):
-        if sample.obstacle_boxes is None or sample.hold is None or sample.road is None:
-            continue
-        if np.isnan(sample.hold[0]) or np.isnan(sample.road[0, 0]):
-            continue
-        known[row] = True
-        boxes = _boxes_at_heads(sample.obstacle_boxes.astype(np.float64))
-        truth[row] = cell_truth(along[row], boxes, sample.hold, sample.road.astype(np.float64))
+        if sample.obstacle_boxes is not None and sample.hold is not None and not np.isnan(sample.hold[0]):
+            known[row, 0] = True
+            boxes = _boxes_at_heads(sample.obstacle_boxes.astype(np.float64))
+            truth[row, :-1] = others_truth(along[row], boxes, sample.hold)
+        if sample.road is not None and not np.isnan(sample.road[0, 0]):
+            known[row, 1] = True
+            truth[row, -1] = road_truth(sample.road.astype(np.float64))
     return known, truth
 
 
-def cell_truth(along: Array, boxes: Array, hold: NDArray[np.floating], road: Array) -> NDArray[np.uint8]:
-    """What is true of cells (seconds + 2, stations, offsets), as `SightTruth` has it.
+def others_truth(along: Array, boxes: Array, hold: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """What is true of cells (seconds + 1, stations, offsets) but for the road, as `SightTruth` has it.
 
     Args:
         along: (stations, offsets, 3) cells of the bird's-eye grid.
         boxes: (seconds, k, 5) at SECONDS_AHEAD in the rig frame at t0.
-        hold, road: as in `PolicySample`.
+        hold: as in `PolicySample`.
     """
-    truth = np.zeros((len(SECONDS_AHEAD) + 2, len(STATIONS), len(OFFSETS)), np.uint8)
-    truth[:-2] = np.rint(_WHOLE * nearness(along[:, TOLD], boxes))
+    truth = np.zeros((len(SECONDS_AHEAD) + 1, len(STATIONS), len(OFFSETS)), np.uint8)
+    truth[:-1] = np.rint(_WHOLE * nearness(along[:, TOLD], boxes))
     if hold[0] == 1.0:
-        truth[-2] = _WHOLE * (np.abs(STATIONS - FRONT - hold[1]) < HELD_ROOM)[:, None]
-    truth[-1] = np.rint(_WHOLE * road_share(road))
+        truth[-1] = _WHOLE * (np.abs(STATIONS - FRONT - hold[1]) < HELD_ROOM)[:, None]
     return truth
 
 
@@ -114,14 +113,14 @@ def nearness(cells: Array, boxes: Array) -> Array:
     return found
 
 
-def road_share(road: Array) -> Array:
-    """What share of cells (stations, offsets) is road, of points of the route with the road beside them (20, 4)."""
+def road_truth(road: Array) -> NDArray[np.uint8]:
+    """What share of cells (stations, offsets) is road, 255 for 1, of points with the road beside them (20, 4)."""
     known = road[~np.isnan(road[:, 0])]
     way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(known[:, :2], axis=0).T))])
     right, left = (np.interp(STATIONS, way, column)[:, None] for column in known[:, 2:].T)
     width = OFFSETS[1] - OFFSETS[0]
     inner = np.minimum(left - OFFSETS, right + OFFSETS)
-    return np.clip(inner / width + 0.5, 0.0, 1.0)
+    return np.rint(_WHOLE * np.clip(inner / width + 0.5, 0.0, 1.0)).astype(np.uint8)
 
 
 def sight_errors(sight: Sight, truth: SightTruth) -> Tensor:
@@ -129,7 +128,9 @@ def sight_errors(sight: Sight, truth: SightTruth) -> Tensor:
     errors = functional.binary_cross_entropy_with_logits(
         sight.route, truth.route / _WHOLE, pos_weight=torch.tensor(TAKEN_WEIGHT), reduction="none"
     )
-    return _SIGHT_SCALE * errors.mean((1, 2, 3)) * truth.known
+    planes = errors.mean((2, 3))
+    others, road = planes[:, :-1].sum(dim=1), planes[:, -1]
+    return _SIGHT_SCALE / planes.shape[1] * (others * truth.known[:, 0] + road * truth.known[:, 1])
 
 
 def plan_errors(planned: Tensor, wanted: Tensor, speeds: Tensor) -> Tensor:

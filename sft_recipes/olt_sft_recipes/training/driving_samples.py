@@ -41,7 +41,7 @@ class DrivingSamples:
         routes: (n, 20, 2) route ahead in metres in the rig frame at t0, filled up with NaN.
         config: of the model that they are for.
         invented: (n,) share of the pixels of the images that is invented, at the size of the clip.
-        truth_known: (n,) bool, whether it is known what is where.
+        truth_known: (n, 2) bool, whether it is known who is where and what is held, and where the road is.
         truth_route: (n, ...) uint8 of what is where (`auxiliary.SightTruth`).
     """
 
@@ -131,7 +131,7 @@ class DrivingSamples:
         )
         future = np.stack([x, y, yaw + heading - angles[:, None]], axis=-1)
         routes = np.stack(_seen_from(self.routes[..., 0], self.routes[..., 1], offsets, angles), axis=-1)
-        return replace(self, images=images, future=future, routes=routes, truth_known=np.zeros(len(self), bool))
+        return replace(self, images=images, future=future, routes=routes, truth_known=np.zeros_like(self.truth_known))
 
     def speeds(self) -> Array:
         """Speeds (n,) at t0 in m/s, from which `actions` are driven."""

@@ -35,7 +35,9 @@ def test_places_in_a_bend_are_told_from_its_middle():
 def test_a_path_beside_the_line_is_where_it_was_asked_to_be(radius, left):
     line, stations = line_of(circle(radius)), np.arange(3.0, 40.0)
     offsets = left * np.sin(stations / 15.0)
-    told = line.locate(line.poses_beside(stations, offsets))
+    poses, turned = line.path_beside(stations, offsets)
+    told = line.locate(poses)
+    assert told[:, 2] == pytest.approx(turned, abs=0.1)
     assert told[:, 0] == pytest.approx(stations, abs=0.4) and told[:, 1] == pytest.approx(offsets, abs=0.15)
 
 

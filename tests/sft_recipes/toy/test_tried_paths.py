@@ -36,7 +36,7 @@ def test_paces_keep_their_acceleration_never_go_back_and_do_not_exceed_their_spe
 
 def test_a_braking_pace_makes_the_way_of_its_deceleration():
     ways, _ = pace_ways(8.0, 8.0)
-    both = np.flatnonzero(ACCELERATIONS == -3.0)[1]  # -3 m/s2 at first and after that
+    (both,) = np.flatnonzero((ACCELERATIONS == -3.0).all(axis=0))
     assert ways[both, -1] == pytest.approx(8.0**2 / 6.0, rel=0.02)
 
 
@@ -83,5 +83,5 @@ def test_who_has_gone_when_the_vehicle_comes_is_not_driven_around():
     def leaves(second, station, offset):
         return (abs(station - 30.0) < 4.0) & (second < 1.0) & (abs(offset) < 1.5)
 
-    assert np.abs(find_free_path(occupancy(leaves), 8.0).beside[:, 1]).max() < 0.3
-    assert np.abs(find_free_path(occupancy(leaves), None).beside[:, 1]).max() < 0.3
+    assert np.abs(find_free_path(occupancy(leaves), 8.0).places[:, 1]).max() < 0.3
+    assert np.abs(find_free_path(occupancy(leaves), None).places[:, 1]).max() < 0.3

@@ -16,7 +16,7 @@ from olt_sft_recipes.training.auxiliary import (
     drive,
     gather_truth,
     plan_errors,
-    road_share,
+    road_truth,
     sight_errors,
 )
 from olt_toolkit.policy.action_space import actions_to_trajectory
@@ -71,10 +71,10 @@ def test_cells_tell_how_near_a_box_is(x, y, yaw, length, width):
 def test_cells_tell_where_the_road_ends(right, left):
     """Between the cells it ends where half of one is road."""
     road = np.column_stack([ROUTE, np.full(20, right), np.full(20, left)])
-    share = road_share(road)[5]
+    share = road_truth(road)[5] / 255.0
     for end, side in ((left, 1.0), (right, -1.0)):
         if 0.5 < end < 5.0 and left + right > 1.6:
-            assert np.interp(side * end, OFFSETS, share) == pytest.approx(0.5, abs=0.07)
+            assert np.interp(side * end, OFFSETS, share) == pytest.approx(0.5, abs=0.08)
     assert (share[(left + 0.4 < OFFSETS) | (-right - 0.4 > OFFSETS)] == 0.0).all()
 
 
@@ -100,12 +100,21 @@ def test_a_line_that_is_held_is_in_its_place_and_one_that_is_not_is_nowhere():
 
 def test_who_knows_nothing_learns_nothing():
     known, route = gather_truth([make_sample(0.0), sample_with(NOBODY)], np.repeat(ALONG, 2, axis=0))
-    assert known.tolist() == [False, True] and not route[0].any() and route[1].any()
+    assert known.tolist() == [[False, False], [True, True]] and not route[0].any() and route[1].any()
     logits = torch.randn(route.shape, requires_grad=True)
     truth = SightTruth(torch.from_numpy(known), torch.from_numpy(route))
     errors = sight_errors(Sight(torch.zeros(2, 1, 1), logits), truth)
     errors.sum().backward()
     assert errors[0] == 0.0 and errors[1] > 0.0 and not logits.grad[0].any() and logits.grad[1].any()
+
+
+def test_who_knows_others_and_no_road_learns_of_them_alone():
+    known, route = gather_truth([replace(sample_with(NOBODY), road=None)], ALONG)
+    assert known.tolist() == [[True, False]]
+    logits = torch.zeros(route.shape, requires_grad=True)
+    truth = SightTruth(torch.from_numpy(known), torch.from_numpy(route))
+    sight_errors(Sight(torch.zeros(1, 1, 1), logits), truth).sum().backward()
+    assert logits.grad[0, :-1].all() and not logits.grad[0, -1].any()
 
 
 @given(st.integers(0, 1000), st.floats(0.0, 15.0))
