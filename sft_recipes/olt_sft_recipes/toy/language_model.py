@@ -86,6 +86,8 @@ class VisionLanguageModel(nn.Module):
         self.blocks = nn.ModuleList([CausalBlock(config) for _ in range(config.layers)])
         self.norm = nn.LayerNorm(width)
         self.regression_head = nn.Linear(width, FUTURE_TOKENS)
+        # 1 once a sample has told its sight what is where: nobody chooses plans by a sight that never learned.
+        self.register_buffer("sight_taught", torch.zeros(1))
         with torch.no_grad():
             smooth = torch.cat([smooth_embedding(bins, width) for bins in (FUTURE_BINS, HISTORY_BINS)])
             self.token_embedding.weight.copy_(smooth)

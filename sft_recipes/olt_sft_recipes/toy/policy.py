@@ -54,6 +54,7 @@ class ToyPolicy:
         self.model = model.eval().requires_grad_(False)
         self.cameras = model.config.contract.cameras
         self.image_size = (model.config.image_height, model.config.image_width)
+        self._chooses = model.config.chooses_plan and bool(model.vlm.sight_taught.item())
 
     def reset(self, seed: int, scene: str) -> None:
         """Nothing is kept between calls."""
@@ -65,7 +66,7 @@ class ToyPolicy:
             InputError: the observation holds no images.
         """
         drawn = self.draw(observation)
-        if not self.model.config.chooses_plan:
+        if not self._chooses:
             return PlannedTrajectory(drawn.xyz[0], drawn.rotation[0])
         x, y, yaw = choose_plan(drawn.plans, drawn.speed, drawn.occupancy()).T
         chosen = planar_pose(x, y, yaw)
@@ -85,7 +86,7 @@ class ToyPolicy:
         routes = pad_route(observation.route_xy)[None]
         generator = torch.Generator().manual_seed(observation.seed)
         noise = torch.randn(config.plans_drawn, FUTURE_STEPS, ACTION_SIZE, generator=generator)
-        if config.chooses_plan:
+        if self._chooses:
             noise[0] = 0.0  # leads to the middle of what it would do
         inputs = encode_inputs(images, history, routes, config)
         with torch.inference_mode():

@@ -110,6 +110,8 @@ def sample_losses(model: ToyModel, stage: StageConfig, batch: TrainingBatch, war
     if stage.stage == 2:
         prefix = model.vlm.read_prefix(batch.inputs)
         return model.expert.loss(batch.actions, batch.draws["time"], batch.draws["noise"], prefix)
+    if stage.sight_weight > 0.0 and batch.truth.known[:, 0].any():
+        model.vlm.sight_taught.fill_(1.0)
     if warmup:
         regressed, sight = model.vlm.regress(batch.inputs)
         return plan_errors(regressed, batch.actions, batch.speeds) + stage.sight_weight * sight_errors(

@@ -76,6 +76,17 @@ def test_a_plan_is_a_pure_function_of_the_observation(model, drives):
     assert np.array_equal(first.xyz, again.xyz) and not np.array_equal(first.xyz, other.xyz)
 
 
+def test_nobody_chooses_by_a_sight_that_never_learned(model, drives, monkeypatch):
+    monkeypatch.setattr("olt_sft_recipes.toy.policy.choose_plan", lambda plans, *_: np.full((64, 3), 7.0))
+    sample = next(iter(drives.values()))
+    assert not np.array_equal(ToyPolicy(model).plan(observe(sample, 1)).xyz[:, 0], np.full(64, 7.0))
+    model.vlm.sight_taught.fill_(1.0)
+    try:
+        assert np.array_equal(ToyPolicy(model).plan(observe(sample, 1)).xyz[:, 0], np.full(64, 7.0))
+    finally:
+        model.vlm.sight_taught.fill_(0.0)
+
+
 def test_an_observation_without_images_is_refused(model, drives):
     blind = observe(next(iter(drives.values())), 0)
     blind = Observation(None, *(getattr(blind, name) for name in list(vars(blind))[1:]))

@@ -17,7 +17,7 @@ def samples(drives, tiny_config):
 def drive_along(future, config):
     """One drive without history, images and truth along a future (1, 64, 3) and its route."""
     images, history = np.zeros((1, 4, 2, 3, 16, 32), np.uint8), np.zeros((1, 16, 3))
-    truth = np.zeros(1, bool), np.zeros((1, 10, 32, 14), np.uint8), np.zeros((1, 9, 24, 24), np.uint8)
+    truth = np.zeros((1, 2), bool), np.zeros((1, 11, 32, 14), np.uint8)
     return DrivingSamples(images, history, future, future[:, ::4, :2], config, np.zeros(1), *truth)
 
 
