@@ -71,6 +71,9 @@ class CausalBlock(nn.Module):
 class VisionLanguageModel(nn.Module):
     """Image encoder and causal transformer; what Stage 1 trains and Stage 2 freezes."""
 
+    sight_taught: Tensor
+    """(1,) 1 once a sample has told its sight what is where: nobody chooses plans by a sight that never learned."""
+
     def __init__(self, config: ToyPolicyConfig) -> None:
         super().__init__()
         width = config.width
@@ -86,7 +89,6 @@ class VisionLanguageModel(nn.Module):
         self.blocks = nn.ModuleList([CausalBlock(config) for _ in range(config.layers)])
         self.norm = nn.LayerNorm(width)
         self.regression_head = nn.Linear(width, FUTURE_TOKENS)
-        # 1 once a sample has told its sight what is where: nobody chooses plans by a sight that never learned.
         self.register_buffer("sight_taught", torch.zeros(1))
         with torch.no_grad():
             smooth = torch.cat([smooth_embedding(bins, width) for bins in (FUTURE_BINS, HISTORY_BINS)])
