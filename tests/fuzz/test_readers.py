@@ -106,6 +106,7 @@ def make_clip(name, category):
             np.tile([9.0, 2.0, 0.8, 0.1, 4.6, 1.9, 1.5], (90, 1)),
         ),
         holds=Holds(timestamps_us, timestamps_us < 2_000_000, np.full(90, 12.0)),
+        road=np.array([[0.0, 0.0, 2.5, 6.0], [50.0, 1.0, 2.5, 6.0]]),
         **described,
     )
 
