@@ -31,7 +31,7 @@ class ToyPolicyConfig(BaseModel, frozen=True, extra="forbid"):
         integration_steps: Euler steps from noise to a plan.
         plans_drawn: how many plans it draws.
         chooses_plan: whether its sight chooses among them and others (`plan_choice`), the first of which starts from no
-            noise then; or the first draw is driven, as it always is where no sample told the sight what is where.
+            noise then; or the first draw is driven. Where no sample told the sight what is where, the first is driven.
     """
 
     rig: str = DEFAULT_CONTRACT.name

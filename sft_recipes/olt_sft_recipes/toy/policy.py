@@ -86,7 +86,7 @@ class ToyPolicy:
         routes = pad_route(observation.route_xy)[None]
         generator = torch.Generator().manual_seed(observation.seed)
         noise = torch.randn(config.plans_drawn, FUTURE_STEPS, ACTION_SIZE, generator=generator)
-        if self._chooses:
+        if config.chooses_plan:
             noise[0] = 0.0  # leads to the middle of what it would do
         inputs = encode_inputs(images, history, routes, config)
         with torch.inference_mode():
