@@ -45,10 +45,7 @@ class PrivilegedDriver:
 
     def plan(self, observation: Observation) -> PlannedTrajectory:
         """See `Policy.plan`."""
-        if self._reckoning is None:
-            self._reckoning = Reckoning(recorded_pose(self._scene, observation.time_us), observation.time_us)
-        else:
-            self._reckoning.move_to(observation)
+        self._reckoning = reckon(self._scene, self._reckoning, observation)
         T_world_rig = self._reckoning.T_frame_rig
         drive = self._current_drive(T_world_rig, observation)
         times = observation.time_us + STEP_US * np.arange(1, FUTURE_STEPS + 1, dtype=np.int64)
@@ -69,7 +66,15 @@ class PrivilegedDriver:
         return self._drive
 
 
-def recorded_pose(scene: Scene, time_us: int) -> Array:
+def reckon(scene: Scene, reckoning: Reckoning | None, observation: Observation) -> Reckoning:
+    """Where the rig of a rollout of a scene is at an observation; at the first, without a reckoning, as recorded."""
+    if reckoning is None:
+        return Reckoning(_recorded_pose(scene, observation.time_us), observation.time_us)
+    reckoning.move_to(observation)
+    return reckoning
+
+
+def _recorded_pose(scene: Scene, time_us: int) -> Array:
     """The recorded pose (4, 4) at a time, upright as the simulated vehicle is."""
     states, heights = recorded_motion(scene, np.array([time_us], dtype=np.int64))
     x, y, yaw = states[0, : STATE.speed]

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False)
 
-LOOKS_AHEAD_US = 4_000_000
-
 
 @app.command()
 def true_sight(
@@ -76,8 +74,7 @@ class TrueSightDriver:
 
     def plan(self, observation: "Observation") -> "PlannedTrajectory":
         """See `Policy.plan`."""
-        from olt_closed_loop.privileged.driver import recorded_pose
-        from olt_closed_loop.simulation.reckoning import Reckoning
+        from olt_closed_loop.privileged.driver import reckon
         from olt_generator.poses import planar_pose
         from olt_sft_recipes.toy.inputs import cells_along, pad_route, planar_poses
         from olt_sft_recipes.toy.occupancy import Occupancy
@@ -87,11 +84,10 @@ class TrueSightDriver:
         from olt_toolkit.policy.action_space import estimate_initial_speed
         from olt_toolkit.policy.contract import FUTURE_STEPS, STEP_SECONDS, PlannedTrajectory
 
-        if self._reckoning is None:
-            self._reckoning = Reckoning(recorded_pose(self._scene, observation.time_us), observation.time_us)
+        begins = self._reckoning is None
+        self._reckoning = reckon(self._scene, self._reckoning, observation)
+        if begins:
             self._road.start_at(self._reckoning.T_frame_rig[:2, 3])
-        else:
-            self._reckoning.move_to(observation)
         history = planar_poses(observation.history_xyz, observation.history_rotation)[None]
         along = cells_along(history, pad_route(observation.route_xy)[None])[0]
         line = RouteLine.of(along)
@@ -126,6 +122,7 @@ class TrueSightDriver:
 def _standing(scene: "Scene", time_us: int, T_world_rig: "Array") -> "Scene":
     """The scene as if the vehicle stood at a pose from a time on."""
     from olt_generator.trajectory import Trajectory
+    from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD
 
-    times = np.array([time_us, time_us + LOOKS_AHEAD_US], dtype=np.int64)
+    times = np.array([time_us, time_us + round(1e6 * SECONDS_AHEAD[-1])], dtype=np.int64)
     return replace(scene, ego=Trajectory(times, np.stack([T_world_rig, T_world_rig])))

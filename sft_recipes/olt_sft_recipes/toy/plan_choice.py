@@ -98,9 +98,9 @@ def choose_plan(plans: Array, speed: float, occupancy: Occupancy, way_worth: flo
 
 def _most_speed(plans: Array, speed: float, bend_speed: float) -> float:
     """Speed that is not exceeded, m/s."""
-    ends = np.hypot(*(plans[:, -1, :2] - plans[:, -1 - _LAST_STEPS, :2]).T) / (STEP_SECONDS * _LAST_STEPS)
+    last = float(np.hypot(*(plans[0, -1, :2] - plans[0, -1 - _LAST_STEPS, :2]))) / (STEP_SECONDS * _LAST_STEPS)
     kept = speed if speed < FASTEST else 0.0
-    return min(max(float(ends[0]), kept, CRUISE), bend_speed)
+    return min(max(last, kept, CRUISE), bend_speed)
 
 
 def _worth(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy, way_worth: float) -> Array:
