@@ -2,22 +2,26 @@
 
 A policy that has only seen drives on the path does not know what to do beside it (Ross et al., AISTATS 2011). A push
 lasts PUSH_US and is smooth; after it whoever sees everything plans anew from where the vehicle is, and drives on until
-the next push. What is driven from one push to the next is a leg. Its future is that of the plan, also beyond the next
-push, which is no part of it.
+the next push. In a push the way may be misjudged as well: who is blind goes on as if nobody were there and no line were
+held, who hesitates brakes or stays where the way is free. Without the first nobody is ever near and fast at once, as
+they are for a policy that has not seen them; without the second who stands is always right to stand. What is driven
+from one push to the next is a leg. Its future is that of the plan, also beyond the next push, which is no part of it.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from olt_closed_loop.privileged.plan import Drive
+from olt_closed_loop.privileged.plan import Drive, plan_drive
+from olt_closed_loop.privileged.speeds import Progress
 from olt_closed_loop.privileged.truth import Truth, box_of
 from olt_closed_loop.scenes.actors import corners
 from olt_closed_loop.scoring.moving_boxes import separations
 from olt_generator.poses import Array
-from olt_toolkit.policy.contract import STEP_US
+from olt_toolkit.policy.contract import STEP_SECONDS, STEP_US
 
 PUSH_US = 1_600_000
 SHORTEST_US = 4_000_000
@@ -26,6 +30,8 @@ ROOM = 0.25
 """Metres that a pushed vehicle keeps from everybody."""
 LATERAL = 4.5
 """Largest lateral acceleration of a push and of the way back, m/s2."""
+HESITATES = 2.5
+"""Deceleration of who hesitates, m/s2."""
 _LEAST_WAY = 4.0
 _STEEPEST = 0.08
 _FASTER = 0.35
@@ -40,12 +46,15 @@ class Disturbance:
         offset: largest push to either side, metres.
         angle: largest turn to either side, radians.
         speed: largest change of speed up or down, m/s.
+        blind, hesitant: shares of the pushes that misjudge the way so.
     """
 
     every_us: int = SHORTEST_US
     offset: float = 1.0
     angle: float = 0.1
     speed: float = 2.0
+    blind: float = 0.0
+    hesitant: float = 0.0
 
     def pushes(self, generator: np.random.Generator, until_us: int) -> tuple["Push", ...]:
         """The pushes that are over by a time, each begun within the second half of its turn, on the 0.1 s grid."""
@@ -56,19 +65,31 @@ class Disturbance:
             offset, angle, speed = (
                 generator.uniform(-1.0, 1.0, size=3) * (self.offset, self.angle, self.speed)
             ).tolist()
+            misjudged = self._misjudged(generator)
             if begin_us + PUSH_US <= until_us:
-                found.append(Push(begin_us, offset, angle, speed))
+                found.append(Push(begin_us, offset, angle, speed, misjudged))
         return tuple(found)
+
+    def _misjudged(self, generator: np.random.Generator) -> "Misjudged":
+        if self.blind + self.hesitant == 0.0:
+            return None
+        drawn = generator.random()
+        return "blind" if drawn < self.blind else "hesitant" if drawn < self.blind + self.hesitant else None
+
+
+Misjudged = Literal["blind", "hesitant"] | None
 
 
 @dataclass(frozen=True)
 class Push:
-    """One push: when it begins, and how much it has moved (metres to the left), turned (rad) and sped up (m/s)."""
+    """One push: when it begins, how much it has moved (metres to the left), turned (rad) and sped up (m/s), and how
+    the way is misjudged meanwhile."""
 
     begin_us: int
     offset: float
     angle: float
     speed: float
+    misjudged: Misjudged = None
 
     @property
     def end_us(self) -> int:
@@ -81,7 +102,7 @@ class Push:
 
     def scaled(self, factor: float) -> "Push":
         """The same push, weaker, or to the other side where the factor is negative."""
-        return Push(self.begin_us, factor * self.offset, factor * self.angle, factor * self.speed)
+        return Push(self.begin_us, factor * self.offset, factor * self.angle, factor * self.speed, self.misjudged)
 
     def move(self, drive: Drive, timestamps_us: NDArray[np.int64]) -> tuple[Array, Array, Array]:
         """x, y, yaw (n,) of a vehicle that is pushed off a planned drive, at times from its begin to its end.
@@ -108,6 +129,20 @@ class Push:
         offset = sum(step * along**power for power, step in enumerate(steps, start=3))
         turned = sum(power * step * along ** (power - 1) for power, step in enumerate(steps, start=3)) / way
         return x - offset * np.sin(yaw), y + offset * np.cos(yaw), yaw + np.arctan(turned)
+
+
+def misjudged_drive(truth: Truth, push: Push, drive: Drive) -> Drive:
+    """How a planned drive goes on from the begin of a push where the way is misjudged."""
+    times = push.times(STEP_US)
+    known, planned = drive.progress.timestamps_us, drive.progress.arc
+    arc = np.interp([push.begin_us - STEP_US, push.begin_us], known, planned)
+    speed = float(arc[1] - arc[0]) / STEP_SECONDS
+    if push.misjudged == "blind":
+        x, y, yaw = (float(each[0]) for each in drive.path.poses(arc[1:]))
+        return plan_drive(replace(truth, agents=(), holds=()), push.begin_us, x, y, speed, yaw)
+    seconds = np.minimum(1e-6 * (times - push.begin_us), speed / HESITATES)
+    braked = arc[1] + speed * seconds - 0.5 * HESITATES * seconds**2
+    return Drive(drive.path, Progress(times, np.minimum(braked, np.interp(times, known, planned)), False))
 
 
 def is_free(truth: Truth, timestamps_us: NDArray[np.int64], poses: tuple[Array, Array, Array]) -> bool:

@@ -19,7 +19,7 @@ from olt_closed_loop.scenes.driving import SAMPLE_US
 from olt_closed_loop.scenes.scene import Scene
 from olt_closed_loop.suite.catalogue import CATEGORIES, CURVED, EVENTS, LEFT, Entry
 from olt_closed_loop.suite.courses import DURATION_US
-from olt_closed_loop.suite.disturbances import Disturbance, Push, is_free, is_gentle
+from olt_closed_loop.suite.disturbances import Disturbance, Push, is_free, is_gentle, misjudged_drive
 from olt_closed_loop.suite.event import Event
 from olt_closed_loop.suite.everyday import NOMINAL, ORDINARY_STOPS
 from olt_closed_loop.suite.recorded_drives import (
@@ -226,17 +226,19 @@ def _drive_to(entry: Entry, seed: int, disturbance: Disturbance | None, leg: int
 def _push(truth: Truth, push: Push, drive: Drive) -> tuple[Poses, Drive]:
     """The poses of a push without its end, and the drive from there: as pushed, or weaker where that is not clean.
 
-    Where nothing else is clean the vehicle is not pushed, and its drive is planned anew all the same.
+    Where none that misjudges the way is clean it is judged rightly. Where nothing else is clean the vehicle is not
+    pushed, and its drive is planned anew all the same.
     """
     times = push.times(SAMPLE_US)
-    for scale in _SCALES:
-        poses = push.scaled(scale).move(drive, times)
-        if not (is_gentle(times, poses) and is_free(truth, times, poses)):
-            continue
-        found = _plan_on(truth, push, times, poses)
-        back = np.arange(push.end_us, push.end_us + _BACK_US, SAMPLE_US, dtype=np.int64)
-        if is_clean(found, truth) and is_gentle(back, found.poses(back)):
-            return _without_last(poses), found
+    for base in (misjudged_drive(truth, push, drive), drive) if push.misjudged else (drive,):
+        for scale in _SCALES:
+            poses = push.scaled(scale).move(base, times)
+            if not (is_gentle(times, poses) and is_free(truth, times, poses)):
+                continue
+            found = _plan_on(truth, push, times, poses)
+            back = np.arange(push.end_us, push.end_us + _BACK_US, SAMPLE_US, dtype=np.int64)
+            if is_clean(found, truth) and is_gentle(back, found.poses(back)):
+                return _without_last(poses), found
     poses = push.scaled(0.0).move(drive, times)
     return _without_last(poses), _plan_on(truth, push, times, poses)
 

@@ -34,6 +34,8 @@ may be disturbed, and come in legs then, each a drive of its own whose history s
         offset: 1.0                     # metres aside at most
         angle: 6.0                      # degrees turned at most
         speed: 2.0                      # m/s too fast or too slow at most
+        blind: 0.4                      # share of the pushes that go on as if nobody were there; 0 if left out
+        hesitant: 0.3                   # share of the pushes that brake or stay where the way is free; 0 if left out
 
 What the values mean: `olt_closed_loop.scenes.conditions`, `olt_closed_loop.sensors.shutter`, `imager`, `windscreen`.
 Equal files give equal images. Category, scene factors, motion and all views are known exactly.
@@ -135,10 +137,19 @@ class _Disturbance(BaseModel):
     offset: Annotated[float, Field(ge=0.0, le=2.0)] = 1.0
     angle: Annotated[float, Field(ge=0.0, le=20.0)] = 6.0
     speed: Annotated[float, Field(ge=0.0, le=5.0)] = 2.0
+    blind: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
+    hesitant: Annotated[float, Field(ge=0.0, le=1.0)] = 0.0
 
     def build(self) -> Disturbance:
         """The disturbance of the drives."""
-        return Disturbance(round(1e6 * self.every), self.offset, float(np.radians(self.angle)), self.speed)
+        angle = float(np.radians(self.angle))
+        return Disturbance(round(1e6 * self.every), self.offset, angle, self.speed, self.blind, self.hesitant)
+
+    @model_validator(mode="after")
+    def _check_shares(self) -> Self:
+        if self.blind + self.hesitant > 1.0:
+            raise ValueError(f"blind and hesitant are {self.blind + self.hesitant:g} together; give at most 1")
+        return self
 
 
 class _Specification(BaseModel):

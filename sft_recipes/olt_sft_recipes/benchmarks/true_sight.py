@@ -64,9 +64,10 @@ class TrueSightDriver:
 
     def __init__(self, scene: "Scene") -> None:
         from olt_closed_loop.privileged.labels import label_road
+        from olt_sft_recipes.toy.patience import Patience
         from olt_toolkit.policy.route import PathTracker
 
-        self._scene, self._reckoning = scene, None
+        self._scene, self._reckoning, self._patience = scene, None, Patience()
         road = label_road(_standing(scene, 0, np.eye(4)), 0)
         if road is None:
             raise InputError(f"policy {self.name}: scene {scene.name} gives no route or no road; choose another scene")
@@ -95,7 +96,7 @@ class TrueSightDriver:
         ways = STEP_SECONDS * np.arange(1.0, FUTURE_STEPS + 1) * max(speed, min(CRUISE, line.bend_speed))
         free = path_aside(line, 0.0, LONG, speed).poses_at(ways)
         occupancy = Occupancy.of_truth(self._truth(self._reckoning.T_frame_rig, observation.time_us, along), line)
-        x, y, yaw = choose_plan(free[None], speed, occupancy).T
+        x, y, yaw = choose_plan(free[None], speed, occupancy, self._patience.way_worth(observation.time_us, speed)).T
         planned = planar_pose(x, y, yaw)
         return PlannedTrajectory(planned[:, :3, 3], planned[:, :3, :3])
 

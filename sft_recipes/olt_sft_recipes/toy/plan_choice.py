@@ -3,7 +3,8 @@
 Tried are many paces (`paces`) along many paths: those of the plans that it is given, such that go over to another place
 on the road (`tried_paths`), and the freest ones (`free_path`). A plan is worth the way that it makes, the sooner the
 better, in the seconds of which its sight tells. It costs what it is thought to run into then and in coming to a stand
-after that, a line that is held, being off the road, being close behind somebody, and being aside.
+after that, a line that is held, being off the road, being close behind somebody, standing where there is no way out,
+and being aside.
 """
 
 from collections.abc import Sequence
@@ -33,10 +34,12 @@ STANDING, MOVING = 0.15, 1.0
 OFF_ROAD_COST = 1.0
 """What it costs to be off the road at all."""
 CLOSE_COST, CLOSE = 0.05, (2.5, 5.0)
-"""What it costs to be behind somebody all the time, and how many metres before the vehicle are looked at."""
+"""What it costs to be behind somebody all the time, and how many metres ahead on its path are looked at."""
+SHUT_COST, WAY_OUT = 0.3, (1.0, 2.5, 4.0, 5.5, 7.0)
+"""What it costs to stand straight before somebody who stays, and how many metres before the vehicle are looked at: who
+stops too close does not get around any more."""
 SLOW = 2.0
-"""Speed below which it costs as much to have somebody straight ahead where the path leads past, m/s: who stops there
-does not get around any more."""
+"""Speed below which that counts, the more the slower, m/s."""
 BEND_COST = 0.3
 """What it costs to accelerate to the side by twice LATERAL all the time."""
 SHARPEST = 0.16
@@ -109,15 +112,6 @@ def _worth(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy, way_
     made = 2.0 * paces.ways[:, _BEFORE].mean(axis=1) + 0.5 * paces.last
     counts = (STANDING + (1.0 - STANDING) * np.minimum(paces.speeds / MOVING, 1.0)) * _FADED
     met = (occupancy.contacts(_SECONDS, station, left, turned) * counts).max(axis=-1)
-    slow = np.maximum(1.0 - paces.speeds[:, _BEFORE] / SLOW, 0.0)
-    close = np.zeros(met.shape)
-    for metres in CLOSE:
-        beyond = metres + BODY[-1]
-        ahead, beside, _ = np.stack([path.beside_at(paces.ways[:, _BEFORE] + beyond) for path in paths], axis=1)
-        on_path = occupancy.room.taken(_SECONDS[_BEFORE], ahead, beside)
-        aside = left[..., _BEFORE] + beyond * np.sin(turned[..., _BEFORE])
-        straight = occupancy.room.taken(_SECONDS[_BEFORE], station[..., _BEFORE] + beyond, aside)
-        close += np.maximum(on_path, slow * straight).mean(axis=-1) / len(CLOSE)
     bends = np.stack([np.interp(paces.ways[:, _BEFORE], path.arc, path.bends) for path in paths])
     off_road = occupancy.off_road(*(each[..., _BEFORE] for each in (station, left, turned)))
     sideways = paces.speeds[:, _BEFORE] ** 2 * bends
@@ -125,12 +119,33 @@ def _worth(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy, way_
         way_worth * made / (CRUISE * (SECONDS_AHEAD[-1] + 0.5))
         - np.maximum(met, occupancy.crossings(_SECONDS, station))
         - OFF_ROAD_COST * off_road.max(axis=-1)
-        - CLOSE_COST * close
+        - CLOSE_COST * _close(paths, paces, occupancy)
+        - SHUT_COST * _shut(paths, paces, occupancy)
         - BEND_COST * np.maximum(sideways / LATERAL - 1.0, 0.0).mean(axis=-1)
         - np.maximum(bends / SHARPEST - 1.0, 0.0).max(axis=-1)
         - ASIDE_COST * np.abs(left[..., _BEFORE]).mean(axis=-1)
         - EFFORT_COST * 0.5 * (ACCELERATIONS**2).sum(axis=0)
     )
+
+
+def _close(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy) -> Array:
+    """For how much of CLOSE and of the time somebody is ahead on each path at each pace (paths, paces)."""
+    found = np.zeros((len(paths), len(paces.ways)))
+    for beyond in BODY[-1] + np.array(CLOSE):
+        station, left, _ = np.stack([path.beside_at(paces.ways[:, _BEFORE] + beyond) for path in paths], axis=1)
+        found += occupancy.room.taken(_SECONDS[_BEFORE], station, left).mean(axis=-1)
+    return found / len(CLOSE)
+
+
+def _shut(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy) -> Array:
+    """For how much of WAY_OUT and of the time, by how slow it is, somebody who stays is straight ahead."""
+    slow = np.maximum(1.0 - paces.speeds[:, _BEFORE] / SLOW, 0.0)
+    station, left, turned = np.stack([path.beside_at(paces.ways[:, _BEFORE]) for path in paths], axis=1)
+    found = np.zeros((len(paths), len(paces.ways)))
+    for beyond in BODY[-1] + np.array(WAY_OUT):
+        straight = occupancy.room.taken(None, station + beyond, left + beyond * np.sin(turned))
+        found += (slow * straight).mean(axis=-1)
+    return found / len(WAY_OUT)
 
 
 def contacts_of_plan(plan: Array, occupancy: Occupancy) -> float:

@@ -12,6 +12,7 @@ from olt_sft_recipes.toy.checkpoint import ToyModel, read_model
 from olt_sft_recipes.toy.image_encoder import Sight
 from olt_sft_recipes.toy.inputs import encode_inputs, pad_route, planar_poses, select_images
 from olt_sft_recipes.toy.occupancy import Occupancy
+from olt_sft_recipes.toy.patience import Patience
 from olt_sft_recipes.toy.plan_choice import choose_plan
 from olt_sft_recipes.toy.route_line import RouteLine
 from olt_toolkit.policy.action_space import actions_to_trajectory, estimate_initial_speed
@@ -54,13 +55,15 @@ class ToyPolicy:
         self.model = model.eval().requires_grad_(False)
         self.cameras = model.config.contract.cameras
         self.image_size = (model.config.image_height, model.config.image_width)
+        self._patience = Patience()
         self._chooses = model.config.chooses_plan and bool(model.vlm.sight_taught.item())
 
     def reset(self, seed: int, scene: str) -> None:
-        """Nothing is kept between calls."""
+        """Forget for how long it has stood."""
+        self._patience = Patience()
 
     def plan(self, observation: Observation) -> PlannedTrajectory:
-        """Draw some planned trajectories and choose one; the same observation gives the same one.
+        """Draw some planned trajectories and choose one.
 
         Raises:
             InputError: the observation holds no images.
@@ -68,7 +71,8 @@ class ToyPolicy:
         drawn = self.draw(observation)
         if not self._chooses:
             return PlannedTrajectory(drawn.xyz[0], drawn.rotation[0])
-        x, y, yaw = choose_plan(drawn.plans, drawn.speed, drawn.occupancy()).T
+        way_worth = self._patience.way_worth(observation.time_us, drawn.speed)
+        x, y, yaw = choose_plan(drawn.plans, drawn.speed, drawn.occupancy(), way_worth).T
         chosen = planar_pose(x, y, yaw)
         return PlannedTrajectory(chosen[:, :3, 3], chosen[:, :3, :3])
 

@@ -28,6 +28,7 @@ from olt_generator.poses import yaw_of
 from olt_generator.seeds import make_generator
 
 FAST = ("gentle_bend", "closed_lane")
+BLIND, HESITANT = Disturbance(blind=1.0), Disturbance(hesitant=1.0)
 
 
 def widths(lane):
@@ -119,9 +120,20 @@ def test_a_push_moves_the_vehicle_and_is_in_the_history_alone(name):
     assert max(moved) > 0.4
 
 
+def test_who_is_blind_comes_nearer_and_who_hesitates_stays_behind():
+    """A lane is closed ahead: blind, the vehicle has gone farther when the push is over, hesitant less far."""
+    along = {}
+    for told, disturbance in (("seen", Disturbance()), ("blind", BLIND), ("hesitant", HESITANT)):
+        push_us = find_legs("closed_lane", 3, disturbance)[0].last_us
+        ego = make_training_scene("closed_lane", 3, disturbance, 1).ego
+        until = ego.timestamps_us <= push_us + PUSH_US
+        along[told] = np.hypot(*np.diff(ego.positions[until, :2], axis=0).T).sum()
+    assert along["hesitant"] < along["seen"] - 0.5 and along["blind"] > along["seen"] + 2.0
+
+
+@pytest.mark.parametrize("disturbance", [Disturbance(), BLIND, HESITANT])
 @pytest.mark.parametrize("name", FAST)
-def test_disturbed_drives_are_physically_smooth(name):
-    disturbance = Disturbance()
+def test_disturbed_drives_are_physically_smooth(name, disturbance):
     for leg in find_legs(name, 2, disturbance):
         ego = make_training_scene(name, 2, disturbance, leg.number).ego
         times, yaw = ego.times, np.unwrap(yaw_of(ego.T_world_rig))

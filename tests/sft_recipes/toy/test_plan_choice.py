@@ -1,3 +1,5 @@
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import torch
@@ -5,7 +7,8 @@ import torch
 from olt_sft_recipes.toy.birds_eye import FRONT, OFFSETS, STATIONS, route_cells
 from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD, Sight
 from olt_sft_recipes.toy.occupancy import Occupancy
-from olt_sft_recipes.toy.plan_choice import CRUISE, choose_plan, contacts_of_plan
+from olt_sft_recipes.toy.patience import Patience
+from olt_sft_recipes.toy.plan_choice import CRUISE, WAY_WORTH, choose_plan, contacts_of_plan
 from olt_sft_recipes.toy.route_line import RouteLine
 
 SPEED = 8.0
@@ -97,6 +100,34 @@ def test_who_stands_close_behind_somebody_stands():
         at_speed(1.0)[None], 0.0, see(lambda station, offset, seconds: (station > 6.0) & (offset < 99.0))
     )
     assert chosen[39, 0] < 1.0
+
+
+def test_who_waits_behind_a_van_leaves_room_to_get_around_it():
+    """Oncoming traffic takes the other lane all the time; the van, whose end is at 40 m, stays."""
+    way, speed = 0.0, 6.0
+    for _ in range(24):
+
+        def taken(station, offset, seconds, way=way):
+            van = (abs(station + way - 43.0) < 3.0) & (abs(offset) < 1.5)
+            return van | ((offset > 1.6) & (seconds > 0.0))
+
+        chosen = choose_plan(at_speed(max(speed, 1.0))[None], speed, see(taken, road=(-2.6, 6.0)))
+        way, speed = way + chosen[4, 0], (chosen[4, 0] - chosen[3, 0]) / 0.1
+    assert speed < 0.3 and 4.5 < 40.0 - FRONT - way < 12.0
+
+
+def test_who_has_waited_long_takes_a_risk_that_does_not_go_away_but_none_that_is_great():
+    patience, line = Patience(), see(held=8.0)
+    unsure, sure = (Occupancy(line.route, share * line.held, line.road, line.line) for share in (0.08, 0.9))
+    worth = {at: patience.way_worth(round(1e6 * at), 0.0) for at in range(25)}
+    assert [worth[at] == WAY_WORTH for at in (0, 1, 2)] == [True, True, False]
+    assert all(later >= earlier for earlier, later in pairwise(worth.values())) and worth[24] == worth[23]
+
+    def made(occupancy, at):
+        return FRONT + choose_plan(at_speed(2.0)[None], 0.0, occupancy, worth[at])[29, 0]
+
+    assert made(unsure, 0) < 7.5 < made(unsure, 24) and made(sure, 24) < 7.5
+    assert patience.way_worth(25_000_000, 3.0) == WAY_WORTH
 
 
 def test_a_bend_is_not_driven_faster_than_it_can_be():
