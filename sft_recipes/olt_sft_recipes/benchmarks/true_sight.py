@@ -30,6 +30,7 @@ def true_sight(
 ) -> None:
     """Drive the long-tail suite by the toy's choice of plans, with the truth in place of its sight."""
     from olt_closed_loop import run_closed_loop, summarize_scores
+    from olt_closed_loop.commands.score_output import print_scores
     from olt_closed_loop.simulation.scene_policy import ScenePolicy
     from olt_closed_loop.suite.catalogue import CATEGORIES, EVENTS
     from olt_closed_loop.suite.scenes import PREFIX
@@ -48,8 +49,7 @@ def true_sight(
     if as_json:
         print_json({"table": table.to_dict(), "scores": [score.to_dict() for score in scores]})
         return
-    overall = table.overall
-    print_line(f"AS {overall.alpasim_score}, CR {overall.collision_rate}, {overall.valid} valid of {overall.rollouts}")
+    print_scores("true sight", table)
     for score in scores:
         if score.collided or score.offroad:
             print_line(f"{score.scene}: {'collided' if score.collided else 'left the road'}")

@@ -37,15 +37,16 @@ class Room:
 
     Attributes:
         shares: (seconds and one more, stations, offsets) from each of SECONDS_AHEAD to the next; last those that stay
-            all the time. The grid has a border of 0.
+            all the time. The grid has a border, of 0 before and behind.
     """
 
     shares: NDArray[np.floating]
 
     @classmethod
-    def of(cls, moving: NDArray[np.floating], staying: NDArray[np.floating]) -> "Room":
-        """Of shares (seconds, stations, offsets) and of those (stations, offsets) that stay."""
-        return cls(np.pad(np.concatenate([moving, staying[None]]), ((0, 0), (1, 1), (1, 1))))
+    def of(cls, moving: NDArray[np.floating], staying: NDArray[np.floating], beside: float = 0.0) -> "Room":
+        """Of shares (seconds, stations, offsets), of those (stations, offsets) that stay, and of what is beside all."""
+        shares = np.pad(np.concatenate([moving, staying[None]]), ((0, 0), (0, 0), (1, 1)), constant_values=beside)
+        return cls(np.pad(shares, ((0, 0), (1, 1), (0, 0))))
 
     def taken(self, seconds: Array | None, stations: Array, offsets: Array) -> Array:
         """How likely somebody is there (...) at times and places that are broadcast; None for who stays."""
@@ -100,9 +101,12 @@ class Occupancy:
 
     @cached_property
     def roadside(self) -> Room:
-        """How likely the vehicle, turned along the route, has a side where no road is, on the same grid."""
+        """How likely the vehicle, turned along the route, has a side where no road is, on the same grid.
+
+        Beside the grid no road is known: whoever goes straight on where the route turns leaves the road.
+        """
         beyond = maximum_filter1d(1.0 - _refined(self.road[None]), 2 * round(HALF_WIDTH / _OFFSET_STEP) + 1, axis=2)
-        return Room.of(beyond, beyond[0])
+        return Room.of(beyond, beyond[0], beside=1.0)
 
     def off_road(self, station: Array, left: Array, turned: Array) -> Array:
         """How likely the vehicle is off the road (...) at places beside the route (...)."""

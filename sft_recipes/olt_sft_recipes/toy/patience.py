@@ -5,7 +5,7 @@ A sight that is unsure says the same again and again, and whoever stands waits f
 
 from olt_sft_recipes.toy.plan_choice import MOVING, WAY_WORTH
 
-AT_ONCE, DOUBLES, MOST = 1.0, 4.0, 5.0
+AT_ONCE, DOUBLES, MOST = 1.0, 2.0, 10.0
 """Seconds of standing that change nothing, those after which the way is worth twice as much, and at most how often."""
 
 

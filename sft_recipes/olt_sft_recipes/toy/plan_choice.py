@@ -35,7 +35,7 @@ OFF_ROAD_COST = 1.0
 """What it costs to be off the road at all."""
 CLOSE_COST, CLOSE = 0.05, (2.5, 5.0)
 """What it costs to be behind somebody all the time, and how many metres ahead on its path are looked at."""
-SHUT_COST, WAY_OUT = 0.3, (1.0, 2.5, 4.0, 5.5, 7.0)
+SHUT_COST, WAY_OUT = 0.5, (1.0, 2.5, 4.0, 5.5, 7.0)
 """What it costs to stand straight before somebody who stays, and how many metres before the vehicle are looked at: who
 stops too close does not get around any more."""
 SLOW = 2.0
