@@ -66,7 +66,8 @@ def save_comparison(folder: Path, comparison: Comparison, warnings: Sequence[str
 def draw_comparison(comparison: Comparison, path: Path) -> None:
     """Draw each policy's AS, CR and distance between incidents at fault with their intervals, as PNG.
 
-    A value without an interval is a ring; a distance without an incident is an arrow from what it is at least.
+    A value without an interval is a ring; a distance without an incident is an arrow from what it is at least, and one
+    whose interval has no upper end an arrow at its value.
     """
     import matplotlib
 
@@ -107,11 +108,11 @@ def _draw_distance(axes: "Axes", place: int, row: ScoreRow) -> None:
     if limits is None:
         return
     low, high = limits
-    if value is None or high is None:
+    if value is None:
         axes.plot(low, place, ">", color="tab:blue")
-    else:
-        axes.plot(value, place, "o", color="tab:blue")
-        axes.plot((low, high), (place, place), color="tab:blue", lw=1.5)
+        return
+    axes.plot(value, place, "o" if high else ">", color="tab:blue")
+    axes.plot((low, high or value), (place, place), color="tab:blue", lw=1.5)
 
 
 def _word_value(value: float | None, limits: Interval | None, form: str = ".3f") -> str | None:
@@ -124,6 +125,6 @@ def _word_distance(driven: float, value: float | None, limits: OpenInterval | No
     if limits is None:
         return None
     low, high = limits
-    if value is None or high is None:
+    if value is None:
         return f"none in {driven:.3g} (at least {low:.3g})"
-    return f"{value:.3g} ({low:.3g} to {high:.3g})"
+    return f"{value:.3g} (at least {low:.3g})" if high is None else f"{value:.3g} ({low:.3g} to {high:.3g})"

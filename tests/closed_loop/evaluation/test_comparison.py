@@ -1,6 +1,7 @@
 """Policies beside each other and beside the baselines."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from typer.testing import CliRunner
 from olt_closed_loop.commands import app
 from olt_closed_loop.evaluation.baselines import BASELINES, run_baselines, word_warnings
 from olt_closed_loop.evaluation.comparison import compare_scores, name_runs, read_scores
+from olt_closed_loop.evaluation.comparison_report import policy_rows
 from olt_closed_loop.evaluation.evaluation import run_closed_loop
 from olt_closed_loop.evaluation.run_folder import save_results
 from olt_closed_loop.scoring.definitions import RolloutScore
@@ -53,6 +55,19 @@ def test_few_scenes_that_agree_separate_nothing(count, separated):
     (difference,) = compare_scores({"a": run([1.0] * count), "b": run([0.5] * count)}).differences
     assert (difference.score, difference.score_interval) == (0.5, None)
     assert difference.separated == separated
+
+
+@pytest.mark.parametrize(("met", "words"), [(0, "none in 2 (at least "), (1, "2 (at least "), (10, "0.2 (")])
+def test_a_distance_that_may_be_any_is_not_called_none(met, words):
+    """One incident on twenty scenes: scenes drawn anew may have none, so the interval has no upper end."""
+    scores = [
+        replace(score, distance_m=100.0, incidents=int(place < met), incidents_at_fault=int(place < met))
+        for place, score in enumerate(run([1.0] * 20))
+    ]
+    comparison = compare_scores({"a": scores})
+    (row,) = policy_rows(comparison)
+    assert row[-1] is not None and row[-2:] == [row[-1]] * 2 and row[-1].startswith(words)
+    assert ("to" in row[-1]) == (met == 10)
 
 
 def test_scenes_that_one_did_not_drive_or_score_are_not_compared():

@@ -109,6 +109,10 @@ def test_true_views_carry_their_cameras(open_world):
         ("categories: [training/nothing]\nseed: 0\ncount: 1", "give each category once"),
         ("categories: [nominal]\nseed: 0\ncount: 1\ndisturbance: {}", "nominal cannot be disturbed"),
         ("categories: [training/nominal]\nseed: 0\ncount: 1\ndisturbance: {every: 1}", "disturbance.every: "),
+        (
+            "categories: [training/nominal]\nseed: 0\ncount: 1\ndisturbance: {blind: 0.7, hesitant: 0.6}",
+            "disturbance: .*blind and hesitant are 1.3 together",
+        ),
         ("categories: [training/nominal]\nseed: 0\ncount: 1\nduration: 21", "duration: "),
         ("categories: [animals]\nseed: 0\ncount: 1", "categories: .*give each category once, of nominal"),
         ("categories: [nominal, nominal]\nseed: 0\ncount: 1", "give each category once"),
