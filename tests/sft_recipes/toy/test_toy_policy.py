@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from olt_sft_recipes.toy.action_expert import SPREAD
 from olt_sft_recipes.toy.checkpoint import ToyModel, read_model, save_model
 from olt_sft_recipes.toy.image_encoder import IMAGE_TOKENS
 from olt_sft_recipes.toy.inputs import encode_inputs
+from olt_sft_recipes.toy.plan_choice import WAY_WORTH
 from olt_sft_recipes.toy.policy import ToyPolicy, load_toy
 from olt_sft_recipes.training.driving_samples import DrivingSamples
 from olt_toolkit.policy.contract import Observation
@@ -86,6 +88,24 @@ def test_nobody_chooses_by_a_sight_that_never_learned(model, drives, monkeypatch
         assert np.array_equal(ToyPolicy(model).plan(observe(sample, 1)).xyz[:, 0], np.full(64, 7.0))
     finally:
         model.vlm.sight_taught.fill_(0.0)
+
+
+def test_how_long_it_has_stood_is_forgotten_with_the_rollout(model, drives, monkeypatch):
+    asked = []
+    monkeypatch.setattr(
+        "olt_sft_recipes.toy.policy.choose_plan", lambda plans, speed, seen, worth: asked.append(worth) or plans[0]
+    )
+    seen = replace(observe(next(iter(drives.values())), 1), history_xyz=np.zeros((16, 3)))
+    model.vlm.sight_taught.fill_(1.0)
+    try:
+        policy = ToyPolicy(model)
+        for seconds in (0, 10):
+            policy.plan(replace(seen, time_us=seconds * 1_000_000))
+        policy.reset(0, "another")
+        policy.plan(replace(seen, time_us=10_000_000))
+    finally:
+        model.vlm.sight_taught.fill_(0.0)
+    assert asked[0] == asked[2] == WAY_WORTH < asked[1]
 
 
 def test_an_observation_without_images_is_refused(model, drives):
