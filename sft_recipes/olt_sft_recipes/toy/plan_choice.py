@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from olt_generator.poses import Array
+from olt_sft_recipes.toy.birds_eye import STATIONS
 from olt_sft_recipes.toy.free_path import find_free_path
 from olt_sft_recipes.toy.image_encoder import SECONDS_AHEAD
 from olt_sft_recipes.toy.occupancy import BODY, Occupancy
@@ -25,8 +26,8 @@ WAY_WORTH = 0.12
 """What the way of all seconds at CRUISE is worth, against 1 for a contact that is certain and now."""
 CRUISE = 8.0
 """Speed that a free road is driven with where no plan is faster, m/s."""
-FASTEST = 12.0
-"""Speed beyond which none is kept up that the plans do not have, m/s."""
+FASTEST = float(STATIONS[-1]) / SECONDS_AHEAD[-1]
+"""Speed that is never exceeded, m/s: faster, a plan would lead farther than is told."""
 FADES, LEAST_FADED = 0.12, 0.3
 """By how much less a contact counts for every second until then, and what is left: there is time to see better."""
 STANDING, MOVING = 0.15, 1.0
@@ -44,7 +45,7 @@ BEND_COST = 0.3
 """What it costs to accelerate to the side by twice LATERAL all the time."""
 SHARPEST = 0.16
 """Curvature beyond which a path is not driven, 1/m; it costs 1 for every SHARPEST more."""
-ASIDE_COST = 0.01
+ASIDE_COST = 0.02
 """What a metre aside costs."""
 EFFORT_COST = 0.0015
 """What it costs to accelerate or brake with 1 m/s2 at first and with as much later; with the square of it."""
@@ -102,8 +103,7 @@ def choose_plan(plans: Array, speed: float, occupancy: Occupancy, way_worth: flo
 def _most_speed(plans: Array, speed: float, bend_speed: float) -> float:
     """Speed that is not exceeded, m/s."""
     last = float(np.hypot(*(plans[0, -1, :2] - plans[0, -1 - _LAST_STEPS, :2]))) / (STEP_SECONDS * _LAST_STEPS)
-    kept = speed if speed < FASTEST else 0.0
-    return min(max(last, kept, CRUISE), bend_speed)
+    return min(max(last, speed, CRUISE), bend_speed, FASTEST)
 
 
 def _worth(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy, way_worth: float) -> Array:
