@@ -102,7 +102,7 @@ class Push:
 
     def scaled(self, factor: float) -> "Push":
         """The same push, weaker, or to the other side where the factor is negative."""
-        return Push(self.begin_us, factor * self.offset, factor * self.angle, factor * self.speed, self.misjudged)
+        return replace(self, offset=factor * self.offset, angle=factor * self.angle, speed=factor * self.speed)
 
     def move(self, drive: Drive, timestamps_us: NDArray[np.int64]) -> tuple[Array, Array, Array]:
         """x, y, yaw (n,) of a vehicle that is pushed off a planned drive, at times from its begin to its end.

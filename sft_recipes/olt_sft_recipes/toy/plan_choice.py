@@ -113,17 +113,17 @@ def _worth(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy, way_
     counts = (STANDING + (1.0 - STANDING) * np.minimum(paces.speeds / MOVING, 1.0)) * _FADED
     met = (occupancy.contacts(_SECONDS, station, left, turned) * counts).max(axis=-1)
     bends = np.stack([np.interp(paces.ways[:, _BEFORE], path.arc, path.bends) for path in paths])
-    off_road = occupancy.off_road(*(each[..., _BEFORE] for each in (station, left, turned)))
+    before = station[..., _BEFORE], left[..., _BEFORE], turned[..., _BEFORE]
     sideways = paces.speeds[:, _BEFORE] ** 2 * bends
     return (
         way_worth * made / (CRUISE * (SECONDS_AHEAD[-1] + 0.5))
         - np.maximum(met, occupancy.crossings(_SECONDS, station))
-        - OFF_ROAD_COST * off_road.max(axis=-1)
+        - OFF_ROAD_COST * occupancy.off_road(*before).max(axis=-1)
         - CLOSE_COST * _close(paths, paces, occupancy)
-        - SHUT_COST * _shut(paths, paces, occupancy)
+        - SHUT_COST * _shut(paces, occupancy, *before)
         - BEND_COST * np.maximum(sideways / LATERAL - 1.0, 0.0).mean(axis=-1)
         - np.maximum(bends / SHARPEST - 1.0, 0.0).max(axis=-1)
-        - ASIDE_COST * np.abs(left[..., _BEFORE]).mean(axis=-1)
+        - ASIDE_COST * np.abs(before[1]).mean(axis=-1)
         - EFFORT_COST * 0.5 * (ACCELERATIONS**2).sum(axis=0)
     )
 
@@ -137,13 +137,13 @@ def _close(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy) -> A
     return found / len(CLOSE)
 
 
-def _shut(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy) -> Array:
-    """For how much of WAY_OUT and of the time, by how slow it is, somebody who stays is straight ahead."""
-    slow = np.maximum(1.0 - paces.speeds[:, _BEFORE] / SLOW, 0.0)
-    station, left, turned = np.stack([path.beside_at(paces.ways[:, _BEFORE]) for path in paths], axis=1)
-    found = np.zeros((len(paths), len(paces.ways)))
+def _shut(paces: _Paces, occupancy: Occupancy, station: Array, left: Array, turned: Array) -> Array:
+    """For how much of WAY_OUT and of the time, by how slow it is, somebody who stays is straight ahead of places
+    (paths, paces, times) beside the route."""
+    slow, aside = np.maximum(1.0 - paces.speeds[:, _BEFORE] / SLOW, 0.0), np.sin(turned)
+    found = np.zeros(station.shape[:2])
     for beyond in BODY[-1] + np.array(WAY_OUT):
-        straight = occupancy.room.taken(None, station + beyond, left + beyond * np.sin(turned))
+        straight = occupancy.room.taken(None, station + beyond, left + beyond * aside)
         found += (slow * straight).mean(axis=-1)
     return found / len(WAY_OUT)
 
