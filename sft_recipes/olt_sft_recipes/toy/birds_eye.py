@@ -16,9 +16,9 @@ from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
 from olt_toolkit.rigs.rig import DEFAULT_VEHICLE, MountedCamera
 from olt_toolkit.rigs.rig_files import pav_rig
 
-_STATION = np.arange(32, dtype=np.float64)
-STATIONS: Array = 2.0 + _STATION + 0.022 * _STATION**2
-"""Metres along the route, close ahead finer than far ahead."""
+_STATION = np.arange(-4, 32, dtype=np.float64)
+STATIONS: Array = 2.0 + _STATION + 0.022 * _STATION * np.abs(_STATION)
+"""Metres along the route, from beside the vehicle's rear on, close ahead finer than far ahead."""
 OFFSETS: Array = 0.8 * (np.arange(14, dtype=np.float64) - 6.5)
 """Metres to the left of the route of the cells of which the heads tell."""
 _FARTHER = np.array([7.0, 9.5, 13.0, 18.0, 25.0])
@@ -29,7 +29,7 @@ TOLD = slice(len(_FARTHER), -len(_FARTHER))
 FRONT = DEFAULT_VEHICLE.rear_axle_to_bbox_center + DEFAULT_VEHICLE.length / 2.0
 """Metres from the rig's origin to the vehicle's front."""
 Indices = NDArray[np.int64]
-HEIGHTS = (0.0, 1.2)
+HEIGHTS = (0.0, 1.5)
 """Metres above the ground at which a cell looks into the images: its foot, and what stands on it."""
 
 _BETWEEN = 4.0
@@ -137,15 +137,17 @@ def _project(
 
 
 def _along(points: Array, distances: Array) -> tuple[Array, Array]:
-    """Points (m, 2) and headings (m,) at distances along a polyline (n, 2), straight on beyond its end."""
-    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    """Points (m, 2) and headings (m,) at distances along a polyline (n, 2), straight on beyond its ends."""
+    steps = np.diff(points, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
     arc = np.concatenate([[0.0], np.cumsum(lengths)])
-    last = (points[-1] - points[-2]) / max(lengths[-1], 1e-6)
+    first, last = steps[[0, -1]] / np.maximum(lengths[[0, -1], None], 1e-6)
 
     def at(distance: Array) -> Array:
         inside = np.stack([np.interp(distance, arc, column) for column in points.T], axis=-1)
-        return inside + np.maximum(distance - arc[-1], 0.0)[:, None] * last
+        before, beyond = np.minimum(distance, 0.0)[:, None], np.maximum(distance - arc[-1], 0.0)[:, None]
+        return inside + before * first + beyond * last
 
     # Half the distance between points of a route to either side: headings turn smoothly over its corners.
-    chord = at(distances + 0.5 * _BETWEEN) - at(np.maximum(distances - 0.5 * _BETWEEN, 0.0))
+    chord = at(distances + 0.5 * _BETWEEN) - at(distances - 0.5 * _BETWEEN)
     return at(distances), np.unwrap(np.arctan2(chord[:, 1], chord[:, 0]))

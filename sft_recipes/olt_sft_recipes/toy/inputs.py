@@ -18,7 +18,7 @@ from olt_toolkit.policy.contract import IMAGE_FRAMES, STEP_SECONDS
 
 ROUTE_POINTS = 20
 """Most points of a route that are read."""
-ROUTE_STATIONS = (4, 8, 12, 16, 20, 24)
+ROUTE_STATIONS = (8, 12, 16, 20, 24, 28)
 """Stations of the route grid whose places are told in numbers, too."""
 MOTION_FEATURES = 4 + 4 * len(ROUTE_STATIONS)
 # Speeds are given relative to a middle one, in units that bring city speeds to within -1 and 1; m/s.

@@ -53,7 +53,7 @@ class Room:
         last = len(self.shares) - 1
         when = last if seconds is None else np.clip((seconds / _INTERVAL + 1e-6).astype(np.int64), 0, last - 1)
         _, rows, columns = self.shares.shape
-        row = np.clip(stations / _STATION_STEP + 1.5, 0.0, rows - 0.5).astype(np.int64)
+        row = np.clip((stations - STATIONS[0]) / _STATION_STEP + 1.5, 0.0, rows - 0.5).astype(np.int64)
         column = np.clip((offsets - OFFSETS[0]) / _OFFSET_STEP + 1.5, 0.0, columns - 0.5).astype(np.int64)
         return self.shares[when, row, column]
 
@@ -93,7 +93,6 @@ class Occupancy:
     def room(self) -> Room:
         """Who is beside the vehicle's middle line, on a fine grid."""
         shares = _refined(self.route)
-        shares[:, : math.ceil(STATIONS[0] / _STATION_STEP)] = 0.0  # what is beside the vehicle is not seen
         shares = maximum_filter1d(shares, 2 * round(BESIDE / _OFFSET_STEP) + 1, axis=2)
         shares = maximum_filter1d(shares, 3, axis=1)
         between = np.maximum(shares, np.concatenate([shares[1:], shares[-1:]]))
@@ -128,7 +127,7 @@ def _refined(cells: Array) -> NDArray[np.floating]:
     """Shares of cells (k, stations, offsets) on the fine grid."""
     shares: NDArray[np.floating] = cells.astype(np.float32)
     for axis, fine, coarse in (
-        (1, np.arange(0.0, STATIONS[-1], _STATION_STEP), STATIONS),
+        (1, np.arange(STATIONS[0], STATIONS[-1], _STATION_STEP), STATIONS),
         (2, np.arange(OFFSETS[0], OFFSETS[-1] + 1e-6, _OFFSET_STEP), OFFSETS),
     ):
         place = np.interp(fine, coarse, np.arange(len(coarse)))

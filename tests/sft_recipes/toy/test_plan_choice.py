@@ -115,18 +115,41 @@ def test_it_does_not_go_straight_on_where_the_route_turns(side):
     assert np.hypot(*(chosen[39, :2] - chosen[38, :2])) / 0.1 < 0.7 * 10.0
 
 
+def drive_on(pose, speed, taken, steps, road):
+    """Pose in the world, along whose x axis a straight road leads, and speed after plans of 0.4 s each."""
+    for _ in range(steps):
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        route = np.column_stack([ROUTE[:, 0], np.full(len(ROUTE), -pose[1])]) @ np.array([[cos, -sin], [sin, cos]])
+        seen = see(lambda station, offset, seconds, x=pose[0]: taken(station + x, offset, seconds), road=road)
+        line = RouteLine.of(route_cells(route, 0.0))
+        chosen = choose_plan(at_speed(max(speed, 1.0))[None], speed, Occupancy(seen.route, seen.held, seen.road, line))
+        speed = float(np.hypot(*(chosen[3, :2] - chosen[2, :2]))) / 0.1
+        x, y, yaw = chosen[3]
+        pose = pose + np.array([cos * x - sin * y, sin * x + cos * y, yaw])
+    return pose, speed
+
+
 def test_who_waits_behind_a_van_leaves_room_to_get_around_it():
     """Oncoming traffic takes the other lane all the time; the van, whose end is at 40 m, stays."""
-    way, speed = 0.0, 6.0
-    for _ in range(24):
 
-        def taken(station, offset, seconds, way=way):
-            van = (abs(station + way - 43.0) < 3.0) & (abs(offset) < 1.5)
-            return van | ((offset > 1.6) & (seconds > 0.0))
+    def taken(x, offset, seconds):
+        return ((abs(x - 43.0) < 3.0) & (abs(offset) < 1.5)) | ((offset > 1.6) & (seconds > 0.0))
 
-        chosen = choose_plan(at_speed(max(speed, 1.0))[None], speed, see(taken, road=(-2.6, 6.0)))
-        way, speed = way + chosen[4, 0], (chosen[4, 0] - chosen[3, 0]) / 0.1
-    assert speed < 1.0 and 4.5 < 40.0 - FRONT - way < 12.0
+    pose, speed = drive_on(np.zeros(3), 6.0, taken, 30, (-2.6, 6.0))
+    assert speed < 1.0 and 3.5 < 40.0 - FRONT - pose[0] < 12.0
+
+
+def test_it_does_not_come_back_into_who_is_beside():
+    """It is in the oncoming lane, and a car that is as fast has its own, from the vehicle's middle to behind it."""
+
+    def beside(station, offset, seconds):
+        return (abs(station - SPEED * seconds + 1.0) < 3.0) & (abs(offset) < 1.3)
+
+    aside = RouteLine.of(route_cells(ROUTE - (0.0, 3.5), 0.0))
+    free, lane = see(road=(-2.6, 6.0)), see(beside, road=(-2.6, 6.0))
+    free, lane = (Occupancy(seen.route, seen.held, seen.road, aside) for seen in (free, lane))
+    back, chosen = (choose_plan(at_speed(SPEED)[None], SPEED, seen) for seen in (free, lane))
+    assert contacts_of_plan(back, lane) > 0.3 and contacts_of_plan(chosen, lane) < 0.02
 
 
 def test_who_has_waited_long_takes_a_risk_that_does_not_go_away_but_none_that_is_great():
