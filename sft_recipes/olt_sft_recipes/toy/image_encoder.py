@@ -44,7 +44,7 @@ class ImageEncoder(nn.Module):
     def __init__(self, config: ToyPolicyConfig) -> None:
         super().__init__()
         channels, cameras, frames = config.image_channels, len(config.camera_rows), len(config.frames)
-        self.top, self.in_bfloat16 = config.image_top, config.precision == "bfloat16"
+        self.in_bfloat16 = config.precision == "bfloat16"
         inputs = 3 * PATCH**2
         self.patches = nn.Parameter(torch.empty(channels, 3, PATCH, PATCH).uniform_(-1.0, 1.0) / inputs**0.5)
         self.patch_bias = nn.Parameter(torch.zeros(channels))
@@ -55,10 +55,10 @@ class ImageEncoder(nn.Module):
         self.tokens = nn.Linear(2 * len(ROUTE_OFFSETS) * channels, config.width)
 
     def forward(self, images: Tensor, route: csr_array) -> Sight:
-        """Encode images (batch, cameras, frames, 3, H, W) uint8 RGB, with where the cells of the grid are in them."""
+        """Encode images (batch, cameras, frames, 3, rows, W) uint8 RGB, with where cells of the grid are in them."""
         batch, cameras = images.shape[:2]
         # Whole numbers up to 255 are the same in either precision; laid out as channels_last in one go.
-        pixels = images[..., self.top :, :].permute(0, 2, 1, 4, 5, 3)
+        pixels = images.permute(0, 2, 1, 4, 5, 3)
         pixels = pixels.to(torch.bfloat16 if self.in_bfloat16 else torch.float32, memory_format=torch.contiguous_format)
         pixels = pixels.flatten(0, 2).permute(0, 3, 1, 2)
         with torch.autocast("cpu", torch.bfloat16, enabled=self.in_bfloat16):

@@ -32,7 +32,7 @@ class PolicyInputs:
     """What the prefix is made of.
 
     Attributes:
-        images: (n, cameras, frames, 3, H, W) uint8.
+        images: (n, cameras, frames, 3, rows, W) uint8, as of `select_images`.
         along: (n, stations, offsets, 3) cells of the bird's-eye grid in the rig frame.
         route: where they are in the images.
         history_tokens: (n, 48).
@@ -54,7 +54,7 @@ def encode_inputs(images: NDArray[np.uint8], history: Array, routes: Array, conf
     sped up or slowed down learns to go on like that.
 
     Args:
-        images: (n, cameras, frames, 3, H, W), of `select_images`.
+        images: (n, cameras, frames, 3, rows, W), of `select_images`.
         history: (n, 16, 3) of x, y in metres and yaw in radians in the rig frame at t0.
         routes: (n, points, 2) route ahead in the rig frame at t0, filled up with NaN; all NaN where none is known.
         config: of the model.
@@ -122,8 +122,8 @@ def planar_poses(xyz: Array, rotation: Array) -> Array:
 
 
 def select_images(images: NDArray[np.uint8], config: ToyPolicyConfig) -> NDArray[np.uint8]:
-    """Those of the images (cameras, 4, 3, H, W) that the model uses, (cameras, frames, 3, H, W) at its size."""
+    """What the model uses of images (cameras, 4, 3, H, W): (cameras, frames, 3, rows below its top, W) at its size."""
     images = images[np.ix_(config.camera_rows, config.frames)]
     flat = images.reshape(-1, *images.shape[-3:]).transpose(0, 2, 3, 1)
-    scaled = resize_images(flat, config.image_width, config.image_height)
+    scaled = resize_images(flat, config.image_width, config.image_height)[:, config.image_top :]
     return scaled.transpose(0, 3, 1, 2).reshape(*images.shape[:3], *scaled.shape[1:3])

@@ -36,7 +36,7 @@ class DrivingSamples:
     """Samples of one size.
 
     Attributes:
-        images: (n, cameras, frames, 3, H, W) uint8.
+        images: (n, cameras, frames, 3, rows, W) uint8, of `inputs.select_images`.
         history, future: (n, 16, 3) and (n, 64, 3) of x, y in metres and yaw in radians, in the rig frame at t0.
         routes: (n, 20, 2) route ahead in metres in the rig frame at t0, filled up with NaN.
         config: of the model that they are for.
@@ -124,10 +124,7 @@ class DrivingSamples:
         x, y, yaw = np.moveaxis(self.future, -1, 0)
         x, y = _seen_from(x - off * np.sin(yaw), y + off * np.cos(yaw), offsets, angles)
         images = np.stack(
-            [
-                _perturb_images(self.config.camera_names, *sample)
-                for sample in zip(self.images, offsets, angles, strict=True)
-            ]
+            [_perturb_images(self.config, *sample) for sample in zip(self.images, offsets, angles, strict=True)]
         )
         future = np.stack([x, y, yaw + heading - angles[:, None]], axis=-1)
         routes = np.stack(_seen_from(self.routes[..., 0], self.routes[..., 1], offsets, angles), axis=-1)
@@ -152,16 +149,19 @@ def _seen_from(x: Array, y: Array, offsets: Array, angles: Array) -> tuple[Array
 
 
 def _perturb_images(
-    cameras: tuple[str, ...], images: NDArray[np.uint8], offset: float, angle: float
+    config: ToyPolicyConfig, images: NDArray[np.uint8], offset: float, angle: float
 ) -> NDArray[np.uint8]:
-    """Images (cameras, frames, 3, H, W) of one moment as the perturbed vehicle would see its road and sky."""
-    height, width = images.shape[-2:]
-    perturbed = np.empty_like(images)
-    for camera, name in enumerate(cameras):
-        u, v = _road_tables(name, width, height, offset, angle)
+    """Images (cameras, frames, 3, rows, W) of one moment as the perturbed vehicle would see its road and sky."""
+    perturbed, top = np.empty_like(images), config.image_top
+    for camera, name in enumerate(config.camera_names):
+        u, v = _road_tables(name, config.image_width, config.image_height, offset, angle)
         for frame in range(images.shape[1]):
             picture = cv2.remap(
-                images[camera, frame].transpose(1, 2, 0), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+                images[camera, frame].transpose(1, 2, 0),
+                u[top:],
+                v[top:] - top,
+                cv2.INTER_LINEAR,
+                borderMode=cv2.BORDER_REPLICATE,
             )
             perturbed[camera, frame] = picture.transpose(2, 0, 1)
     return perturbed

@@ -54,6 +54,14 @@ def test_mirror_turns_curvature_around(samples):
     assert np.allclose(mirrored[..., 1] + actions[..., 1], mean, atol=1e-6)
 
 
+def test_what_is_above_the_top_is_not_kept_and_nothing_below_misses_it(samples, drives, tiny_config):
+    cut = DrivingSamples.gather(list(drives.values()), tiny_config.model_copy(update={"image_top": 4}))
+    assert np.array_equal(cut.images, samples.images[..., 4:, :])
+    aside = np.full(len(samples), 0.5), np.full(len(samples), 0.03)
+    # A row further down nothing is looked up above the top.
+    assert np.array_equal(cut.perturbed(*aside).images[..., 1:, :], samples.perturbed(*aside).images[..., 5:, :])
+
+
 def test_no_turn_changes_nothing(samples):
     turned = samples.perturbed(np.zeros(len(samples)), np.zeros(len(samples)))
     assert np.abs(turned.images.astype(int) - samples.images).max() <= 1
