@@ -20,9 +20,9 @@ LINE = RouteLine.of(route_cells(np.column_stack([np.linspace(0.0, 80.0, 20), np.
 
 
 def wall(probability):
-    """A wall from 22 m on across the way, that is there with a probability."""
+    """A wall of 6 m, from 22 m on across the way, that is there with a probability."""
     route = np.zeros((len(SECONDS_AHEAD), len(STATIONS), len(OFFSETS)))
-    route[:, STATIONS > 22.0] = probability
+    route[:, np.abs(STATIONS - 25.0) < 3.0] = probability
     return Occupancy(route, np.zeros(len(STATIONS)), np.ones(route.shape[1:]), LINE)
 
 
