@@ -39,11 +39,9 @@ CLOSE_COST, CLOSE = 0.05, (2.5, 5.0)
 SHUT_COST, WAY_OUT = 0.5, (1.0, 2.5, 4.0, 5.5, 7.0)
 """What it costs to stand straight before somebody who stays, and how many metres before the vehicle are looked at: who
 stops too close does not get around any more."""
-PASSING_COST, LANE, FASTER = 0.3, 1.0, 2.0
-"""What it costs to be still passing somebody who moves after the seconds that are told; metres aside from which on that
-counts, and whole at twice as many; and m/s faster than CRUISE at which it counts whole."""
-STILL_PASSED = (-2.0, 1.0, 4.0, 7.0, 10.0, 13.0)
-"""Metres ahead, on the route, at which who is passed is looked for."""
+OUT_COST, OUT, TOO_FAST = 0.3, (1.0, 2.0), (CRUISE, CRUISE + 2.0)
+"""What it costs to be out of the lane, and faster than a free road is driven with, all the time: from so many metres
+aside and m/s on, and whole at so many. Who was learned from was seldom there: its sight tells less than it seems to."""
 BEND_COST = 0.3
 """What it costs to accelerate to the side by twice LATERAL all the time."""
 SHARPEST = 0.16
@@ -124,12 +122,17 @@ def _worth(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy, way_
         - OFF_ROAD_COST * occupancy.off_road(*before).max(axis=-1)
         - CLOSE_COST * _close(paths, paces, occupancy)
         - SHUT_COST * _shut(occupancy, station[..., -1], left[..., -1], turned[..., -1])
-        - PASSING_COST * _passing(paces, occupancy, before[0][..., -1], before[1][..., -1])
+        - OUT_COST * (_share(np.abs(before[1]), OUT) * _share(paces.speeds[:, _BEFORE], TOO_FAST)).mean(axis=-1)
         - BEND_COST * np.maximum(sideways / LATERAL - 1.0, 0.0).mean(axis=-1)
         - np.maximum(bends / SHARPEST - 1.0, 0.0).max(axis=-1)
         - ASIDE_COST * np.abs(before[1]).mean(axis=-1)
         - EFFORT_COST * 0.5 * (ACCELERATIONS**2).sum(axis=0)
     )
+
+
+def _share(values: Array, between: tuple[float, float]) -> Array:
+    """How much of the way from one value to the other has been made, 0 to 1."""
+    return np.clip((values - between[0]) / (between[1] - between[0]), 0.0, 1.0)
 
 
 def _close(paths: Sequence[TriedPath], paces: _Paces, occupancy: Occupancy) -> Array:
@@ -145,15 +148,6 @@ def _shut(occupancy: Occupancy, station: Array, left: Array, turned: Array) -> A
     """For how much of WAY_OUT somebody who stays is straight ahead of places (paths, paces) beside the route."""
     beyond = BODY[-1] + np.array(WAY_OUT)[:, None, None]
     return occupancy.room.taken(None, station + beyond, left + beyond * np.sin(turned)).mean(axis=0)
-
-
-def _passing(paces: _Paces, occupancy: Occupancy, station: Array, left: Array) -> Array:
-    """How likely who is out of the lane, faster than CRUISE, is still passing somebody who moves when the seconds that
-    are told are over, at places (paths, paces) beside the route: nobody knows then whether there is a way back."""
-    on_route = station + np.array(STILL_PASSED)[:, None, None], np.zeros(1)
-    moves = occupancy.room.taken(_SECONDS[_BEFORE][-1:], *on_route) - occupancy.room.taken(None, *on_route)
-    out = np.clip(np.abs(left) / LANE - 1.0, 0.0, 1.0) * np.clip((paces.last - CRUISE) / FASTER, 0.0, 1.0)
-    return out * np.maximum(moves, 0.0).max(axis=0)
 
 
 def contacts_of_plan(plan: Array, occupancy: Occupancy) -> float:

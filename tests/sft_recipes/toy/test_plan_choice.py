@@ -154,7 +154,7 @@ def test_it_does_not_come_back_into_who_is_beside():
 
 @pytest.mark.parametrize(("others", "passes"), [(9.0, False), (3.0, True)])
 def test_who_is_as_fast_as_a_free_road_is_driven_is_not_passed_in_the_oncoming_lane(others, passes):
-    """The plan that is drawn would; nobody comes. It takes the place of who is slow."""
+    """The plan that is drawn would; nobody comes. Who is slow is passed."""
 
     def taken(station, offset, seconds):
         return (abs(station - 14.0 - others * seconds) < 3.0) & (abs(offset) < 1.5)
