@@ -7,7 +7,7 @@ import numpy as np
 
 from olt_generator.poses import Array
 from olt_toolkit import ClipStore, Observation, Policy, PolicySample, SampleKey
-from olt_toolkit.policy.contract import STEP_SECONDS
+from olt_toolkit.policy.contract import STEP_SECONDS, Resettable
 
 HORIZONS_SECONDS = (0.5, 1.0, 3.0, 5.0)
 # Length, width and height in metres of the box whose corners are compared; it is centred on the trajectory.
@@ -37,9 +37,11 @@ def mean_errors(errors: Sequence[dict[str, float]]) -> dict[str, float]:
 def measure_open_loop(
     policy: Policy, samples: Iterable[PolicySample], plans_per_sample: int = 1, seed: int = 0
 ) -> list[dict[str, float]]:
-    """The errors of `evaluate_open_loop` of each sample by itself."""
+    """The errors of `evaluate_open_loop` of each sample by itself; what was asked before it is forgotten."""
     errors = []
     for sample in samples:
+        if isinstance(policy, Resettable):
+            policy.reset(seed, "")
         observation = observe(sample, seed)
         plans = [policy.plan(replace(observation, seed=seed + index)) for index in range(plans_per_sample)]
         xyz, rotation = np.stack([plan.xyz for plan in plans]), np.stack([plan.rotation for plan in plans])
