@@ -143,13 +143,13 @@ def _read_shard(path: Path) -> dict[str, Tensor]:
 
 
 def load_tensors(module: nn.Module, tensors: dict[str, Tensor], where: Path) -> None:
-    """Give a module its tensors; every name and shape must match on both sides.
+    """Give a module its tensors; every name and shape must match on both sides, and every number be finite.
 
     A loader that skips names which do not match trains on an untouched model without a word
     (docs/formats/sft_recipes.md); this one refuses.
 
     Raises:
-        InputError: a tensor is missing, unknown or of another shape.
+        InputError: a tensor is missing, unknown, of another shape or not finite.
     """
     expected = module.state_dict()
     missing, unknown = expected.keys() - tensors.keys(), tensors.keys() - expected.keys()
@@ -162,4 +162,6 @@ def load_tensors(module: nn.Module, tensors: dict[str, Tensor], where: Path) -> 
     for name, tensor in tensors.items():
         if tensor.shape != expected[name].shape:
             raise InputError(f"{where}: {name} is {tuple(tensor.shape)}, the model has {tuple(expected[name].shape)}")
+        if not tensor.isfinite().all():
+            raise InputError(f"{where}: {name} holds a number that is not finite; train the policy again")
     module.load_state_dict(tensors)

@@ -7,7 +7,6 @@ random are functions of the seed and the step, so no more state is kept of them 
 
 import hashlib
 import json
-import shutil
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,14 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from olt_generator.errors import InputError
-from olt_generator.files import find_whole_folder, write_whole, write_whole_folder
+from olt_generator.files import (
+    find_whole_folder,
+    remove_whole_folder,
+    sync,
+    sync_folder,
+    write_whole,
+    write_whole_folder,
+)
 from olt_sft_recipes.toy.checkpoint import ToyModel, write_model
 from olt_toolkit.runtime.json_files import read_json
 
@@ -46,6 +52,7 @@ class TrainerState:
         evaluations: step and errors of every evaluation (`validation.Evaluation`).
         best_model_checkpoint: name of the checkpoint that was judged best; None where nothing was judged.
         vlm_sha256: hash of the vision-language model that Stage 2 keeps as it is; None in Stage 1.
+        files: SHA-256 of the other files of the checkpoint, by name.
         seconds: run time up to here by what it was spent on.
     """
 
@@ -63,6 +70,7 @@ class TrainerState:
     evaluations: list[dict[str, Any]] = field(default_factory=list)
     best_model_checkpoint: str | None = None
     vlm_sha256: str | None = None
+    files: dict[str, str] = field(default_factory=dict)
     seconds: dict[str, float] = field(default_factory=dict)
 
 
@@ -80,12 +88,15 @@ def list_checkpoints(folder: Path) -> list[Path]:
 def save_checkpoint(
     folder: Path, model: ToyModel, trained: nn.Module, optimizer: torch.optim.AdamW, state: TrainerState
 ) -> Path:
-    """Write the checkpoint of the step that the state tells; it appears whole."""
+    """Write the checkpoint of the step that the state tells; it appears whole, and outlives a power cut."""
     path = folder / checkpoint_name(state.global_step)
     with write_whole_folder(path) as temporary:
         write_model(temporary, model)
         save_file(_moments(trained, optimizer), temporary / OPTIMIZER_FILE)
+        state.files = {file.name: _hash_file(file) for file in sorted(temporary.iterdir())}
         (temporary / STATE_FILE).write_text(_to_json(state))
+        sync_folder(temporary)
+    sync(folder)
     return path
 
 
@@ -93,6 +104,7 @@ def update_state(checkpoint: Path, state: TrainerState) -> None:
     """Write the state of a checkpoint again, after it was judged."""
     with write_whole(checkpoint / STATE_FILE) as path:
         path.write_text(_to_json(state))
+        sync(path)
 
 
 def read_state(checkpoint: Path) -> TrainerState:
@@ -102,10 +114,29 @@ def read_state(checkpoint: Path) -> TrainerState:
         InputError: it cannot be read, or is not of this release.
     """
     path = find_whole_folder(checkpoint) / STATE_FILE
-    content = read_json(path, "state of a training")
+    try:
+        content = read_json(path, "state of a training")
+    except InputError as error:
+        raise InputError(f"{error}; {_go_on_before(checkpoint)}") from error
     if not isinstance(content, dict) or content.keys() != {known.name for known in fields(TrainerState)}:
         raise InputError(f"{path}: not the state of a training by this release; train again, into another folder")
     return TrainerState(**content)
+
+
+def check_files(checkpoint: Path) -> None:
+    """Check that the files of a checkpoint are as they were written.
+
+    Raises:
+        InputError: one is absent or another, or the state cannot be read.
+    """
+    for name, known in read_state(checkpoint).files.items():
+        path = checkpoint / name
+        if not path.is_file() or _hash_file(path) != known:
+            raise InputError(f"{path}: is not as it was written; {_go_on_before(checkpoint)}")
+
+
+def _go_on_before(checkpoint: Path) -> str:
+    return f"remove {checkpoint} and any after it, and training goes on before it"
 
 
 def restore_optimizer(checkpoint: Path, trained: nn.Module, optimizer: torch.optim.AdamW) -> None:
@@ -118,9 +149,7 @@ def restore_optimizer(checkpoint: Path, trained: nn.Module, optimizer: torch.opt
     try:
         moments = load_file(path)
     except (OSError, SafetensorError) as error:
-        raise InputError(
-            f"{path}: cannot be read ({error}); remove {checkpoint}, and training goes on before it"
-        ) from error
+        raise InputError(f"{path}: cannot be read ({error}); {_go_on_before(checkpoint)}") from error
     state: dict[int, dict[str, Tensor]] = {}
     for index, (name, parameter) in enumerate(trained.named_parameters()):
         found = {key: moments.pop(f"{name}/{key}") for key in _KEYS if f"{name}/{key}" in moments}
@@ -137,9 +166,7 @@ def prune_checkpoints(folder: Path, limit: int, best: str | None) -> None:
     """Remove all but the newest checkpoints and the best; none is ever half there under its name."""
     for path in list_checkpoints(folder)[:-limit]:
         if path.name != best:
-            aside = path.with_name(f".{path.name}.removed")
-            path.rename(aside)
-            shutil.rmtree(aside)
+            remove_whole_folder(path)
 
 
 def hash_tensors(module: nn.Module) -> str:
@@ -149,6 +176,11 @@ def hash_tensors(module: nn.Module) -> str:
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
         digest.update(tensor.contiguous().numpy().tobytes())
     return digest.hexdigest()
+
+
+def _hash_file(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 _KEYS = ("step", "exp_avg", "exp_avg_sq")

@@ -147,6 +147,29 @@ def find_whole_folder(path: Path) -> Path:
     return _aside(path) if not path.exists() and _aside(path).is_dir() else path
 
 
+def remove_whole_folder(path: Path) -> None:
+    """Remove a folder that `write_whole_folder` wrote, if there is one; it is never there by halves under its name."""
+    whole, aside = find_whole_folder(path), path.with_name(f".{path.name}.removed")
+    if whole.exists():
+        whole.rename(aside)
+        shutil.rmtree(aside)
+
+
+def sync(path: Path) -> None:
+    """Have a file, or the names in a folder, written to the disk, so that they outlive a power cut."""
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def sync_folder(path: Path) -> None:
+    """`sync` a folder and all below it."""
+    for place in [*path.rglob("*"), path]:
+        sync(place)
+
+
 def _aside(path: Path) -> Path:
     return path.with_name(f".{path.name}.replaced")
 
