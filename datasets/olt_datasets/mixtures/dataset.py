@@ -95,6 +95,10 @@ class MixtureDataset(Dataset[dict[str, Any]]):
             loaded |= zip(wanted, samples, strict=True)
         return [loaded[key] for key in keys]
 
+    def name_sample(self, key: SampleKey) -> str:
+        """What tells a sample from any other, wherever its store is: what its clip holds, and the time."""
+        return f"{self._store(key.store).info(key.clip_id).checksum} {key.clip_id} {key.t0_us}"
+
     def _store(self, name: str) -> ClipStore:
         if name not in self._stores:
             self._stores[name] = self._open_store(Path(name))

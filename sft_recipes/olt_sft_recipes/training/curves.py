@@ -11,6 +11,7 @@ from olt_sft_recipes.training.checkpoints import TrainerState
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+CURVES_FILE = "curves.png"
 # Steps over which losses are averaged.
 _AVERAGED = 20
 

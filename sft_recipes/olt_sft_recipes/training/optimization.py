@@ -31,18 +31,16 @@ from olt_sft_recipes.training.checkpoints import (
     save_checkpoint,
     update_state,
 )
-from olt_sft_recipes.training.curves import draw_curves
+from olt_sft_recipes.training.curves import CURVES_FILE, draw_curves
 from olt_sft_recipes.training.failed_step import save_failed_step
 from olt_sft_recipes.training.objectives import TrainingBatch, draw_step, prepare_batch, sample_losses
 from olt_sft_recipes.training.sample_arrays import SampleArrays
 from olt_sft_recipes.training.stage_config import StageConfig
-from olt_sft_recipes.training.status import INTERVAL, Phase, StageStatus, write_status
+from olt_sft_recipes.training.status import INTERVAL, Phase, status_of, write_status
 from olt_sft_recipes.training.validation import Validation, evaluate, rank
 
 # Steps whose batches are prepared while one is taken.
 _AHEAD = 2
-# Steps over which the loss of the status is averaged.
-_RECENT = 20
 # Samples whose tokens are counted at once.
 _AT_ONCE = 1024
 
@@ -101,7 +99,7 @@ class StageTraining:
             self._tell("stopped", str(error), now=True)
             raise
         if self.accelerator.is_main_process:
-            draw_curves(self.folder / "curves.png", self.state)
+            draw_curves(self.folder / CURVES_FILE, self.state)
         self._tell("finished", now=True)
 
     def _take_steps(self) -> None:
@@ -244,7 +242,7 @@ class StageTraining:
             self.state.best_model_checkpoint = checkpoint_name(best["step"])
             update_state(checkpoint, self._timed_state())
             self._prune()
-            draw_curves(self.folder / "curves.png", self.state)
+            draw_curves(self.folder / CURVES_FILE, self.state)
             self.accelerator.log(_numbers(evaluation), step=step)
         self.accelerator.wait_for_everyone()
 
@@ -269,18 +267,12 @@ class StageTraining:
             return
         self.told = elapsed
         state, taken = self.state, self.state.global_step - self.first_step
-        losses = [row["loss"] for row in state.log_history[-_RECENT:]]
         waited = state.seconds.get("waiting for data", 0.0) - self.seconds_before.get("waiting for data", 0.0)
-        best = next((e for e in state.evaluations if checkpoint_name(e["step"]) == state.best_model_checkpoint), None)
-        status = StageStatus(
-            stage=self.stage.stage,
-            phase=phase,
-            step=state.global_step,
-            steps=len(self.steps),
-            loss=float(np.mean(losses)) if losses else None,
+        status = status_of(
+            state,
+            phase,
             seconds_left=elapsed / taken * (len(self.steps) - state.global_step) if taken else None,
             waiting_share=waited / elapsed if taken else None,
-            best=best,
             why=why,
         )
         write_status(self.folder, status)

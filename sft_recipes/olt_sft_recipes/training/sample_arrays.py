@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
 from dataclasses import fields
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.lib.format import open_memmap
 
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, naming, write_whole
+from olt_generator.files import make_folder, naming, sync_folder, write_whole
 from olt_generator.seeds import derive_seed
 from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
 from olt_sft_recipes.training.driving_samples import DrivingSamples
@@ -27,6 +27,8 @@ from olt_toolkit.runtime.json_files import read_json
 from olt_toolkit.runtime.workers import working_ahead
 
 LoadSamples = Callable[[Sequence[SampleKey]], Sequence[PolicySample]]
+NameSample = Callable[[SampleKey], str]
+"""What tells a sample from any other, wherever its store is."""
 Arrays = dict[str, np.ndarray[Any, Any]]
 Piece = tuple[list[int], list[SampleKey]]
 """Samples that are decoded together: their rows and their keys."""
@@ -40,9 +42,9 @@ _HANDED_OUT = 3
 _SECONDS_TO_START = 4.0
 
 
-def name_samples(keys: Sequence[SampleKey], config: ToyPolicyConfig) -> str:
-    """What tells the samples with these keys, at the size that the model takes, from any other."""
-    return f"{derive_seed(config.model_dump_json(), *(f'{key.clip_id} {key.t0_us}' for key in keys)):x}"
+def name_by_key(key: SampleKey) -> str:
+    """The clip and the time, where a clip never changes."""
+    return f"{key.clip_id} {key.t0_us}"
 
 
 def bytes_of_sample(config: ToyPolicyConfig) -> int:
@@ -77,6 +79,8 @@ class SampleArrays:
         config: what the model takes of them.
         folder: where the files are.
         workers: most processes that decode ahead; 0 for none.
+        name_sample: what tells the samples of a folder that was left whole from others.
+        options: how they are loaded, in words; a folder of samples that were loaded otherwise is begun anew.
     """
 
     def __init__(
@@ -86,9 +90,12 @@ class SampleArrays:
         config: ToyPolicyConfig,
         folder: Path,
         workers: int = 0,
+        name_sample: NameSample = name_by_key,
+        options: str = "",
     ) -> None:
         self.keys = keys
         self._config, self._folder, self._workers = config, folder, workers
+        self._name_sample, self._options = name_sample, options
         self._gather = partial(_gather, load_samples, config)
         self._decode = partial(_decode, load_samples, config, folder)
         self._samples: DrivingSamples | None = None
@@ -205,18 +212,21 @@ class SampleArrays:
     def _finish(self) -> None:
         """All samples are there: end the processes, and write what makes the folder whole after them."""
         self._ahead.close()
-        for path in self._folder.glob("*.npy"):
-            with path.open("rb") as file:
-                os.fsync(file.fileno())
+        sync_folder(self._folder)
         with write_whole(self._folder / _ABOUT_FILE) as path:
-            about = {"samples": name_samples(self.keys, self._config), "count": len(self.keys)}
-            path.write_text(json.dumps(about) + "\n")
+            path.write_text(json.dumps({"samples": self._name, "count": len(self.keys)}) + "\n")
 
     def _is_whole(self) -> bool:
         path = self._folder / _ABOUT_FILE
         if not path.exists():
             return False
-        return read_json(path, "description of samples")["samples"] == name_samples(self.keys, self._config)
+        return read_json(path, "description of samples")["samples"] == self._name
+
+    @cached_property
+    def _name(self) -> str:
+        """What tells these samples, at the size that the model takes, from any other."""
+        names = map(self._name_sample, self.keys)
+        return f"{derive_seed(self._config.model_dump_json(), self._options, *names):x}"
 
     def _map(self) -> DrivingSamples:
         arrays = {path.stem: np.load(path, mmap_mode="r") for path in sorted(self._folder.glob("*.npy"))}

@@ -1,21 +1,28 @@
 """How far a training is, for whoever asks from outside: one small file that is written again and again."""
 
+import fcntl
 import json
 import os
 import socket
 import time
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from olt_generator.errors import InputError
-from olt_generator.files import write_whole
+from olt_generator.files import make_folder, naming, write_whole
+from olt_sft_recipes.training.checkpoints import TrainerState, checkpoint_name
 from olt_toolkit.runtime.json_files import read_json
 
 STATUS_FILE = "status.json"
+LOCK_FILE = ".lock"
 _MOST_BYTES = 1 << 20
 # The file is written at most so often, seconds.
 INTERVAL = 1.0
+# Steps over which the loss is averaged.
+_RECENT = 20
 
 Phase = Literal["reading samples", "training", "evaluating", "finished", "stopped"]
 
@@ -74,6 +81,14 @@ class StageStatus:
         )
 
 
+def status_of(state: TrainerState, phase: Phase, **further: Any) -> StageStatus:
+    """The status of a stage that is so far; `further` are other fields of it."""
+    losses = [row["loss"] for row in state.log_history[-_RECENT:]]
+    best = next((e for e in state.evaluations if checkpoint_name(e["step"]) == state.best_model_checkpoint), None)
+    loss = sum(losses) / len(losses) if losses else None
+    return StageStatus(state.stage, phase, state.global_step, state.max_steps, loss, best=best, **further)
+
+
 def write_status(folder: Path, status: StageStatus) -> None:
     """Write the status of a stage into its folder, as of now and by this process."""
     status.host, status.process, status.time = socket.gethostname(), os.getpid(), time.time()
@@ -97,28 +112,51 @@ def read_status(folder: Path) -> StageStatus | None:
     return StageStatus(**content)
 
 
+def _places(folder: Path) -> tuple[Path, Path, Path]:
+    """Where a training, or one stage, has its status."""
+    return folder / "stage1", folder / "stage2", folder
+
+
 def read_statuses(folder: Path) -> list[StageStatus]:
     """The stages of a training, or the one stage whose folder it is.
 
     Raises:
         InputError: no training was begun there.
     """
-    found = [read_status(place) for place in (folder / "stage1", folder / "stage2", folder)]
+    found = [read_status(place) for place in _places(folder)]
     statuses = [status for status in found if status is not None]
     if not statuses:
         raise InputError(f"{folder}: no training was begun here; give the --out of `olt sft train` or `olt sft launch`")
     return statuses
 
 
-def refuse_second_training(folder: Path) -> None:
-    """Refuse to train where another living process does.
+def write_stopped(folder: Path, why: str) -> None:
+    """Tell why a training stopped, or was not gone on with, in each stage that was begun and is not finished."""
+    with suppress(InputError):  # who trains is told why anyway; a full disk takes no status
+        for place in _places(folder):
+            status = read_status(place)
+            if status is not None and status.phase != "finished":
+                write_status(place, replace(status, phase="stopped", why=why))
+
+
+@contextmanager
+def training_alone(folder: Path) -> Iterator[None]:
+    """Hold the lock of a training's folder; the system releases it however this process ends.
 
     Raises:
-        InputError: it does.
+        InputError: another process trains there.
     """
-    status = read_status(folder)
-    if status is not None and status.is_alive() and status.process != os.getpid():
-        raise InputError(f"{folder}: process {status.process} is training here; wait for it, or choose another --out")
+    path = make_folder(folder) / LOCK_FILE
+    with naming(path):
+        lock = path.open("w")
+    with lock:
+        try:
+            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no process that decodes inherits it
+        except (BlockingIOError, PermissionError) as error:
+            raise InputError(
+                f"{folder}: another process is training here (`olt sft status`); wait for it, or choose another --out"
+            ) from error
+        yield
 
 
 def _start_of(process: int) -> str:

@@ -12,33 +12,43 @@ trains the action expert alone by flow matching (docs/formats/alpamayo.md, docs/
 import json
 import shutil
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 import torch
 
 from olt_datasets import Mixture, MixtureDataset
 from olt_generator.errors import InputError
-from olt_generator.files import find_whole_folder, make_folder, write_whole_folder
+from olt_generator.files import find_whole_folder, remove_whole_folder, sync_folder, write_whole_folder
 from olt_generator.progress import Progress, silent
 from olt_generator.seeds import derive_seed
 from olt_sft_recipes.toy.checkpoint import ToyModel, load_tensors, read_config, read_model, read_tensors, write_model
 from olt_sft_recipes.toy.config import ToyPolicyConfig
 from olt_sft_recipes.training.checkpoints import (
     TrainerState,
+    check_files,
     checkpoint_name,
     hash_tensors,
     list_checkpoints,
     read_state,
 )
+from olt_sft_recipes.training.curves import CURVES_FILE, draw_curves
 from olt_sft_recipes.training.optimization import StageTraining
-from olt_sft_recipes.training.processes import join_processes, tracking
-from olt_sft_recipes.training.sample_arrays import LoadSamples, SampleArrays, name_samples
+from olt_sft_recipes.training.processes import check_tracker, join_processes, tracking
+from olt_sft_recipes.training.sample_arrays import LoadSamples, NameSample, SampleArrays, name_by_key
 from olt_sft_recipes.training.stage_config import StageConfig
-from olt_sft_recipes.training.status import StageStatus, refuse_second_training, write_status
+from olt_sft_recipes.training.status import (
+    StageStatus,
+    read_status,
+    status_of,
+    training_alone,
+    write_status,
+    write_stopped,
+)
 from olt_sft_recipes.training.validation import Validation
 from olt_toolkit import SampleKey
 from olt_toolkit.runtime.json_files import read_json
@@ -52,6 +62,8 @@ StageChoice = Literal["1", "2", "both"]
 SAMPLES_FOLDER = "samples"
 POLICY_FOLDER = "policy"
 VLM_PREFIX = "vlm."
+# In the folder of a stage, under names that only files have which are being written or removed.
+_LEFTOVERS = (".checkpoint-*", ".not-finite-*", ".status.*", ".curves.*", "checkpoint-*/.trainer_state.*")
 # Most processes that decode ahead of a training; each holds samples of a piece and what it has imported.
 _MOST_AHEAD = 4
 
@@ -109,12 +121,18 @@ def train_on_mixture(
     """
     first, second = stages if seed is None else (stage.model_copy(update={"seed": seed}) for stage in stages)
     config = model_config or ToyPolicyConfig()
-    weighted = any(stage.invented_pixel_weight < 1.0 for stage in stages)
-    told = any(stage.stage == 1 and stage.sight_weight > 0.0 for stage in stages)
-    dataset = MixtureDataset(mixture, image_size=None, contract=config.contract, with_origin=weighted, with_truth=told)
-    ahead = min(default_workers() - 1, _MOST_AHEAD)
+    dataset = MixtureDataset(mixture, image_size=None, contract=config.contract, **_sample_options(stages))
     return train_two_stages(
-        (first, second), mixture.epoch, dataset.load_batch, out, config, on_progress, validation, only, ahead
+        (first, second),
+        mixture.epoch,
+        dataset.load_batch,
+        out,
+        config,
+        on_progress,
+        validation,
+        only,
+        min(default_workers() - 1, _MOST_AHEAD),
+        dataset.name_sample,
     )
 
 
@@ -128,6 +146,7 @@ def train_two_stages(
     validation: Validation = Validation(),  # noqa: B008 - frozen
     only: StageChoice = "both",
     workers: int = 0,
+    name_sample: NameSample = name_by_key,
 ) -> list[StageResult]:
     """Train both stages, or one; `out/policy` is what drives once Stage 2 is finished.
 
@@ -145,10 +164,12 @@ def train_two_stages(
         validation: what the stages are judged by while they train.
         only: which stage to train; "2" goes on from the finished Stage 1 in `out`.
         workers: most processes that decode samples while this one trains; `load_samples` can be pickled then.
+        name_sample: what tells a sample from any other: a stage is trained anew where it changes.
 
     Raises:
-        InputError: the stages are not 1 and 2, Stage 1 is missing or unfinished, another process trains there, a loss
-            is not finite, a sample is damaged, or a stage's weights do not match the model.
+        InputError: the stages are not 1 and 2, Stage 1 is missing, unfinished or of another model, another process
+            trains there, a loss is not finite, a sample or checkpoint is damaged, or a stage's weights do not match
+            the model.
     """
     first, second = (stage.stage for stage in stages)
     if (first, second) != (1, 2):
@@ -158,17 +179,15 @@ def train_two_stages(
     chosen = [0, 1] if only == "both" else [int(only) - 1]
     keys = sorted({key for index in chosen for epoch in steps[index] for batch in epoch for key in batch})
     results: list[StageResult] = []
-    with SampleArrays(keys, load_samples, config, out / SAMPLES_FOLDER, workers) as samples:
+    with _keeping_samples(stages, keys, load_samples, config, out, workers, name_sample) as samples:
         for index in chosen:
-            folder = out / f"stage{index + 1}"
-            before = None if index == 0 else _finished_stage1(out / "stage1")
+            folder, after = out / f"stage{index + 1}", [out / POLICY_FOLDER, out / "stage2"][: 2 - index]
+            before = None if index == 0 else _finished_stage1(out / "stage1", config)
             share = lambda done, index=index: on_progress((chosen.index(index) + done) / len(chosen))  # noqa: E731
-            plan = _StagePlan(stages[index], steps[index], keys, before, folder, config, validation)
+            plan = _StagePlan(stages[index], steps[index], keys, name_sample, before, folder, after, config, validation)
             results.append(_train(plan, samples, share))
-    if 1 in chosen:
-        _publish(out / "stage2" / results[-1].checkpoint, out / POLICY_FOLDER)
-    if join_processes().is_main_process:
-        shutil.rmtree(out / SAMPLES_FOLDER, ignore_errors=True)
+        if 1 in chosen:
+            _publish(out / "stage2" / results[-1].checkpoint, out / POLICY_FOLDER)
     return results
 
 
@@ -199,12 +218,9 @@ def train_stage(
     if stage.stage == 2 and checkpoint_in is None:
         raise InputError("stage 2 starts from a Stage 1 folder; give one")
     config = read_config(checkpoint_in) if checkpoint_in is not None else model_config or ToyPolicyConfig()
-    plan = _StagePlan(stage, steps, keys, checkpoint_in, out, config, validation)
-    with SampleArrays(keys, load_samples, config, out / SAMPLES_FOLDER) as samples:
-        result = _train(plan, samples, on_progress)
-    if join_processes().is_main_process:
-        shutil.rmtree(out / SAMPLES_FOLDER, ignore_errors=True)
-    return result
+    plan = _StagePlan(stage, steps, keys, name_by_key, checkpoint_in, out, [], config, validation)
+    with _keeping_samples([stage], keys, load_samples, config, out) as samples:
+        return _train(plan, samples, on_progress)
 
 
 def read_results(out: Path, only: StageChoice = "both") -> list[StageResult]:
@@ -222,13 +238,15 @@ def read_results(out: Path, only: StageChoice = "both") -> list[StageResult]:
 
 @dataclass(frozen=True)
 class _StagePlan:
-    """What a stage is to be trained from, before anything is loaded."""
+    """What a stage is to be trained from, before anything is loaded, and the folders of what is made from it."""
 
     stage: StageConfig
     epochs: list[list[list[SampleKey]]]
     keys: list[SampleKey]
+    name_sample: NameSample
     checkpoint_in: Path | None
     folder: Path
+    after: list[Path]
     config: ToyPolicyConfig
     validation: Validation
 
@@ -236,9 +254,9 @@ class _StagePlan:
         """What decides the result, as a hash."""
         before = "" if self.checkpoint_in is None else read_state(self.checkpoint_in).identity
         judged = self.validation.identity(self.stage.stage)
-        order = derive_seed(*(f"{key.clip_id} {key.t0_us}" for epoch in self.epochs for step in epoch for key in step))
-        samples = name_samples(self.keys, self.config)
-        return f"{derive_seed(code_version(), self.stage.decides_weights(), samples, order, before, judged):x}"
+        order = derive_seed(*(self.name_sample(key) for epoch in self.epochs for step in epoch for key in step))
+        settings = self.stage.decides_weights(), self.config.model_dump_json()
+        return f"{derive_seed(code_version(), *settings, order, before, judged):x}"
 
     def max_steps(self) -> int:
         return sum(map(len, self.epochs))
@@ -250,11 +268,55 @@ def _list_steps(stage: StageConfig, batches: Batches) -> list[list[list[SampleKe
     return [[list(batch) for batch in batches(epoch, sizes)] for epoch in range(stage.num_train_epochs)]
 
 
-def _finished_stage1(folder: Path) -> Path:
+@contextmanager
+def _keeping_samples(
+    stages: Sequence[StageConfig],
+    keys: list[SampleKey],
+    load_samples: LoadSamples,
+    config: ToyPolicyConfig,
+    out: Path,
+    workers: int = 0,
+    name_sample: NameSample = name_by_key,
+) -> Iterator[SampleArrays]:
+    """The samples of a training, which is alone in its folder, and whose status tells why it stopped.
+
+    They are removed when it has come to its end.
+    """
+    for stage in stages:
+        check_tracker(stage.report_to)
+    is_main = join_processes().is_main_process
+    options = json.dumps(_sample_options(stages))
+    with training_alone(out) if is_main else nullcontext():
+        folder = out / SAMPLES_FOLDER
+        try:
+            with SampleArrays(keys, load_samples, config, folder, workers, name_sample, options) as samples:
+                yield samples
+        except InputError as error:
+            if is_main:
+                write_stopped(out, str(error))
+            raise
+        if is_main:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+class _SampleOptions(TypedDict):
+    with_origin: bool
+    with_truth: bool
+
+
+def _sample_options(stages: Sequence[StageConfig]) -> _SampleOptions:
+    """What of the samples is loaded for these stages, as `MixtureDataset` takes it."""
+    return {
+        "with_origin": any(stage.invented_pixel_weight < 1.0 for stage in stages),
+        "with_truth": any(stage.stage == 1 and stage.sight_weight > 0.0 for stage in stages),
+    }
+
+
+def _finished_stage1(folder: Path, config: ToyPolicyConfig) -> Path:
     """The checkpoint of Stage 1 that goes on into Stage 2.
 
     Raises:
-        InputError: there is none, or Stage 1 is not finished.
+        InputError: there is none, Stage 1 is not finished, or its model is of another configuration.
     """
     found = list_checkpoints(folder)
     if not found:
@@ -264,26 +326,36 @@ def _finished_stage1(folder: Path) -> Path:
         raise InputError(
             f"{folder}: Stage 1 is at step {state.global_step} of {state.max_steps}; finish it first, with --stage 1"
         )
-    return folder / (state.best_model_checkpoint or found[-1].name)
+    checkpoint = folder / (state.best_model_checkpoint or found[-1].name)
+    check_files(checkpoint)
+    trained, asked = read_config(checkpoint).model_dump(), config.model_dump()
+    differing = [f"{name} {trained[name]} instead of {asked[name]}" for name in asked if trained[name] != asked[name]]
+    if differing:
+        raise InputError(f"{folder}: Stage 1 has {', '.join(differing)}; train both stages alike, as with one --rig")
+    return checkpoint
 
 
 def _train(plan: _StagePlan, samples: SampleArrays, on_progress: Progress) -> StageResult:
     """Train what is left of a stage."""
     accelerator = join_processes(plan.stage.report_to, plan.folder)
     identity, resumed = plan.identity(), None
-    if accelerator.is_main_process:
-        refuse_second_training(make_folder(plan.folder))
     checkpoints = list_checkpoints(plan.folder)
     if checkpoints and read_state(checkpoints[-1]).identity == identity:
         resumed = checkpoints[-1]
     state = None if resumed is None else read_state(resumed)
     accelerator.wait_for_everyone()  # before one of them changes what all have read
+    if accelerator.is_main_process:
+        _remove_leftovers(plan)
     if state is not None and state.global_step == state.max_steps and not _is_to_be_judged(plan, state):
+        if accelerator.is_main_process:
+            _tell_finished(plan.folder, state)
         on_progress(1.0)
         return _result(state)
+    if resumed is not None:
+        check_files(resumed)
     if accelerator.is_main_process:
         if resumed is None:
-            _clear(plan.folder)
+            _clear(plan)
         reading = StageStatus(
             plan.stage.stage, "reading samples", 0 if state is None else state.global_step, plan.max_steps()
         )
@@ -322,10 +394,29 @@ def _is_to_be_judged(plan: _StagePlan, state: TrainerState) -> bool:
     return plan.validation.judges(plan.stage.stage) and state.global_step not in judged
 
 
-def _clear(folder: Path) -> None:
-    """Remove what another training left in the folder of a stage."""
-    for path in [*folder.glob("checkpoint-*"), *folder.glob("not-finite-*"), *folder.glob(".checkpoint-*")]:
-        shutil.rmtree(path)
+def _tell_finished(folder: Path, state: TrainerState) -> None:
+    """Draw and tell what a training that was killed after its last step did not."""
+    status = read_status(folder)
+    if status is None or status.phase != "finished":
+        draw_curves(folder / CURVES_FILE, state)
+        write_status(folder, status_of(state, "finished"))
+
+
+def _remove_leftovers(plan: _StagePlan) -> None:
+    """Remove what killed processes left half written or half removed."""
+    for path in [found for pattern in _LEFTOVERS for found in plan.folder.glob(pattern)]:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    for folder in plan.after:
+        for path in folder.parent.glob(f".{folder.name}.*"):
+            if path != find_whole_folder(folder):
+                shutil.rmtree(path)
+
+
+def _clear(plan: _StagePlan) -> None:
+    """Remove what another training left in the folder of a stage, after all that was made from it."""
+    for path in [*plan.after, *plan.folder.glob("checkpoint-*"), *plan.folder.glob("not-finite-*")]:
+        remove_whole_folder(path)
+    (plan.folder / CURVES_FILE).unlink(missing_ok=True)
 
 
 def _new_state(plan: _StagePlan, identity: str, model: ToyModel) -> TrainerState:
@@ -388,7 +479,9 @@ def _publish(checkpoint: Path, policy: Path) -> None:
     about = {"identity": read_state(checkpoint).identity, "checkpoint": checkpoint.name}
     said = find_whole_folder(policy) / "trained.json"
     if join_processes().is_main_process and not (said.exists() and read_json(said, "origin of a policy") == about):
+        check_files(checkpoint)
         with write_whole_folder(policy) as temporary:
             write_model(temporary, read_model(checkpoint))
             (temporary / "trained.json").write_text(json.dumps(about, indent=2) + "\n")
+            sync_folder(temporary)
     join_processes().wait_for_everyone()

@@ -1,11 +1,13 @@
 """Judging a model while it is trained: its loss and errors on held-out samples, and a small suite that it drives."""
 
+import hashlib
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from olt_closed_loop import SimulationSettings, run_closed_loop, summarize_scores
@@ -45,9 +47,14 @@ class Validation:
 
     def identity(self, stage: int) -> str:
         """What the errors depend on, besides the model."""
-        samples = [f"{sample.clip_id} {sample.t0_us}" for sample in self.samples]
+        content = hashlib.blake2b(digest_size=16)
+        for sample in self.samples:
+            for name, value in vars(sample).items():
+                content.update(
+                    f"\n{name} ".encode() + (value.tobytes() if isinstance(value, np.ndarray) else repr(value).encode())
+                )
         driven = [*self.scenes, str(self.duration_us)] if stage == 2 else []
-        return f"{derive_seed(*samples, '/', *driven):x}"
+        return f"{derive_seed(content.hexdigest(), *driven):x}"
 
 
 def evaluate(checkpoint: Path, stage: StageConfig, validation: Validation) -> dict[str, Any]:

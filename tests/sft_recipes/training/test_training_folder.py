@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -30,18 +31,28 @@ STAGE_1 = StageConfig(stage=1, num_train_epochs=1, per_device_train_batch_size=4
 STAGE_2 = StageConfig(stage=2, num_train_epochs=1, per_device_train_batch_size=4, warmup_steps=0, learning_rate=1e-3)
 
 
-@pytest.fixture(scope="module")
-def trained(drives, tiny_config, tmp_path_factory):
-    """Both stages, three steps each: results and folder."""
-    out, keys = tmp_path_factory.mktemp("trained"), sorted(drives)
+def train_both(drives, config, out, first=STAGE_1, second=STAGE_2, **further):
+    """Both stages, three steps each."""
+    keys = sorted(drives)
 
     def batches(epoch, size):
         return [keys[start : start + size] for start in range(0, len(keys), size)]
 
-    results = train_two_stages(
-        (STAGE_1, STAGE_2), batches, lambda asked: [drives[key] for key in asked], out, tiny_config
-    )
-    return results, out
+    load = further.pop("load", lambda asked: [drives[key] for key in asked])
+    return train_two_stages((first, second), batches, load, out, config, **further)
+
+
+@pytest.fixture(scope="module")
+def trained(drives, tiny_config, tmp_path_factory):
+    """Both stages, three steps each: results and folder."""
+    out = tmp_path_factory.mktemp("trained")
+    return train_both(drives, tiny_config, out), out
+
+
+@pytest.fixture
+def copied(trained, tmp_path):
+    """A copy of that folder."""
+    return Path(shutil.copytree(trained[1], tmp_path / "copied"))
 
 
 def train_one(stage, samples, out, config, steps, **further):
@@ -242,19 +253,22 @@ def test_status_of_nothing_is_refused(tmp_path):
         read_statuses(tmp_path)
 
 
-def test_a_second_training_in_the_same_folder_is_refused(drives, tiny_config, tmp_path):
-    other = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
-    try:
-        start = StageStatus(1, "training", 5, 10)
-        write_status(tmp_path, start)
-        content = json.loads((tmp_path / "status.json").read_text())
-        ticks = Path(f"/proc/{other.pid}/stat").read_text().rpartition(")")[2].split()[19]
-        (tmp_path / "status.json").write_text(json.dumps({**content, "process": other.pid, "process_start": ticks}))
-        with pytest.raises(InputError, match=f"process {other.pid} is training here"):
-            train_one(STAGE_1, drives, tmp_path, tiny_config, [sorted(drives)])
-    finally:
-        other.kill()
-        other.wait()
+HOLD_LOCK = (
+    "import fcntl, sys; f = open('.lock', 'w'); fcntl.lockf(f, fcntl.LOCK_EX); print(flush=True); sys.stdin.read()"
+)
+
+
+def test_a_second_training_in_the_same_folder_is_refused_and_changes_nothing(copied, drives, tiny_config):
+    """Whatever stage the first is in, and before the second removes what it would train anew."""
+    before = sorted(copied.rglob("*"))
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD_LOCK], cwd=copied, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
+        assert other.stdout is not None and other.stdout.readline()
+        with pytest.raises(InputError, match="another process is training here"):
+            train_both(drives, tiny_config, copied, STAGE_1.model_copy(update={"seed": 5}))
+        other.communicate()
+    assert sorted(copied.rglob("*")) == before and read_statuses(copied)[0].phase == "finished"
 
 
 def test_stage_2_alone_needs_a_finished_stage_1(drives, tiny_config, tmp_path):
@@ -266,19 +280,10 @@ def test_stage_2_alone_needs_a_finished_stage_1(drives, tiny_config, tmp_path):
 
 
 def test_stages_one_by_one_are_both_together(trained, drives, tiny_config, tmp_path):
-    keys = sorted(drives)
-
-    def train(only):
-        return train_two_stages(
-            (STAGE_1, STAGE_2),
-            lambda _, size: [keys[start : start + size] for start in range(0, len(keys), size)],
-            lambda asked: [drives[key] for key in asked],
-            tmp_path,
-            tiny_config,
-            only=only,
-        )
-
-    results = [*train("1"), *train("2")]
+    results = [
+        *train_both(drives, tiny_config, tmp_path, only="1"),
+        *train_both(drives, tiny_config, tmp_path, only="2"),
+    ]
     assert [result.losses for result in results] == [result.losses for result in trained[0]]
 
 

@@ -158,6 +158,10 @@ def test_stage_2_refuses_a_checkpoint_whose_names_do_not_match(train, drives, tm
     config["layers"] = 1
     (folder / "config.json").write_text(json.dumps(config))
     with pytest.raises(InputError, match="unknown"):
+        read_model(folder)
+    state = json.loads((folder / "trainer_state.json").read_text())
+    (folder / "trainer_state.json").write_text(json.dumps({**state, "files": {}}))
+    with pytest.raises(InputError, match="unknown"):
         train_stage(
             STAGE_2,
             lambda epoch, size: [sorted(drives)],
