@@ -50,7 +50,10 @@ def train(
     rig: Annotated[ContractName, typer.Option(help="Whose cameras the policy takes.")] = ContractName.ALPAMAYO_R1,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, help="Seed of the mixture and of both stages; by default 0, and what their YAML says."),
+        typer.Option(
+            min=0,
+            help="Seed of both stages, and of a mixture that is composed here; by default what their YAML says, and 0.",
+        ),
     ] = None,
     stage: Annotated[StageName, typer.Option(help="Which stage; 2 goes on from the finished Stage 1 in OUT.")] = (
         StageName.BOTH
@@ -66,18 +69,26 @@ def train(
     as_json: JsonOption = False,
 ) -> None:
     """Train, and print the losses."""
+    from olt_generator.errors import InputError
     from olt_sft_recipes.launch.toy import describe_evaluation, read_stages, validation_of
     from olt_sft_recipes.toy.config import ToyPolicyConfig
     from olt_sft_recipes.training.processes import check_tracker, is_main_process
     from olt_sft_recipes.training.two_stages import train_on_mixture
+    from olt_toolkit.recordings.recording import refuse_unused
     from olt_toolkit.runtime.console import print_json, print_line, print_table, show_progress
     from olt_toolkit.runtime.threads import use_one_thread
 
     use_one_thread()
     check_tracker(report_to.value)
+    refuse_unused({"--stores": bool(stores and mixture)}, "a mixture names its stores; --judge-on takes others")
     chosen = choose_mixture(mixture, recipe, stores, seed, allow_uncompared)
     stages, config = read_stages(stage1, stage2, report_to.value), ToyPolicyConfig(rig=rig.value)
     validation = validation_of(judge_on, config.contract, judge_scene)
+    if judge_on and not validation.samples:
+        raise InputError(
+            f"--judge-on {', '.join(map(str, judge_on))}: no clip of split val gives a sample to judge by; give a "
+            "store that has some, or leave it out"
+        )
     with show_progress("training") as (on_progress, _):
         results = train_on_mixture(
             chosen,

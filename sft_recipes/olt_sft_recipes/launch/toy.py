@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from olt_closed_loop import load_scene
+from olt_closed_loop.evaluation.evaluation import find_scenes
 from olt_closed_loop.scenes.procedural import CATEGORIES
 from olt_datasets import Mixture, write_mixture
 from olt_generator.errors import InputError
@@ -58,7 +60,8 @@ def launch_toy(
         mixture: what is trained on.
         out: `out/stage1`, `out/stage2` and `out/policy`, which drives.
         stage: which stage is trained.
-        processes: processes of this machine, which share each optimizer step; the result does not depend on them.
+        processes: processes of this machine, which share each optimizer step; what they sum they round differently,
+            and the differences grow with the steps.
         seed: of both stages; None for those that their YAML says.
         rig: camera contract of the policy.
         stores: clip stores whose split "val" judges the stages; without one, Stage 2 is judged by its driving alone.
@@ -86,7 +89,8 @@ def launch_toy(
         results = train_on_mixture(mixture, stages, seed, out, on_progress, config, validation, stage)
     else:
         write_mixture(mixture, out / "mixture.json")
-        run_on_processes(_arguments(out, (stage1, stage2), stage, seed, rig, stores, report_to), processes)
+        judged = stores if validation.samples else ()
+        run_on_processes(_arguments(out, (stage1, stage2), stage, seed, rig, judged, report_to), processes)
         results = read_results(out, stage)
     policy = str(out / POLICY_FOLDER) if stage != "1" else None
     return {"plan": plan, "policy": policy, "stages": [vars(result) for result in results]}
@@ -108,7 +112,13 @@ def read_stages(
 
 
 def validation_of(stores: Sequence[Path], contract: CameraContract, scenes: Sequence[str]) -> Validation:
-    """What judges the stages: at most 64 samples of the split "val", spread over its clips, and scenes to drive."""
+    """What judges the stages: at most 64 samples of the split "val", spread over its clips, and scenes to drive.
+
+    Raises:
+        InputError: a store cannot be read, or a scene not be found.
+    """
+    for scene in find_scenes(scenes):
+        load_scene(scene)
     opened = [ClipStore(path) for path in stores]
     keys = [(store, key) for store in opened for key in spread_keys(store, "val", _SAMPLES_PER_CLIP)]
     chosen = keys[:: -(-len(keys) // _MOST_SAMPLES) or 1]
