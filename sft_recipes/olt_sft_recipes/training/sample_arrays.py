@@ -17,7 +17,7 @@ import numpy as np
 from numpy.lib.format import open_memmap
 
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, naming, sync_folder, write_whole
+from olt_generator.files import make_folder, naming, sync, sync_folder, write_whole
 from olt_generator.seeds import derive_seed
 from olt_sft_recipes.toy.config import PATCH, ToyPolicyConfig
 from olt_sft_recipes.training.driving_samples import DrivingSamples
@@ -215,6 +215,7 @@ class SampleArrays:
         sync_folder(self._folder)
         with write_whole(self._folder / _ABOUT_FILE) as path:
             path.write_text(json.dumps({"samples": self._name, "count": len(self.keys)}) + "\n")
+            sync(path)
 
     def _is_whole(self) -> bool:
         path = self._folder / _ABOUT_FILE
