@@ -76,7 +76,8 @@ def check_stage1(path: Path, base_path: Path) -> "VlmComparison":
 
     Raises:
         InputError: it is not complete, holds adapters that were not merged, lacks tensors of the base (which the recipe
-            would take from the base in silence), has other tokens or no pixel budget, or is the base, unchanged.
+            would take from the base in silence), has other tokens, no pixel budget or values that are not finite, or is
+            the base, unchanged.
     """
     trained, base = read_checkpoint(path), read_checkpoint(base_path)
     mine, theirs = vlm_tensors(trained), vlm_tensors(base)
@@ -139,12 +140,17 @@ class VlmComparison:
 
 
 def compare_vlm(stage1: Path, stage2: Path, base: Path, most_bytes: int | None = None) -> VlmComparison:
-    """Compare tensor by tensor, at the precision of Stage 2's; `most_bytes` takes a sample spread over the names."""
+    """Compare tensor by tensor, at the precision of Stage 2's; `most_bytes` takes a sample spread over the names.
+
+    Raises:
+        InputError: a value of Stage 1 or 2 is not finite.
+    """
     folders = [vlm_tensors(read_checkpoint(path)) for path in (stage1, stage2, base)]
     names = _spread(folders[0], most_bytes)
     unlike, as_base, telling = [], 0, 0
     for name in names:
-        one, two, released = (_read(tensors, name) for tensors in folders)
+        one, two = (_read_finite(tensors, name) for tensors in folders[:2])
+        released = _read(folders[2], name)
         telling += not _same(one, released)
         if not _same(one, two):
             unlike.append(name)
@@ -160,7 +166,7 @@ def check_expert(path: Path, base_path: Path, whole: bool) -> str:
         whole: whether the training is at its end, by which something must have changed.
 
     Raises:
-        InputError: tensors of the base's expert are missing, or all of them are still the base's.
+        InputError: tensors of the base's expert are missing, a value is not finite, or all are still the base's.
     """
     trained, base = read_checkpoint(path).tensors, read_checkpoint(base_path).tensors
     names = sorted(name for name in base if not name.startswith(VLM_PREFIX))
@@ -171,7 +177,7 @@ def check_expert(path: Path, base_path: Path, whole: bool) -> str:
             "cannot drive; train Stage 2 again"
         )
     chosen = _spread({name: base[name] for name in names}, SAMPLE_BYTES)
-    changed = sum(not _same(_read(base, name), _read(trained, name)) for name in chosen)
+    changed = sum(not _same(_read(base, name), _read_finite(trained, name)) for name in chosen)
     if whole and not changed:
         raise InputError(
             f"{path}: {len(chosen)} of {len(names)} tensors of the action expert were compared with {base_path} and "
@@ -194,6 +200,17 @@ def _same(left: "Tensor | None", right: "Tensor | None") -> bool:
     if left is None or right is None or left.shape != right.shape:
         return False
     return left.to(right.dtype).equal(right)
+
+
+def _read_finite(tensors: Mapping[str, StoredTensor], name: str) -> "Tensor | None":
+    """A tensor of a trained model; InputError where it holds NaN or infinity, which nothing can be driven with."""
+    tensor = _read(tensors, name)
+    if tensor is not None and not tensor.isfinite().all():
+        raise InputError(
+            f"{tensors[name].file}: {name} holds NaN or infinite values: the training went astray; look at its losses, "
+            "and train again with a lower learning rate"
+        )
+    return tensor
 
 
 def _read(tensors: Mapping[str, StoredTensor], name: str) -> "Tensor | None":

@@ -9,7 +9,7 @@ from olt_sft_recipes.preflight.data_rows import spread
 from olt_sft_recipes.preflight.plan import PreflightPlan
 from olt_sft_recipes.preflight.profiles import PROFILES
 from olt_sft_recipes.preflight.rows import Row, RowMaker
-from olt_sft_recipes.preflight.safetensors_files import StoredTensor, same_start
+from olt_sft_recipes.preflight.safetensors_files import StoredTensor, same_start, starts_finite
 from olt_sft_recipes.preflight.token_rows import config_rows, pixel_row, unlike_tokens, vocabulary_rows
 from olt_toolkit.runtime.json_files import read_json
 
@@ -168,7 +168,7 @@ def _fit_row(root: Path, found: dict[str, StoredTensor], wanted: dict[str, Store
 
 
 def _trained_row(root: Path, found: dict[str, StoredTensor], base: dict[str, StoredTensor]) -> Row:
-    """Whether the weights are others than the base's, by the first bytes of matrices spread over the model."""
+    """Whether weights are finite and others than the base's, by the first bytes of matrices spread over the model."""
     both = sorted(name for name in found.keys() & base.keys() if len(found[name].shape) > 1)
     compared = spread(both, _COMPARED)
     if not compared:
@@ -176,6 +176,8 @@ def _trained_row(root: Path, found: dict[str, StoredTensor], base: dict[str, Sto
     equal = _count_equal([(found[name], base[name]) for name in compared])
     said = f"{equal} of {len(compared)} tensors that were compared begin as those of the base do"
     wrong = [f"{said}: Stage 1 did not train, or this is the base"] if equal == len(compared) else []
+    endless = [name for name in compared if not starts_finite(found[name], _COMPARED_BYTES)]
+    wrong += [f"{len(endless)} tensors hold NaN or infinite values, as {endless[0]}"] if endless else []
     return ROWS.judge("stage 1 trained", root, wrong, said, "take the checkpoint-N that Stage 1 wrote")
 
 

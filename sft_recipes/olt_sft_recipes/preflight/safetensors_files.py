@@ -64,6 +64,11 @@ def same_start(one: StoredTensor, other: StoredTensor, most_bytes: int) -> bool:
     return bool(count) and np.array_equal(values[0][:count], values[1][:count])
 
 
+def starts_finite(tensor: StoredTensor, most_bytes: int) -> bool:
+    """Whether a tensor begins with values that are numbers; of types other than BF16, F16 and F32 all are taken so."""
+    return tensor.dtype not in _MANTISSAS or bool(np.isfinite(_floats(tensor, most_bytes)).all())
+
+
 _MANTISSAS = {"BF16": 7, "F16": 10, "F32": 23}
 """Bits of precision of the types of weights."""
 

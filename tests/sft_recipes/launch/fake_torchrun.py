@@ -105,6 +105,8 @@ def main():
             result = {name: value for name, value in result.items() if not name.startswith("expert.")}
         if FAULT == "expert unchanged":
             result |= mine
+    if f"nan in stage {stage}" == FAULT:
+        result |= {name: value * np.float32("nan") for name, value in mine.items()}
     output = Path(OVERRIDES["paths.output_dir"])
     if FAULT != "no checkpoint":
         write_checkpoint(output / f"checkpoint-{steps - (FAULT == 'stops early')}", result, config)

@@ -128,6 +128,8 @@ def test_stage_2_goes_on_from_a_stage_1_that_was_launched_alone(launch, environm
         ("stage 2 on another", "neither Stage 1's nor the base's"),
         ("expert lost", r"lacks expert\..*cannot drive"),
         ("expert unchanged", "Stage 2 changed nothing"),
+        ("nan in stage 1", r"stage1/checkpoint-6/model-.*safetensors: .* holds NaN or infinite values"),
+        ("nan in stage 2", r"stage2/checkpoint-18/model-.*safetensors: .* holds NaN or infinite values"),
         ("fails", "RuntimeError: CUDA out of memory"),
     ],
 )

@@ -212,6 +212,18 @@ def test_a_stage_1_that_is_the_base_in_another_type_did_not_train(folders, tmp_p
     assert not failures(**folders)
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_stage_1_whose_weights_are_not_finite(folders, value):
+    def spoil(tensors):
+        for tensor in tensors.values():
+            tensor.view(-1)[0] = value
+
+    for path in folders["stage1"].glob("*.safetensors"):
+        edit_shard(folders["stage1"], spoil, path.name)
+    (found,) = failures(**folders)
+    assert found.startswith("stage 1 trained") and "16 tensors hold NaN or infinite values, as lm_head.weight" in found
+
+
 @pytest.mark.parametrize(
     ("state", "verdict", "said"),
     [
