@@ -4,11 +4,9 @@ The lines are those of NVlabs/alpamayo-recipes and of the Trainer of transformer
 (docs/formats/sft_recipes.md).
 """
 
-import ast
 import math
 import re
 from dataclasses import dataclass, field
-from typing import Any
 
 from olt_generator.errors import InputError
 from olt_sft_recipes.launch.public_recipes import Stage
@@ -17,13 +15,17 @@ from olt_sft_recipes.toy.tokens import FUTURE_BINS
 UNIFORM_LOSS = math.log(FUTURE_BINS)
 """Cross-entropy of one that knows nothing of the 3,000 future tokens and guesses: 8.006."""
 
-_CHUNKS = re.compile(r"Loading from (?P<folder>.*) with chunk_ids: (?P<chunks>\[.*\]|None)")
+_CHUNKS = re.compile(r"Loading from (?P<folder>.*?) with chunk_ids: (?P<chunks>\[[\d, ]*\]|None)")
 _COUNTS = {
     "samples": re.compile(r"Num examples = ([\d,]+)"),
     "steps": re.compile(r"Total optimization steps = ([\d,]+)"),
     "trained": re.compile(r"Number of trainable parameters = ([\d,]+)"),
 }
-_LOGGED = re.compile(r"\{'loss': .*\}")
+# Processes write into each other's lines, so that anything may stand around a dictionary, or in it.
+_LOGGED = re.compile(r"\{'loss': [^{}]*\}")
+_VALUE = re.compile(
+    r"'(\w+)': (?:np\.float\d+\()?(-?(?:nan|inf|\d+(?:\.\d*)?(?:e[+-]?\d+)?))\)?(?=[,}])", re.IGNORECASE
+)
 _BAR = re.compile(r"\s(\d+)/(\d+) \[")
 
 
@@ -82,9 +84,9 @@ class LogWatch:
         for name, pattern in _COUNTS.items():
             if match := pattern.search(line):
                 self._see_count(name, int(match[1].replace(",", "")))
-        if match := _LOGGED.search(line):
-            self._see_loss(match[0])
-        elif (match := _BAR.search(line)) and int(match[2]) == self.expected.steps:
+        for match in _LOGGED.finditer(line):
+            self._see_loss({name: float(value) for name, value in _VALUE.findall(match[0])})
+        if (match := _BAR.search(line)) and int(match[2]) == self.expected.steps:
             self.step = max(self.step, int(match[1]))
 
     def _see_chunks(self, line: str) -> None:
@@ -93,14 +95,14 @@ class LogWatch:
         match = _CHUNKS.search(line)
         if match is None or match["folder"].strip() != self.expected.folder:
             return
-        chunks = ast.literal_eval(match["chunks"])
+        chunks = [int(number) for number in re.findall(r"\d+", match["chunks"])]
         if not chunks:
             raise InputError(
                 f"the recipe selected no chunk of {match['folder']}, so no clip: a range is FIRST-END with END left "
                 "out, and a text without a dash selects nothing"
             )
         meant = (self.expected.chunks, self.expected.validation_chunks or ())
-        if list(chunks) not in [list(each) for each in meant]:
+        if chunks not in [list(each) for each in meant]:
             first, last = self.expected.chunks[0], self.expected.chunks[-1]
             raise InputError(
                 f"the recipe selected chunks {min(chunks)} to {max(chunks)} of {match['folder']}, not {first} to {last}"
@@ -126,16 +128,15 @@ class LogWatch:
                 "what was exported, or not on as many processes"
             )
 
-    def _see_loss(self, text: str) -> None:
-        # The Trainer prints a Python dictionary, in which a loss that is not finite is a bare word.
-        logged: dict[str, Any] = ast.literal_eval(re.sub(r"(?<=: )(-?inf|nan)\b", r"'\1'", text))
+    def _see_loss(self, logged: dict[str, float]) -> None:
         for name in ("loss", "grad_norm"):
-            if not math.isfinite(value := float(logged.get(name, 0.0))):
+            if not math.isfinite(value := logged.get(name, 0.0)):
                 raise InputError(f"{name} is {value} at epoch {logged.get('epoch')}: nothing after it can be used")
-        loss, epoch = float(logged["loss"]), float(logged.get("epoch", 0.0))
+        if "loss" not in logged:  # garbled
+            return
         if not self.losses and self.expected.stage == 1:
-            self._check_first(loss)
-        self.losses.append((epoch, loss))
+            self._check_first(logged["loss"])
+        self.losses.append((logged.get("epoch", 0.0), logged["loss"]))
 
     def _check_first(self, loss: float) -> None:
         if loss == 0.0:

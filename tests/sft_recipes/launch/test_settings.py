@@ -144,6 +144,24 @@ def test_a_log_of_a_healthy_training_passes_and_tells_how_far_it_is():
 
 
 @pytest.mark.parametrize(
+    ("line", "losses"),
+    [
+        ("{'loss': 1.6, 'grad_norm': 0.9, 'epoch': 0.1}{'loss': 1.5, 'epoch': 0.2}", [(0.1, 1.6), (0.2, 1.5)]),
+        ("{'loss': 1.6, 'epoch': 0.1} 40%|#  | 5/12 [00:01<00:01,  5.0it/s] {x}", [(0.1, 1.6)]),
+        ("{'loss': np.float64(1.6), 'grad_norm': None, 'learning_rate': 1e-08, 'epoch': 0.1}", [(0.1, 1.6)]),
+        ("{'loss': 1.6[INFO] saving, 'grad_norm': 0.9, 'epoch': 0.1}", []),
+        ("{'loss': 1.61.5, 'grad_norm': 0.9, 'epoch': 0.1}", []),
+        ("{'loss': 1.6, 'grad_nor{'loss': 1.5, 'epoch': 0.2}", [(0.2, 1.5)]),
+        ("Loading from /pai with chunk_ids: [0, 1][INFO] [x]", []),
+    ],
+)
+def test_lines_of_processes_that_write_into_each_other_are_read_as_far_as_they_can_be(line, losses):
+    watch = LogWatch(Expected(1, "/pai", range(0, 2), 12_245, 12, 100))
+    watch.see(line)
+    assert watch.losses == losses and watch.step == (5 if "5/12" in line else 0)
+
+
+@pytest.mark.parametrize(
     "line",
     [
         "Loading from /pai with chunk_ids: []",
@@ -154,6 +172,10 @@ def test_a_log_of_a_healthy_training_passes_and_tells_how_far_it_is():
         "{'loss': 8.1, 'epoch': 0.02}",
         "{'loss': 1.0, 'grad_norm': inf, 'epoch': 0.02}",
         "{'loss': nan, 'epoch': 0.02}",
+        "{'loss': NaN, 'epoch': 0.02}",
+        "{'loss': 1.0, 'grad_norm': np.float64(inf), 'epoch': 0.02}",
+        "{'loss': 1.0[INFO] saving, 'grad_norm': nan, 'epoch': 0.02}",
+        "{'loss': 1.0, 'epoch': 0.02}{'loss': -inf, 'epoch': 0.04}",
     ],
 )
 def test_a_line_that_shows_a_silent_failure_is_refused(line):
