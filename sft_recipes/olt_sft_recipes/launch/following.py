@@ -180,13 +180,15 @@ def finish(stage: FollowedStage, watch: LogWatch) -> dict[str, Any]:
             f"{stage.stage} did not train on {stage.expected.samples:,} samples as planned; its log is {stage.log}"
         )
     said = check_checkpoint(stage, last, whole=True)
+    if unseen := watch.unseen():
+        said += f"; not in the log, so not compared: {', '.join(unseen)}"
     result = {
         "stage": stage.stage,
         "checkpoint": str(last),
         "checked": said,
         "first_loss": watch.losses[0][1] if watch.losses else None,
         "last_loss": watch.losses[-1][1] if watch.losses else None,
-        "trained_parameters_logged": watch.seen.get("trained"),
+        "trained_parameters_logged": watch.seen.get("trained parameters"),
         "samples_logged": watch.seen.get("samples"),
     }
     with write_whole(stage.folder / FINISHED) as temporary:

@@ -16,10 +16,12 @@ UNIFORM_LOSS = math.log(FUTURE_BINS)
 """Cross-entropy of one that knows nothing of the 3,000 future tokens and guesses: 8.006."""
 
 _CHUNKS = re.compile(r"Loading from (?P<folder>.*?) with chunk_ids: (?P<chunks>\[[\d, ]*\]|None)")
+# What is held against the plan, where the log tells it.
+_TOLD = ("chunks", "samples", "steps", "trained parameters", "losses")
 _COUNTS = {
     "samples": re.compile(r"Num examples = ([\d,]+)"),
     "steps": re.compile(r"Total optimization steps = ([\d,]+)"),
-    "trained": re.compile(r"Number of trainable parameters = ([\d,]+)"),
+    "trained parameters": re.compile(r"Number of trainable parameters = ([\d,]+)"),
 }
 # Processes write into each other's lines, so that anything may stand around a dictionary, or in it.
 _LOGGED = re.compile(r"\{'loss': [^{}]*\}")
@@ -89,6 +91,10 @@ class LogWatch:
         if (match := _BAR.search(line)) and int(match[2]) == self.expected.steps:
             self.step = max(self.step, int(match[1]))
 
+    def unseen(self) -> list[str]:
+        """What the log never told, so that nothing was held against it."""
+        return [name for name in _TOLD if name not in self.seen]
+
     def _see_chunks(self, line: str) -> None:
         if "Invalid chunk_ids" in line:
             raise InputError(f"the recipe did not understand its range of chunks: {line.strip()}")
@@ -101,6 +107,7 @@ class LogWatch:
                 f"the recipe selected no chunk of {match['folder']}, so no clip: a range is FIRST-END with END left "
                 "out, and a text without a dash selects nothing"
             )
+        self.seen["chunks"] = len(chunks)
         meant = (self.expected.chunks, self.expected.validation_chunks or ())
         if chunks not in [list(each) for each in meant]:
             first, last = self.expected.chunks[0], self.expected.chunks[-1]
@@ -110,7 +117,7 @@ class LogWatch:
 
     def _see_count(self, name: str, count: int) -> None:
         self.seen[name] = count
-        if name == "trained":
+        if name == "trained parameters":
             limit = self.expected.trained
             # A shard of ZeRO counts itself alone on some versions: fewer is told, more is a fault.
             if limit is not None and count > 1.001 * limit:
@@ -136,6 +143,7 @@ class LogWatch:
             return
         if not self.losses and self.expected.stage == 1:
             self._check_first(logged["loss"])
+        self.seen["losses"] = len(self.losses) + 1
         self.losses.append((logged.get("epoch", 0.0), logged["loss"]))
 
     def _check_first(self, loss: float) -> None:

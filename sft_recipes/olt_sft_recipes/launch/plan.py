@@ -244,10 +244,11 @@ def _computed(
     stage1: Path | None,
     base_config: dict[str, Any] | None,
 ) -> dict[str, Any]:
-    """What only a launch can know: folders, chunks, and how the data's samples are timed."""
+    """What a launch must set, whatever the file of a stage: folders, chunks, times of samples, and what is logged."""
     values: dict[str, Any] = {
         "paths.output_dir": places.stage(stage),
         "hydra.run.dir": places.out / f"hydra/stage{stage}",
+        "trainer.log_level": "info",
     }
     for name, data in (("train", train), ("val", validation or train)):
         prefix = f"data.{name}_dataset."

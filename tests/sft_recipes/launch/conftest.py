@@ -135,6 +135,26 @@ def with_lora(recipes):
 
 
 @pytest.fixture
+def stage1_file(tmp_path):
+    """Write a file of Stage 1 of R1 with as few values as the tutorial's, and changes."""
+
+    def write(more="", **trainer):
+        values = {
+            "num_train_epochs": 1,
+            "per_device_train_batch_size": 1,
+            "gradient_accumulation_steps": 4,
+            "learning_rate": 1e-5,
+            "save_steps": 500,
+        }
+        path = tmp_path / "stage1.yaml"
+        content = {"defaults": ["sft_stage1", "_self_"], "trainer": values | trainer}
+        path.write_text(yaml.safe_dump(content, sort_keys=False) + more)
+        return path
+
+    return write
+
+
+@pytest.fixture
 def environment(tmp_path):
     """Folder with `python` and a `torchrun` that only looks like one."""
     folder = tmp_path / "environment" / "bin"

@@ -74,9 +74,10 @@ def main():
     config, tensors = json.loads((base / "config.json").read_text()), read_tensors(base)
     mine = {name: value for name, value in tensors.items() if name.startswith("vlm.") == (stage == 1)}
     trained = sum(value.size for value in (tensors if FAULT == "nothing frozen" else mine).values())
-    log(f"[INFO|trainer.py:2519]   Num examples = {clips:,}")
-    log(f"[INFO|trainer.py:2527]   Total optimization steps = {steps:,}")
-    log(f"[INFO|trainer.py:2528]   Number of trainable parameters = {trained:,}")
+    if OVERRIDES.get("trainer.log_level") == "info" and FAULT != "quiet":
+        log(f"[INFO|trainer.py:2519]   Num examples = {clips:,}")
+        log(f"[INFO|trainer.py:2527]   Total optimization steps = {steps:,}")
+        log(f"[INFO|trainer.py:2528]   Number of trainable parameters = {trained:,}")
     start = {"token offset": 9.31, "no label": 0.0}.get(FAULT, 1.668)
     log(f"{{'loss': {start}, 'grad_norm': 0.9368, 'learning_rate': 1e-08, 'epoch': 0.5}}")
     if FAULT == "nan":

@@ -70,6 +70,16 @@ def test_both_stages_run_and_stage_2_is_given_the_last_checkpoint_by_name(launch
     assert "Num examples = 23" in (tmp_path / "run/logs/stage1.log").read_text()
 
 
+def test_a_stage_of_ones_own_is_watched_too(launch, stage1_file):
+    result = launch("--stage", "1", "--stage1", str(stage1_file()))["results"]["stage1"]
+    assert result["samples_logged"] == 23 and "not compared" not in result["checked"]
+
+
+def test_what_the_log_never_told_is_said_to_be_not_compared(launch):
+    result = launch("--stage", "1", fault="quiet")["results"]["stage1"]
+    assert result["checked"].endswith("not in the log, so not compared: samples, steps, trained parameters")
+
+
 def test_the_same_command_keeps_what_is_finished(launch, environment):
     launch()
     told = launch()
