@@ -127,6 +127,7 @@ class LaunchPlan:
             [(each.stage, each.checkpoint, each.arguments) for each in self.stages],
             options,
             self.before,
+            self.evaluation,
         )
 
     def to_dict(self) -> dict[str, Any]:

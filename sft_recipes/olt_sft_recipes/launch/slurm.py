@@ -32,6 +32,13 @@ follow() {{  # STAGE: shows the log on standard input, keeps it, and stops at a 
     fi
 }}
 
+run_on_all() {{  # NAME ARGUMENT...: one torchrun on every node, which meet at the first
+    local name=$1
+    shift
+    srun --kill-on-bad-exit=1 {torchrun} --nnodes "$SLURM_NNODES" --rdzv_backend c10d \\
+        --rdzv_endpoint "${{hosts[0]}}:{port}" --rdzv_id "$SLURM_JOB_ID-$name" "$@" 2>&1
+}}
+
 run_stage() {{  # STAGE CHECKPOINT ARGUMENT...: trains until this checkpoint is there, whole
     local stage=$1 checkpoint=$2
     shift 2
@@ -48,14 +55,13 @@ run_stage() {{  # STAGE CHECKPOINT ARGUMENT...: trains until this checkpoint is 
     if [ -e "$folder" ]; then
         mv "$folder" "${{folder}}_interrupted_$SLURM_JOB_ID"
     fi
-    srun --kill-on-bad-exit=1 {torchrun} --nnodes "$SLURM_NNODES" --rdzv_backend c10d \\
-        --rdzv_endpoint "${{hosts[0]}}:{port}" --rdzv_id "$SLURM_JOB_ID-$stage" "$@" 2>&1 | follow "$stage"
+    run_on_all "$stage" "$@" | follow "$stage"
     if [ ! -f "$checkpoint/model.safetensors.index.json" ]; then
         echo "Stage $stage left no $checkpoint with an index: nothing goes on from here" >&2
         exit 1
     fi
 }}
-{before}{stages}"""
+{before}{stages}{evaluation}"""
 
 
 def write_batch(
@@ -68,6 +74,7 @@ def write_batch(
     stages: Sequence[tuple[int, Path, Sequence[str]]],
     options: Sequence[str] = (),
     before: Sequence[Sequence[str]] = (),
+    evaluation: Sequence[str] = (),
 ) -> str:
     """The batch file as text.
 
@@ -78,6 +85,7 @@ def write_batch(
         stages: number, last checkpoint and arguments behind `torchrun` and its rendezvous, of each stage.
         options: further options of sbatch, such as "--partition=h100".
         before: commands that run once before the stages.
+        evaluation: arguments of the recipe's evaluation, which runs at the end; none without validation clips.
 
     Raises:
         InputError: an option is none.
@@ -100,6 +108,9 @@ def write_batch(
             f"\nrun_stage {stage} {shlex.quote(str(checkpoint))} {to_shell(words)}\n"
             for stage, checkpoint, words in stages
         ),
+        evaluation=f'\nrun_on_all evaluation {to_shell(evaluation)} | tee -a "$out/logs/evaluation.log"\n'
+        if evaluation
+        else "",
     )
 
 

@@ -288,6 +288,14 @@ def test_validation_is_evaluated_by_the_recipe(launch, pai):
     assert told["results"]["evaluation"] == {"metric/ade": 2.0072, "metric/min_ade/by_t=0.5": 0.0079}
 
 
+def test_a_batch_file_evaluates_too(launch, pai):
+    data = ("--chunks", "3-5", "--validation", str(pai), "--validation-chunks", "5-6")
+    told = launch(*data, "--dry-run", "--slurm")
+    last = told["batch"][told["batch"].rindex("run_on_all evaluation") :]
+    assert "alpamayo1_sft.evaluate_hf" in last and "stage2/checkpoint-15" in last and "logs/evaluation.log" in last
+    assert "evaluate_hf" not in launch("--dry-run", "--slurm")["batch"]
+
+
 def test_a_range_of_chunks_selects_what_it_says(launch, pai):
     told = launch("--chunks", "3-5", "--dry-run")
     assert told["data"]["clips"] == 20 and told["data"]["chunk_ids"] == "3-5"

@@ -16,14 +16,14 @@ from olt_sft_recipes.launch.slurm import write_batch
 STAGES = [(1, Path("/a b/run/stage1/checkpoint-6"), ["--nproc_per_node", "8", "-m", "x", "paths.output_dir='/a b/it'"])]
 FAKES = {
     "scontrol": "echo node0\necho node1",
-    "srun": 'echo "srun $*" >> "$LOG"\n'
+    "srun": 'echo "srun $*" >> "$LOG"; echo printed\n'
     '[ -z "$MAKES" ] || { mkdir -p "$MAKES"; touch "$MAKES/model.safetensors.index.json"; }',
 }
 
 
-def batch(out, olt="/no/olt", recipe=None, options=()):
+def batch(out, olt="/no/olt", recipe=None, options=(), evaluation=()):
     stages = [(1, out / "stage1" / "checkpoint-6", STAGES[0][2])]
-    return write_batch(out, recipe or out, "/env/bin/torchrun", olt, 2, 8, stages, options)
+    return write_batch(out, recipe or out, "/env/bin/torchrun", olt, 2, 8, stages, options, (), evaluation)
 
 
 def run_batch(tmp_path, text, makes):
@@ -57,6 +57,16 @@ def test_the_batch_file_meets_at_the_first_node_and_goes_on_only_from_a_whole_ch
     shown = (tmp_path / "log").read_text().splitlines()[-1]
     assert "--nnodes 2 --rdzv_backend c10d --rdzv_endpoint node0:29500 --rdzv_id 17-1" in shown
     assert shown.endswith("paths.output_dir='/a b/it'")
+
+
+def test_the_evaluation_runs_on_all_nodes_at_the_end_and_its_log_is_kept(tmp_path):
+    out = tmp_path / "a run"
+    (out / "logs").mkdir(parents=True)
+    text = batch(out, evaluation=["-m", "x.evaluate_hf", "evaluate.eval_ckpt='/a b/it'"])
+    assert run_batch(tmp_path, text, out / "stage1" / "checkpoint-6").returncode == 0
+    shown = (tmp_path / "log").read_text().splitlines()
+    assert len(shown) == 2 and "--rdzv_id 17-evaluation -m x.evaluate_hf evaluate.eval_ckpt='/a b/it'" in shown[1]
+    assert (out / "logs" / "evaluation.log").read_text() == "printed\n"
 
 
 def test_a_finished_stage_is_kept_and_an_interrupted_one_put_aside(tmp_path):
