@@ -109,23 +109,27 @@ def follow(stage: FollowedStage, lines: Iterable[str], on_progress: Progress = s
 
 
 def keep(stage: FollowedStage) -> dict[str, Any] | None:
-    """What `follow` noted of a stage that an earlier launch finished; None where none did.
+    """What was noted of a stage that an earlier launch finished; None where none did.
 
     Raises:
-        InputError: Stage 1 was trained anew since a Stage 2 that would be kept, which holds the model of before.
+        InputError: Stage 1 was trained anew since a Stage 2 that would be kept, which holds the model of before; or a
+            stage that a batch file finished without `olt` is not good.
     """
     note = stage.folder / FINISHED
     if not note.exists():
         return None
     kept = read_json(note, "note of a finished stage")
-    if stage.stage == 2 and stage.stage1 is not None and stage.stage1.exists():
+    unchecked = kept["checked"] is None
+    if unchecked or (stage.stage == 2 and stage.stage1 is not None and stage.stage1.exists()):
         try:
-            check_checkpoint(stage, Path(kept["checkpoint"]))
+            said = check_checkpoint(stage, Path(kept["checkpoint"]), whole=unchecked)
         except InputError as error:
             raise InputError(
-                f"{note}: Stage 2 was finished by an earlier launch, and does not fit ({error}); move {stage.folder} "
-                "away, and it is trained again"
+                f"{note}: Stage {stage.stage} was finished by an earlier launch, and does not fit ({error}); move "
+                f"{stage.folder} away, and it is trained again"
             ) from error
+        if unchecked:
+            kept["checked"] = said
     return kept
 
 

@@ -60,6 +60,10 @@ run_stage() {{  # STAGE CHECKPOINT ARGUMENT...: trains until this checkpoint is 
         echo "Stage $stage left no $checkpoint with an index: nothing goes on from here" >&2
         exit 1
     fi
+    if [ ! -x "$olt" ]; then  # noted as olt does, which looks at it later where it is there
+        printf '{{"stage": %d, "checkpoint": "%s", "checked": null}}\\n' "$stage" "$checkpoint" \\
+            > "$folder/finished.json"
+    fi
 }}
 {before}{stages}{evaluation}"""
 

@@ -198,6 +198,19 @@ def test_a_batch_looks_at_what_it_keeps(launch, base, tmp_path):
         CliRunner().invoke(app, ["follow", out, "--stage", "2", "--kept"], catch_exceptions=False)
 
 
+@pytest.mark.parametrize("stage", [1, 2])
+def test_what_a_batch_finished_without_olt_is_looked_at_later(launch, environment, tmp_path, stage):
+    launch()
+    folder = tmp_path / "run" / f"stage{stage}"
+    note = json.loads((folder / "finished.json").read_text())
+    (folder / "finished.json").write_text(json.dumps(note | {"checked": None}))
+    assert launch()["results"][f"stage{stage}"] == note | {"kept": True} and len(calls(environment)) == 2
+    shard = next(Path(note["checkpoint"]).glob("*.safetensors"))
+    save_file({name: value * float("nan") for name, value in load_file(shard).items()}, shard)
+    with pytest.raises(InputError, match=rf"Stage {stage} was finished.*NaN.*move .*stage{stage} away"):
+        launch()
+
+
 def _lose_the_index(base):
     (base / INDEX).unlink()
     return "index.json.*no such file"

@@ -1,5 +1,6 @@
 """The batch file, data of a mixture, and saturated tokens."""
 
+import json
 import subprocess
 from pathlib import Path
 
@@ -76,7 +77,8 @@ def test_a_finished_stage_is_kept_and_an_interrupted_one_put_aside(tmp_path):
     (out / "stage1" / "checkpoint-3").mkdir(parents=True)
     assert run_batch(tmp_path, batch(out), makes).returncode == 0
     assert (out / "stage1_interrupted_17" / "checkpoint-3").is_dir()
-    (out / "stage1" / "finished.json").write_text("{}")
+    note = json.loads((out / "stage1" / "finished.json").read_text())
+    assert note == {"stage": 1, "checkpoint": str(makes), "checked": None}
     again = run_batch(tmp_path, batch(out), None)
     assert again.returncode == 0 and "finished and kept, and not looked at" in again.stderr
 
