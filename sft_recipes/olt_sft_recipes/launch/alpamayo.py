@@ -18,7 +18,7 @@ from olt_sft_recipes.launch.checkpoints import check_pixel_budget, read_checkpoi
 from olt_sft_recipes.launch.following import LAUNCH_FILE
 from olt_sft_recipes.launch.handoff import handoff_lines
 from olt_sft_recipes.launch.pai_data import PaiData, Saturation, count_saturation, existing_data, planned_data
-from olt_sft_recipes.launch.plan import FINISHED, LaunchPlan, Places, make_plan, stage_plan
+from olt_sft_recipes.launch.plan import FINISHED, LaunchPlan, Places, make_plan
 from olt_sft_recipes.launch.public_recipes import Stage, find_public_recipe
 from olt_sft_recipes.launch.running import run_before, run_evaluation, run_stage
 from olt_sft_recipes.launch.stage_settings import StageSettings, builtin_stage_settings, read_stage_settings
@@ -144,10 +144,7 @@ def look_before(prepared: PreparedLaunch) -> PreflightReport:
     return check(
         PreflightPlan(
             policy=request.policy,
-            stages=tuple(
-                stage_plan(stage, dict(_settings(request, stage).values) | _deepspeed(stage), request.lora)
-                for stage in _STAGES[request.stages]
-            ),
+            stages=tuple(each.planned for each in plan.stages),
             data=plan.train.folder if there else None,
             chunk_ids=plan.train.chunk_ids,
             val_data=validation.folder if validation else None,
@@ -294,10 +291,6 @@ def _finished_stage1(request: LaunchRequest) -> Path | None:
 def _settings(request: LaunchRequest, stage: Stage) -> StageSettings:
     path = request.stage_files[stage - 1]
     return builtin_stage_settings(request.policy, stage) if path is None else read_stage_settings(path, stage)
-
-
-def _deepspeed(stage: Stage) -> dict[str, Any]:
-    return {"trainer.deepspeed": "zero2.json"} if stage == 1 else {}
 
 
 def _look_at_base(base: Path) -> CheckpointFolder | None:

@@ -17,6 +17,7 @@ from olt_sft_recipes.launch.stage_settings import (
     Difference,
     StageSettings,
     find_differences,
+    shipped_values,
     to_overrides,
 )
 from olt_sft_recipes.launch.torchrun import Machines, recipe_words
@@ -76,6 +77,7 @@ class StageLaunch:
         arithmetic: samples and steps.
         modules: what is trained.
         differences: from the shipped recipe.
+        planned: the stage for preflight.
     """
 
     stage: Stage
@@ -85,6 +87,7 @@ class StageLaunch:
     arithmetic: dict[str, int]
     modules: tuple[ModuleCount, ...]
     differences: tuple[Difference, ...]
+    planned: StagePlan
 
 
 @dataclass(frozen=True)
@@ -285,7 +288,7 @@ def _stage_launch(
 ) -> StageLaunch:
     arithmetic = training_arithmetic(train.clips, chosen.training(machines.devices))
     overrides = to_overrides(recipe.policy, stage, values, groups)
-    planned = stage_plan(stage, values, lora)
+    planned = _stage_plan(stage, shipped_values(recipe.policy, stage) | values, lora)
     modules = tuple(count_trained(sizes, planned))
     steps = arithmetic["total_steps"]
     expected = Expected(
@@ -305,11 +308,12 @@ def _stage_launch(
         arithmetic,
         modules,
         tuple(find_differences(recipe.policy, stage, values)),
+        planned,
     )
 
 
-def stage_plan(stage: Stage, values: dict[str, Any], lora: bool) -> StagePlan:
-    """The same stage for preflight."""
+def _stage_plan(stage: Stage, values: dict[str, Any], lora: bool) -> StagePlan:
+    """A stage with all its values, set or shipped, for preflight."""
     trainer = {key.removeprefix("trainer."): value for key, value in values.items() if key.startswith("trainer.")}
     known = ("per_device_train_batch_size", "gradient_accumulation_steps", "num_train_epochs", "learning_rate")
     more = ("warmup_steps", "gradient_checkpointing", "save_steps", "save_total_limit")

@@ -346,6 +346,31 @@ def test_preflight_is_given_what_will_run(launch, pai, monkeypatch):
     assert any(row["group"] == "data" and str(pai) in row["where"] for row in rows)
 
 
+def test_preflight_is_given_what_is_shipped_where_a_file_does_not_say(launch, stage1_file, monkeypatch):
+    plans = _capture(monkeypatch)
+    launch("--dry-run", "--stage", "1", "--stage1", str(stage1_file()))
+    (stage,) = plans[0].stages
+    assert (stage.warmup_steps, stage.min_lr, stage.gradient_checkpointing, stage.zero_stage) == (500, 1e-6, True, 2)
+
+
+def test_preflight_is_given_the_shipped_base_of_1_5_where_a_file_does_not_say(launch, tmp_path, monkeypatch):
+    path = tmp_path / "stage2.yaml"
+    path.write_text(
+        "defaults: [sft_base, /models@model: ar1_5_expert, _self_]\nmodel: {cotrain_vlm: false}\ntrainer: "
+        "{save_steps: 500, num_train_epochs: 3, per_device_train_batch_size: 1, gradient_accumulation_steps: 1, "
+        "learning_rate: 1.0e-4}\n"
+    )
+    plans = _capture(monkeypatch)
+    launch("--dry-run", "--stage2", str(path), policy="alpamayo-1.5")
+    assert (plans[0].stages[1].zero_stage, plans[0].stages[1].gradient_checkpointing) == (2, True)
+
+
+def test_preflight_is_given_the_learning_rate_of_adapters(launch, with_lora, monkeypatch):
+    plans = _capture(monkeypatch)
+    launch("--dry-run", "--lora")
+    assert (plans[0].stages[0].learning_rate, plans[0].stages[0].lora_rank) == (1e-4, 16)
+
+
 def test_preflight_of_stage_2_alone_is_given_what_stage_1_left(launch, monkeypatch, tmp_path):
     launch("--stage", "1")
     plans = _capture(monkeypatch)
