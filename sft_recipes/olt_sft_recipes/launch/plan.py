@@ -210,14 +210,12 @@ def make_plan(
     for stage, chosen in settings:
         if stage == 2 and stage1 is None:
             raise InputError("Stage 2 alone: give --stage1-checkpoint, the last checkpoint that Stage 1 left")
-        values = dict(chosen.values) | _computed(recipe, places, stage, train, validation, base, stage1, base_config)
-        groups = dict(chosen.groups)
-        if lora and stage == 1:
-            added, adapted = lora_groups(places.recipe(recipe))
-            groups |= added
-            values = values | adapted
+        added, adapters = _adapters(recipe, places, chosen) if lora and stage == 1 else ({}, {})
+        groups = dict(chosen.groups) | added
+        computed = _computed(recipe, places, stage, train, validation, base, stage1, base_config)
+        values = dict(chosen.values) | computed | adapters
         launches.append(
-            _stage_launch(recipe, places, machines, train, validation, stage, chosen, groups, values, sizes, lora)
+            _stage_launch(recipe, places, machines, train, validation, stage, chosen, groups, values, sizes, adapters)
         )
         if stage == 1:
             stage1 = launches[-1].checkpoint
@@ -236,6 +234,13 @@ def _prepare_base(
     made = places.converted_base
     words = (str(places.python), script, "to-a1", "--input", str(places.base), "--output", str(made), "--overwrite")
     return (words,), made
+
+
+def _adapters(recipe: PublicRecipe, places: Places, chosen: StageSettings) -> tuple[dict[str, str], dict[str, Any]]:
+    """The group and the values that adapters need; what a file says of these values, where one was given, holds."""
+    groups, values = lora_groups(places.recipe(recipe))
+    kept = () if chosen.is_builtin else chosen.values
+    return groups, {key: value for key, value in values.items() if key not in kept}
 
 
 def _computed(
@@ -284,11 +289,11 @@ def _stage_launch(
     groups: dict[str, str],
     values: dict[str, Any],
     sizes: ModelSizes,
-    lora: bool,
+    adapters: dict[str, Any],
 ) -> StageLaunch:
     arithmetic = training_arithmetic(train.clips, chosen.training(machines.devices))
     overrides = to_overrides(recipe.policy, stage, values, groups)
-    planned = _stage_plan(stage, shipped_values(recipe.policy, stage) | values, lora)
+    planned = _stage_plan(stage, shipped_values(recipe.policy, stage) | values, bool(adapters))
     modules = tuple(count_trained(sizes, planned))
     steps = arithmetic["total_steps"]
     expected = Expected(
@@ -307,7 +312,7 @@ def _stage_launch(
         expected,
         arithmetic,
         modules,
-        tuple(find_differences(recipe.policy, stage, values)),
+        tuple(find_differences(recipe.policy, stage, values, adapters)),
         planned,
     )
 
@@ -322,7 +327,7 @@ def _stage_plan(stage: Stage, values: dict[str, Any], lora: bool) -> StagePlan:
         plan,
         min_lr=float(trainer.get("lr_scheduler_kwargs.min_lr", 0.0)),
         zero_stage=2 if trainer.get("deepspeed") else 0,
-        lora_rank=LORA_RANK if lora and stage == 1 else None,
+        lora_rank=LORA_RANK if lora else None,
     )
 
 

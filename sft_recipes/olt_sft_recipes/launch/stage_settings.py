@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -18,6 +18,9 @@ _FOLDER = Path(str(files("olt_sft_recipes.launch")))
 # What Hydra's grammar reads as a text without quotes, and a range of chunks.
 _PLAIN = re.compile(r"(?!(?:true|false|null|nan|inf)$)[A-Za-z_./][\w./-]*|\d+-\d+", re.IGNORECASE)
 _KEY = re.compile(r"[A-Za-z_]\w*")
+_BUILTIN = _FOLDER / "stages"
+# With these, steps and checkpoints would be others than a launch counts.
+_UNCOUNTED = ("trainer.max_steps", "trainer.save_strategy", "trainer.dataloader_drop_last", "trainer.output_dir")
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,11 @@ class StageSettings:
         )
         return TrainingStage(devices, batch, accumulation, epochs)
 
+    @property
+    def is_builtin(self) -> bool:
+        """Whether it comes with this package, and was not given."""
+        return self.path.parent == _BUILTIN
+
     def number(self, key: str) -> float:
         """A value that must be a number above 0; InputError names the file."""
         value = self.values.get(key)
@@ -69,15 +77,15 @@ class Difference:
 
 def builtin_stage_settings(policy: str, stage: Stage) -> StageSettings:
     """The settings of the paper's table."""
-    return read_stage_settings(_FOLDER / "stages" / f"{policy.replace('-', '_')}_stage{stage}.yaml", stage)
+    return read_stage_settings(_BUILTIN / f"{policy.replace('-', '_')}_stage{stage}.yaml", stage)
 
 
 def read_stage_settings(path: Path, stage: Stage) -> StageSettings:
     """Read a stage from a Hydra file: `defaults` names the shipped configuration, everything else is set in it.
 
     Raises:
-        InputError: the file cannot be read, does not start from a shipped configuration, sets what a launch sets
-            itself, or lacks the values by which steps are counted.
+        InputError: the file cannot be read, does not start from a shipped configuration, is of the other stage, sets
+            what a launch sets itself or cannot count with, or lacks the values by which steps are counted.
     """
     content = read_yaml_mapping(path, "stage of a public recipe", ("defaults", "trainer", "model"))
     defaults = content.pop("defaults", None)
@@ -91,16 +99,28 @@ def read_stage_settings(path: Path, stage: Stage) -> StageSettings:
             raise InputError(f"{path}: defaults: {entry!r}; write GROUP@PLACE: NAME")
         groups |= {name.removeprefix("/"): value for name, value in entry.items()}
     settings = StageSettings(path, defaults[0], groups, flatten(content, path))
-    taken = [key for key in settings.values if key.startswith(("data.", "paths.", "hydra."))]
-    taken += [key for key in settings.values if key.startswith("model.") and key != "model.cotrain_vlm"]
-    if taken:
-        raise InputError(f"{path}: {', '.join(taken)}: a launch sets this itself; remove it")
+    other = f"stage{3 - stage}"
+    if other in settings.config_name or (stage == 1 and "model.cotrain_vlm" in settings.values):
+        raise InputError(f"{path}: is a file of the other stage; give it as --{other}")
+    if taken := [key for key, value in settings.values.items() if _is_taken(stage, key, value)]:
+        raise InputError(
+            f"{path}: {', '.join(taken)}: a launch sets this itself, or could not count its steps with it; remove it"
+        )
     if stage == 2 and settings.values.get("model.cotrain_vlm") is not False:
         raise InputError(f"{path}: model.cotrain_vlm must be false: Stage 2 trains the action expert alone")
     settings.training(1)
     for key in ("trainer.learning_rate", "trainer.save_steps"):
         settings.number(key)
     return settings
+
+
+def _is_taken(stage: Stage, key: str, value: Any) -> bool:
+    if key == "trainer.log_level":
+        return value != "info"
+    if key == "trainer.deepspeed" and stage == 1:
+        return value != "configs/deepspeed/zero2.json"
+    prefixes = ("data.", "paths.", "hydra.", "lora.", "model.")
+    return key in _UNCOUNTED or (key.startswith(prefixes) and key != "model.cotrain_vlm")
 
 
 def flatten(content: Mapping[Any, Any], path: Path, prefix: str = "") -> dict[str, Any]:
@@ -121,15 +141,22 @@ def shipped_values(policy: str, stage: Stage) -> dict[str, Any]:
     return read_yaml_mapping(_FOLDER / "shipped.yaml", "table of shipped values", ())[f"{policy} stage {stage}"]
 
 
-def find_differences(policy: str, stage: Stage, values: Mapping[str, Any]) -> list[Difference]:
-    """Where a launch with these values differs from the shipped recipe, and why."""
-    shipped = shipped_values(policy, stage)
+def find_differences(
+    policy: str, stage: Stage, values: Mapping[str, Any], of_adapters: Collection[str] = ()
+) -> list[Difference]:
+    """Where a launch with these values, some of which adapters need, differs from the shipped recipe, and why."""
+    shipped, builtin = shipped_values(policy, stage), builtin_stage_settings(policy, stage).values
     reasons = read_yaml_mapping(_FOLDER / "differences.yaml", "table of differences", ())
     differences = []
     for key, value in sorted(values.items()):
         if key not in shipped or shipped[key] != value:
             launched = to_hydra(value)
-            places = (f"{key}={launched}", key, key.partition(".")[0])
+            if key in of_adapters:
+                places = (f"{key} of adapters", "lora")
+            elif builtin.get(key, value) == value:
+                places = (f"{key}={launched}", key)
+            else:
+                places = ()
             reason = next((reasons[place] for place in places if place in reasons), "set in the file that was given")
             differences.append(Difference(key, to_hydra(shipped[key]) if key in shipped else None, launched, reason))
     return differences

@@ -30,11 +30,13 @@ def compose_stage(recipes, package, arguments):
         return compose(name, overrides=overrides)
 
 
-def plan_of(policy, recipes, tmp_path, lora=False, base_config=None):
+def plan_of(policy, recipes, tmp_path, lora=False, base_config=None, stage1_file=None):
     recipe = PUBLIC_RECIPES[policy]
     places = Places(tmp_path / "the run, a=b", recipes, tmp_path / "it's a base", tmp_path / "bin" / "python")
     data = PaiData(tmp_path / "pai {1}", "0-7", 12_245, True)
     settings = [(stage, builtin_stage_settings(policy, stage)) for stage in (1, 2)]
+    if stage1_file is not None:
+        settings[0] = (1, read_stage_settings(stage1_file, 1))
     sizes = published_sizes()
     return make_plan(recipe, places, Machines(), data, None, settings, sizes, base_config, lora=lora)
 
@@ -82,6 +84,30 @@ def test_adapters_freeze_the_rest_where_the_recipe_has_them(policy, with_lora, t
     assert "lora" not in compose_stage(with_lora, plan.recipe.package, plan.stages[1].arguments)
 
 
+@pytest.mark.filterwarnings("ignore:.*Defaults list is missing.*")
+def test_adapters_leave_what_a_file_says(with_lora, stage1_file, tmp_path):
+    given = stage1_file(learning_rate=3e-5, lr_multiplier={"vlm.model.visual": 0.5})
+    plan = plan_of("alpamayo-r1", with_lora, tmp_path, lora=True, stage1_file=given)
+    config = compose_stage(with_lora, plan.recipe.package, plan.stages[0].arguments)
+    assert config.trainer.learning_rate == 3e-5 and config.trainer.lr_multiplier == {"vlm.model.visual": 0.5}
+    assert config.lora.freeze_non_adapted is True
+
+
+def reasons_of(plan):
+    return {each.key.removeprefix("trainer."): each.reason for each in plan.stages[0].differences}
+
+
+def test_a_reason_stands_only_beside_the_value_that_it_is_of(with_lora, stage1_file, tmp_path):
+    of_file = reasons_of(
+        plan_of("alpamayo-r1", with_lora, tmp_path, stage1_file=stage1_file(gradient_accumulation_steps=1))
+    )
+    assert of_file["gradient_accumulation_steps"] == "set in the file that was given"
+    assert "so that the log says" in of_file["log_level"] and "absolute path" in of_file["deepspeed"]
+    of_adapters = reasons_of(plan_of("alpamayo-r1", with_lora, tmp_path, lora=True))
+    assert "ten times" in of_adapters["learning_rate"] and "image encoder" in of_adapters["lr_multiplier"]
+    assert "adapters" in of_adapters["lora.r"]
+
+
 def test_adapters_are_refused_where_the_recipe_has_none(recipes, tmp_path):
     with pytest.raises(InputError, match="this recipe has no adapters"):
         plan_of("alpamayo-r1", recipes, tmp_path, lora=True)
@@ -117,6 +143,19 @@ def test_every_difference_from_the_shipped_recipe_has_a_reason(policy, recipes, 
         ("defaults: [sft_stage1, _self_]\ntrainer: {learning_rate: 0.1}\n", "per_device_train_batch_size"),
         ("defaults: [sft_stage1, _self_]\npaths: {output_dir: x}\n", "a launch sets this itself"),
         ("defaults: [sft_stage1, 3, _self_]\n", "GROUP@PLACE"),
+        ("defaults: [sft_stage2, _self_]\n", "--stage2"),
+        ("defaults: [sft_base, models@model: ar1_5_expert, _self_]\nmodel: {cotrain_vlm: false}\n", "--stage2"),
+        *(
+            (f"defaults: [sft_stage1, _self_]\ntrainer: {{{key}: {value}}}\n", f"trainer.{key}: a launch sets this")
+            for key, value in (
+                ("deepspeed", "configs/deepspeed/zero3.json"),
+                ("max_steps", 100),
+                ("dataloader_drop_last", "true"),
+                ("save_strategy", "'no'"),
+                ("output_dir", "x"),
+                ("log_level", "warning"),
+            )
+        ),
     ],
 )
 def test_a_stage_file_that_cannot_be_launched_is_refused(tmp_path, content, said):
