@@ -271,7 +271,7 @@ def show_differences(stage: int, differences: Any) -> None:
     """Print a table of what a launch sets otherwise than the shipped recipe."""
     from olt_toolkit.runtime.console import print_table
 
-    rows = [(each.key, each.shipped or "no such key", each.launched, each.reason) for each in differences]
+    rows = [(each.key, each.shipped or "not in the table", each.launched, each.reason) for each in differences]
     print_table(f"Stage {stage}: otherwise than shipped", ("key", "shipped", "launched", "why"), rows)
 
 

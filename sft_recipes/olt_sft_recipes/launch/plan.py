@@ -349,7 +349,7 @@ def _evaluation(
     kept = []
     for word in last.arguments[start:]:
         key = word.partition("=")[0].lstrip("+")
-        if key in keys or key.startswith("data.val_dataset.vla_preprocess_args.") or "@" in key:
+        if key in keys or key.startswith(("data.val_dataset.vla_preprocess_args.", "evaluate.")) or "@" in key:
             kept.append(word)
     checkpoint = to_overrides(recipe.policy, last.stage, {"evaluate.eval_ckpt": str(last.checkpoint)})
     name = last.arguments[start - 1]

@@ -67,7 +67,7 @@ class StageSettings:
 
 @dataclass(frozen=True)
 class Difference:
-    """A key that a launch sets to something else than the shipped recipe, whose value is None where it has none."""
+    """A key that a launch sets otherwise than the shipped recipe, whose value is None where it is not in the table."""
 
     key: str
     shipped: str | None
@@ -165,12 +165,12 @@ def find_differences(
 def to_overrides(
     policy: str, stage: Stage, values: Mapping[str, Any], groups: Mapping[str, str] = MappingProxyType({})
 ) -> list[str]:
-    """Hydra's overrides: groups first; a key that neither the shipped recipe nor a group has is added with `+`."""
+    """Hydra's overrides: groups first; `++` sets or adds a key that is not in the table, as the recipe has more."""
     shipped = shipped_values(policy, stage)
     of_groups = tuple(f"{group.partition('@')[2] or group}." for group in groups)
     added = [f"+{group}={name}" for group, name in groups.items()]
     return added + [
-        f"{'' if key in shipped or key.startswith(of_groups) else '+'}{key}={to_hydra(value)}"
+        f"{'' if key in shipped or key.startswith(of_groups) else '++'}{key}={to_hydra(value)}"
         for key, value in sorted(values.items())
     ]
 

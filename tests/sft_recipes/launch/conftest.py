@@ -136,9 +136,9 @@ def with_lora(recipes):
 
 @pytest.fixture
 def stage1_file(tmp_path):
-    """Write a file of Stage 1 of R1 with as few values as the tutorial's, and changes."""
+    """Write a file of Stage 1 of R1 with as few values as can be, and more."""
 
-    def write(more="", **trainer):
+    def write(evaluate=None, **trainer):
         values = {
             "num_train_epochs": 1,
             "per_device_train_batch_size": 1,
@@ -147,8 +147,8 @@ def stage1_file(tmp_path):
             "save_steps": 500,
         }
         path = tmp_path / "stage1.yaml"
-        content = {"defaults": ["sft_stage1", "_self_"], "trainer": values | trainer}
-        path.write_text(yaml.safe_dump(content, sort_keys=False) + more)
+        content = {"defaults": ["sft_stage1", "_self_"], "trainer": values | trainer, "evaluate": evaluate or {}}
+        path.write_text(yaml.safe_dump(content, sort_keys=False))
         return path
 
     return write

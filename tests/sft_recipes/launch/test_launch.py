@@ -301,6 +301,13 @@ def test_validation_is_evaluated_by_the_recipe(launch, pai):
     assert told["results"]["evaluation"] == {"metric/ade": 2.0072, "metric/min_ade/by_t=0.5": 0.0079}
 
 
+def test_what_a_file_says_of_the_evaluation_is_said_to_it(launch, stage1_file, pai):
+    data = ("--chunks", "3-5", "--validation", str(pai), "--validation-chunks", "5-6")
+    given = str(stage1_file({"max_eval_steps": 10}))
+    told = launch(*data, "--dry-run", "--stage", "1", "--stage1", given)
+    assert "++evaluate.max_eval_steps=10" in told["evaluation"]
+
+
 def test_a_batch_file_evaluates_too(launch, pai):
     data = ("--chunks", "3-5", "--validation", str(pai), "--validation-chunks", "5-6")
     told = launch(*data, "--dry-run", "--slurm")

@@ -93,6 +93,14 @@ def test_adapters_leave_what_a_file_says(with_lora, stage1_file, tmp_path):
     assert config.lora.freeze_non_adapted is True
 
 
+def test_keys_that_the_recipe_has_and_the_table_has_not_reach_hydra(recipes, stage1_file, tmp_path):
+    given = stage1_file({"max_eval_steps": 10}, gradient_checkpointing_kwargs={"use_reentrant": True}, weight_decay=0.1)
+    plan = plan_of("alpamayo-r1", recipes, tmp_path, stage1_file=given)
+    config = compose_stage(recipes, plan.recipe.package, plan.stages[0].arguments)
+    assert config.trainer.gradient_checkpointing_kwargs.use_reentrant is True and config.trainer.weight_decay == 0.1
+    assert config.evaluate.max_eval_steps == 10
+
+
 def reasons_of(plan):
     return {each.key.removeprefix("trainer."): each.reason for each in plan.stages[0].differences}
 
