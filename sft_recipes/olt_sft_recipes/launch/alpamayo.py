@@ -139,7 +139,7 @@ def look_before(prepared: PreparedLaunch) -> PreflightReport:
     """Preflight of what is there by now."""
     request, plan = prepared.request, prepared.plan
     there = plan.train.folder.exists()
-    to_be_rewritten = bool(plan.before) and not plan.base.exists()
+    to_be_rewritten = bool(plan.left_before)
     validation = plan.validation
     return check(
         PreflightPlan(
@@ -220,13 +220,13 @@ def run_launch(prepared: PreparedLaunch, show: Callable[[str], Progress]) -> dic
         InputError: several nodes are asked for, the pixel budget is missing, or see `run_stage`.
     """
     plan = prepared.plan
+    run_before(plan)
+    check_pixel_budget(read_checkpoint(plan.base))
     if plan.machines.nodes > 1:
         raise InputError(
             f"{plan.machines.nodes} nodes cannot be started from one of them: run the commands of "
             f"{plan.places.out / COMMANDS_FILE} on each, or launch with --slurm"
         )
-    run_before(plan)
-    check_pixel_budget(read_checkpoint(plan.base))
     results = {f"stage{each.stage}": run_stage(plan, each, show(f"Stage {each.stage}")) for each in plan.stages}
     if plan.evaluation:
         results["evaluation"] = run_evaluation(plan, show("evaluation"))
@@ -247,16 +247,20 @@ def submit(plan: LaunchPlan) -> str:
 
 def commands_of(plan: LaunchPlan) -> list[list[str]]:
     """Every command in its order, as it runs on one of the machines."""
+    return [*map(list, plan.before), *_on_each(plan)]
+
+
+def _on_each(plan: LaunchPlan) -> list[list[str]]:
+    """Those that run on each of the machines."""
     trained = [plan.command(each.arguments) for each in plan.stages]
-    evaluated = [plan.command(plan.evaluation)] if plan.evaluation else []
-    return [*map(list, plan.before), *trained, *evaluated]
+    return [*trained, plan.command(plan.evaluation)] if plan.evaluation else trained
 
 
 def write_commands(plan: LaunchPlan) -> str:
     """The commands as a script; with several nodes it is run on each of them."""
     head = ["#!/bin/bash", "set -euo pipefail", "export PYTHONUNBUFFERED=1 HYDRA_FULL_ERROR=1"]
     folder = to_shell(["cd", str(plan.places.recipe(plan.recipe))])
-    return "\n".join([*head, folder, *map(to_shell, commands_of(plan))]) + "\n"
+    return "\n".join([*head, folder, *plan.shell_before(), *map(to_shell, _on_each(plan))]) + "\n"
 
 
 def _training_data(request: LaunchRequest) -> tuple[Contents | None, PaiData]:

@@ -1,5 +1,6 @@
 """What a launch of a public recipe is going to do: its data, its commands, and what their logs must say."""
 
+import shlex
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -20,8 +21,9 @@ from olt_sft_recipes.launch.stage_settings import (
     shipped_values,
     to_overrides,
 )
-from olt_sft_recipes.launch.torchrun import Machines, recipe_words
+from olt_sft_recipes.launch.torchrun import Machines, recipe_words, to_shell
 from olt_sft_recipes.launch.trainable import LORA_RANK, ModuleCount, count_trained
+from olt_sft_recipes.preflight.checkpoint_folder import CONFIG
 from olt_sft_recipes.preflight.parameters import ModelSizes
 from olt_sft_recipes.preflight.plan import StagePlan
 
@@ -113,6 +115,16 @@ class LaunchPlan:
     stage1: Path | None
     evaluation: tuple[str, ...]
 
+    @property
+    def left_before(self) -> tuple[tuple[str, ...], ...]:
+        """Of `before`, what is still to be run: nothing once the base is rewritten, whose configuration comes last."""
+        return () if (self.base / CONFIG).exists() else self.before
+
+    def shell_before(self) -> list[str]:
+        """The same for a shell, which looks when it runs."""
+        written = shlex.quote(str(self.base / CONFIG))
+        return [f"[ -f {written} ] || {to_shell(words)}" for words in self.before]
+
     def command(self, arguments: Sequence[str]) -> list[str]:
         """A whole `torchrun` command on one of the machines."""
         return [self.places.torchrun, *self.machines.rendezvous(), *arguments]
@@ -129,7 +141,7 @@ class LaunchPlan:
             self.machines.gpus,
             [(each.stage, each.checkpoint, each.arguments) for each in self.stages],
             options,
-            self.before,
+            self.shell_before(),
             self.evaluation,
         )
 

@@ -57,10 +57,9 @@ def run_evaluation(plan: LaunchPlan, on_progress: Progress) -> dict[str, float]:
 
 def run_before(plan: LaunchPlan) -> None:
     """Rewrite the base, where it must be and was not yet."""
-    for words in plan.before:
-        if not (plan.base / "config.json").exists():
-            with _running(words, plan) as lines, _kept(plan, "base.log") as log:
-                log.writelines(lines)
+    for words in plan.left_before:
+        with _running(words, plan) as lines, _kept(plan, "base.log") as log:
+            log.writelines(lines)
 
 
 def set_aside(folder: Path) -> Path | None:

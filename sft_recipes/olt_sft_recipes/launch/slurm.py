@@ -77,7 +77,7 @@ def write_batch(
     gpus: int,
     stages: Sequence[tuple[int, Path, Sequence[str]]],
     options: Sequence[str] = (),
-    before: Sequence[Sequence[str]] = (),
+    before: Sequence[str] = (),
     evaluation: Sequence[str] = (),
 ) -> str:
     """The batch file as text.
@@ -88,7 +88,7 @@ def write_batch(
         nodes, gpus: machines, and processes on each.
         stages: number, last checkpoint and arguments behind `torchrun` and its rendezvous, of each stage.
         options: further options of sbatch, such as "--partition=h100".
-        before: commands that run once before the stages.
+        before: commands of a shell that run once before the stages.
         evaluation: arguments of the recipe's evaluation, which runs at the end; none without validation clips.
 
     Raises:
@@ -107,7 +107,7 @@ def write_batch(
         recipe=shlex.quote(str(recipe)),
         torchrun=shlex.quote(torchrun),
         port=PORT,
-        before="".join(f"\n{to_shell(words)}\n" for words in before),
+        before="".join(f"\n{command}\n" for command in before),
         stages="".join(
             f"\nrun_stage {stage} {shlex.quote(str(checkpoint))} {to_shell(words)}\n"
             for stage, checkpoint, words in stages

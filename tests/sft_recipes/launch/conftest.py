@@ -220,6 +220,14 @@ def base(tmp_path):
 
 
 @pytest.fixture
+def base_of_1_5(base):
+    """The same as one of Alpamayo 1.5, which is to be rewritten."""
+    config = json.loads((base / "config.json").read_text()) | {"model_type": "alpamayo1_5"}
+    (base / "config.json").write_text(json.dumps(config))
+    return base
+
+
+@pytest.fixture
 def pai(tmp_path):
     """A folder in PhysicalAI-AV layout as far as a launch reads it: 23 clips in chunks 3 to 5, without sample times."""
     folder = tmp_path / "pai"

@@ -276,9 +276,7 @@ def _runs(process, program):
         return False
 
 
-def test_a_base_of_1_5_is_rewritten_first_and_the_policy_is_handed_to_alpasim(launch, base, tmp_path):
-    config = json.loads((base / "config.json").read_text()) | {"model_type": "alpamayo1_5"}
-    (base / "config.json").write_text(json.dumps(config))
+def test_a_base_of_1_5_is_rewritten_first_and_the_policy_is_handed_to_alpasim(launch, base_of_1_5, tmp_path):
     told = launch(policy="alpamayo-1.5")
     made = tmp_path / "run" / "base"
     assert json.loads((made / "config.json").read_text())["model_type"] == "alpamayo_r1"
@@ -341,6 +339,15 @@ def test_several_nodes_need_a_meeting_place_and_are_not_started_from_one(launch,
     assert subprocess.run(["bash", "-n"], input=script, text=True, check=False).returncode == 0
 
 
+def test_several_nodes_find_the_base_rewritten(launch, recipes, base_of_1_5, environment, tmp_path):
+    with pytest.raises(InputError, match="on each"):
+        launch("--nodes", "2", "--head", "node0", "--stage", "1", policy="alpamayo-1.5")
+    assert json.loads((tmp_path / "run/base/config.json").read_text())["model_type"] == "alpamayo_r1"
+    (recipes / "scripts/convert_checkpoint.py").write_text("raise SystemExit('on every node at once')")
+    assert subprocess.run(["bash", str(tmp_path / "run/commands.sh")], capture_output=True, check=False).returncode == 0
+    assert len(calls(environment)) == 1
+
+
 def test_validation_on_training_clips_is_refused(launch, pai):
     with pytest.raises(InputError, match="judged on what it was trained on"):
         launch("--validation", str(pai))
@@ -385,12 +392,13 @@ def test_preflight_of_stage_2_alone_is_given_what_stage_1_left(launch, monkeypat
     assert [plan.stage1 for plan in plans] == [tmp_path / "run/stage1/checkpoint-6"]
 
 
-def test_preflight_looks_at_a_base_that_is_still_to_be_rewritten(launch, base, monkeypatch):
-    config = json.loads((base / "config.json").read_text()) | {"model_type": "alpamayo1_5"}
-    (base / "config.json").write_text(json.dumps(config))
+@pytest.mark.parametrize("killed", [False, True])
+def test_preflight_looks_at_a_base_that_is_still_to_be_rewritten(launch, base_of_1_5, monkeypatch, tmp_path, killed):
     plans = _capture(monkeypatch)
+    if killed:
+        (tmp_path / "run" / "base").mkdir(parents=True)
     launch("--dry-run", policy="alpamayo-1.5")
-    assert [(plan.base, plan.base_is_rewritten) for plan in plans] == [(base, True)]
+    assert [(plan.base, plan.base_is_rewritten) for plan in plans] == [(base_of_1_5, True)]
 
 
 def test_what_is_not_ready_is_refused_before_the_export(launch, braking_store, monkeypatch, tmp_path):
