@@ -25,9 +25,9 @@ _COUNTS = {
 }
 # Processes write into each other's lines, so that anything may stand around a dictionary, or in it.
 _LOGGED = re.compile(r"\{'loss': [^{}]*\}")
-_VALUE = re.compile(
-    r"'(\w+)': (?:np\.float\d+\()?(-?(?:nan|inf|\d+(?:\.\d*)?(?:e[+-]?\d+)?))\)?(?=[,}])", re.IGNORECASE
-)
+_NUMBER = r"(-?(?:nan|inf|\d+(?:\.\d*)?(?:e[+-]?\d+)?))"
+_VALUE = re.compile(rf"'(\w+)': (?:np\.float\d+\()?{_NUMBER}\)?(?=[,}}])", re.IGNORECASE)
+_METRIC = re.compile(rf"val/(\S+)\s+{_NUMBER}\s*$", re.IGNORECASE)
 _BAR = re.compile(r"\s(\d+)/(\d+) \[")
 
 
@@ -159,5 +159,5 @@ class LogWatch:
 
     def see_metric(self, line: str) -> None:
         """Take a line of the evaluation."""
-        if match := re.search(r"val/(\S+)\s+(-?[\d.]+|nan)\s*$", line):
+        if match := _METRIC.search(line):
             self.metrics[match[1]] = float(match[2])

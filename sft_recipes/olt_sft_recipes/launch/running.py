@@ -1,6 +1,7 @@
 """Running the commands of a launch on this machine, one after the other; what is finished is kept."""
 
 import ctypes
+import math
 import os
 import re
 import signal
@@ -43,7 +44,7 @@ def run_stage(plan: LaunchPlan, launch: StageLaunch, on_progress: Progress) -> d
 
 
 def run_evaluation(plan: LaunchPlan, on_progress: Progress) -> dict[str, float]:
-    """Open-loop metrics of the last checkpoint by the recipe's own evaluation."""
+    """Open-loop metrics of the last checkpoint by the recipe's own evaluation; InputError where one is not finite."""
     watch = LogWatch(plan.stages[-1].expected)
     with _running(plan.command(plan.evaluation), plan) as lines, _kept(plan, "evaluation.log") as log:
         for line in lines:
@@ -52,6 +53,12 @@ def run_evaluation(plan: LaunchPlan, on_progress: Progress) -> dict[str, float]:
             on_progress(0.5)
     if not watch.metrics:
         raise InputError(f"{plan.places.out}/logs/evaluation.log: the evaluation printed no metric")
+    endless = [name for name, value in watch.metrics.items() if not math.isfinite(value)]
+    if endless:
+        raise InputError(
+            f"{plan.places.out}/logs/evaluation.log: {', '.join(endless)}: not finite; look at the validation "
+            "clips and at the losses of the training"
+        )
     return watch.metrics
 
 

@@ -55,7 +55,9 @@ def log(text):
 def main():
     name = ARGUMENTS[ARGUMENTS.index("--config-name") + 1]
     if "evaluate_hf" in " ".join(ARGUMENTS):
-        log("val/metric/ade              2.0072\nval/metric/min_ade/by_t=0.5 0.0079")
+        endless = {"nan metric": "nan", "inf metric": "inf"}.get(FAULT, "0.0079")
+        log(f"val/metric/ade              2.0072\nval/metric/min_ade/by_t=0.5 {endless}")
+        log("val/metric/corner_distance  6e-05")
         return
     stage = 2 if "model.stage1_vlm_checkpoint_path" in OVERRIDES else 1
     with (HERE / "calls.txt").open("a") as calls:

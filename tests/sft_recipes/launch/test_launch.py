@@ -296,7 +296,16 @@ def test_a_policy_without_recipe_is_refused_in_words(launch):
 
 def test_validation_is_evaluated_by_the_recipe(launch, pai):
     told = launch("--chunks", "3-5", "--validation", str(pai), "--validation-chunks", "5-6")
-    assert told["results"]["evaluation"] == {"metric/ade": 2.0072, "metric/min_ade/by_t=0.5": 0.0079}
+    wanted = {"metric/ade": 2.0072, "metric/min_ade/by_t=0.5": 0.0079, "metric/corner_distance": 6e-05}
+    assert told["results"]["evaluation"] == wanted
+
+
+@pytest.mark.parametrize("fault", ["nan metric", "inf metric"])
+def test_a_metric_that_is_not_finite_is_refused_and_the_whole_log_kept(launch, pai, tmp_path, fault):
+    data = ("--chunks", "3-5", "--validation", str(pai), "--validation-chunks", "5-6")
+    with pytest.raises(InputError, match=r"evaluation\.log: metric/min_ade/by_t=0\.5: not finite"):
+        launch(*data, fault=fault)
+    assert "corner_distance" in (tmp_path / "run/logs/evaluation.log").read_text()
 
 
 def test_what_a_file_says_of_the_evaluation_is_said_to_it(launch, stage1_file, pai):
