@@ -1,6 +1,7 @@
 """A launch of a public Alpamayo recipe: prepared and looked at, then run here or handed to SLURM."""
 
 import json
+import math
 import shutil
 import subprocess
 from collections.abc import Callable
@@ -128,10 +129,11 @@ def refuse_saturated(prepared: PreparedLaunch) -> None:
     """InputError where more future tokens are cut off than the request allows."""
     counted = prepared.saturation
     if counted is not None and counted.share > prepared.request.most_saturated:
+        allowing = math.ceil(1000 * counted.share) / 1000
         raise InputError(
             f"{counted.tokens} future tokens of {counted.samples_touched} samples saturate, {counted.share:.2%} of "
             f"all, first in clip {counted.first_clip}: the policy would learn weaker braking and wider turns than were "
-            f"driven; look at its ego motion, or allow more with --most-saturated {counted.share:.2g}"
+            f"driven; look at its ego motion, or allow more with --most-saturated {allowing:g}"
         )
 
 

@@ -415,9 +415,12 @@ def test_what_is_not_ready_is_refused_before_the_export(launch, braking_store, m
     monkeypatch.setattr("olt_sft_recipes.launch.alpamayo.check", lambda plan: PreflightReport((row,), 0.0))
     recipe = tmp_path / "r.yaml"
     recipe.write_text(RECIPE)
-    data = ("--recipe", str(recipe), "--stores", str(braking_store), "--allow-uncompared", "--most-saturated", "1")
-    with pytest.raises(InputError, match=r"torch is 2\.7"):
+    data = ("--recipe", str(recipe), "--stores", str(braking_store), "--allow-uncompared")
+    with pytest.raises(InputError, match="tokens of 5 samples saturate") as saturated:
         launch(data=data)
+    enough = str(saturated.value).rpartition(" --most-saturated ")[2]
+    with pytest.raises(InputError, match=r"torch is 2\.7"):
+        launch("--most-saturated", enough, data=data)
     assert not (tmp_path / "run").exists()
 
 
