@@ -1,5 +1,6 @@
 """One self-contained batch file for SLURM: both stages, with the checks between them."""
 
+import re
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
@@ -92,15 +93,16 @@ def write_batch(
         evaluation: arguments of the recipe's evaluation, which runs at the end; none without validation clips.
 
     Raises:
-        InputError: an option is none.
+        InputError: an option is none, or one that the batch file sets itself.
     """
-    wrong = next((option for option in options if not option.startswith("--") or not option.isprintable()), None)
-    if wrong is not None:
-        raise InputError(f"--slurm-option {wrong!r}: write an option of sbatch in one word, such as --partition=h100")
+    for option in options:
+        _check_option(option)
+    # sbatch replaces %j by the number of the job, and %% by %.
+    log = str(out / "logs").replace("%", "%%") + "/slurm-%j.log"
     return _BATCH.format(
         nodes=nodes,
         gpus=gpus,
-        log=_in_directive(str(out / "logs" / "slurm-%j.log")),
+        log=_in_directive(log),
         options="".join(f"#SBATCH {option}\n" for option in options),
         out=shlex.quote(str(out)),
         olt=shlex.quote(olt),
@@ -116,6 +118,14 @@ def write_batch(
         if evaluation
         else "",
     )
+
+
+def _check_option(option: str) -> None:
+    if not option.startswith("--") or not option.isprintable():
+        raise InputError(f"--slurm-option {option!r}: write an option of sbatch in one word, such as --partition=h100")
+    name = re.split("[= ]", option)[0]
+    if name in ("--nodes", "--output") or name.startswith(("--ntasks", "--gpus")):
+        raise InputError(f"--slurm-option {option}: the batch file says it itself; give --nodes, --gpus or --out")
 
 
 def _in_directive(text: str) -> str:

@@ -94,9 +94,18 @@ def test_a_finished_stage_is_looked_at_before_it_is_kept(tmp_path, fits):
     assert (tmp_path / "log").read_text() == f"sft follow {out} --stage 1 --kept\n"
 
 
-def test_an_option_that_sbatch_cannot_read_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    "option", ["partition h100", "--nodes=9", "--gpus-per-node=h100:4", "--ntasks 3", "--output=elsewhere"]
+)
+def test_an_option_that_sbatch_cannot_read_or_the_batch_file_sets_is_refused(tmp_path, option):
     with pytest.raises(InputError, match="--slurm-option"):
-        batch(tmp_path, options=["partition h100"])
+        batch(tmp_path, options=[option])
+    assert "#SBATCH --nodelist=node[1-9]\n" in batch(tmp_path, options=["--nodelist=node[1-9]"])
+
+
+def test_sbatch_replaces_nothing_in_the_name_of_the_folder(tmp_path):
+    text = batch(tmp_path / "50%x")
+    assert f'#SBATCH --output="{tmp_path}/50%%x/logs/slurm-%j.log"' in text and f"out={tmp_path}/50%x\n" in text
 
 
 def test_a_mixture_is_planned_as_it_is_exported_and_saturation_is_counted(tmp_path, braking_store):
