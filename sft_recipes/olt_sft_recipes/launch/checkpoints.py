@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 VLM_PREFIX = "vlm."
 _NAME = re.compile(r"checkpoint-(\d+)")
-_EMBEDDING = "model.language_model.embed_tokens.weight"
 # Enough tensors to tell, and not so many that reading them holds up a training that is being followed.
 SAMPLE_BYTES = 512 << 20
 
@@ -66,9 +65,6 @@ def check_tokens(base: CheckpointFolder, trained: CheckpointFolder) -> None:
             f"{trained.root / 'config.json'}: {wrong[0]} ({base.root}): their trajectory tokens are not the same; both "
             "stages must start from one base"
         )
-    shapes = [vlm_tensors(folder)[_EMBEDDING].shape for folder in (base, trained) if _EMBEDDING in vlm_tensors(folder)]
-    if len(set(shapes)) > 1:
-        raise InputError(f"{trained.root}: {_EMBEDDING} is {shapes[1]}, and {shapes[0]} in {base.root}; see above")
 
 
 def check_stage1(path: Path, base_path: Path) -> "VlmComparison":
@@ -76,8 +72,8 @@ def check_stage1(path: Path, base_path: Path) -> "VlmComparison":
 
     Raises:
         InputError: it is not complete, holds adapters that were not merged, lacks tensors of the base (which the recipe
-            would take from the base in silence), has other tokens, no pixel budget or values that are not finite, or is
-            the base, unchanged.
+            would take from the base in silence), has other tokens, types or shapes, no pixel budget or values that are
+            not finite, or is the base, unchanged.
     """
     trained, base = read_checkpoint(path), read_checkpoint(base_path)
     mine, theirs = vlm_tensors(trained), vlm_tensors(base)
@@ -95,6 +91,12 @@ def check_stage1(path: Path, base_path: Path) -> "VlmComparison":
         )
     check_pixel_budget(trained)
     check_tokens(base, trained)
+    other = next((name for name in sorted(mine) if not mine[name].fits(theirs[name])), None)
+    if other is not None:
+        raise InputError(
+            f"{path}: {other} is {mine[other].word()}, and {theirs[other].word()} in {base_path}; both stages must "
+            "start from one base"
+        )
     comparison = compare_vlm(path, path, base_path, SAMPLE_BYTES)
     if comparison.telling == 0:
         raise InputError(

@@ -159,11 +159,11 @@ def _vlm_tensors(tensors: dict[str, StoredTensor]) -> dict[str, StoredTensor]:
 def _fit_row(root: Path, found: dict[str, StoredTensor], wanted: dict[str, StoredTensor]) -> Row:
     """The recipe refuses a name that does not match; one that is missing it passes over without a word."""
     missing, strange = sorted(wanted.keys() - found.keys()), sorted(found.keys() - wanted.keys())
-    other = sorted(name for name in wanted.keys() & found.keys() if wanted[name].shape != found[name].shape)
+    other = sorted(name for name in wanted.keys() & found.keys() if not found[name].fits(wanted[name]))
     wrong = [f"{len(missing)} of {len(wanted)} tensors are missing, as {missing[0]}"] if missing else []
     wrong += [f"{len(strange)} tensors are unknown, as {strange[0]}"] if strange else []
-    wrong += [f"{name} is {found[name].shape}, the base has {wanted[name].shape}" for name in other[:1]]
-    good = f"{len(found)} tensors of the language model, by name and shape those of the base"
+    wrong += [f"{name} is {found[name].word()}, the base has {wanted[name].word()}" for name in other[:1]]
+    good = f"{len(found)} tensors of the language model, by name, type and shape those of the base"
     return ROWS.judge("stage 1 fits", root, wrong, good, "take the checkpoint that Stage 1 wrote for this base")
 
 

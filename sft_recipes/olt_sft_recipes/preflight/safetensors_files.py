@@ -37,6 +37,15 @@ class StoredTensor:
     start: int
     size: int
 
+    def fits(self, other: "StoredTensor") -> bool:
+        """Whether it has the shape of another one, and its type; BF16, F16 and F32 stand for each other."""
+        types = {self.dtype, other.dtype}
+        return self.shape == other.shape and (len(types) == 1 or types <= _MANTISSAS.keys())
+
+    def word(self) -> str:
+        """Type and shape."""
+        return f"{self.dtype} {self.shape}"
+
     @property
     def count(self) -> int:
         """Number of values."""

@@ -95,6 +95,10 @@ def main():
         result = {name: value + rise for name, value in mine.items()}
         if FAULT == "tensor lost":
             result.pop(sorted(result)[0])
+        if FAULT == "integers":
+            result = {name: value.astype(np.int32) for name, value in result.items()}
+        if FAULT == "another shape":
+            result |= {name: value[:1] for name, value in result.items()}
         if FAULT == "adapters left":
             adapter = "vlm.model.language_model.layers.{}.self_attn.q_proj.lora_A.default.weight"
             result |= {adapter.format(layer): np.zeros((2, 2), "f4") for layer in (0, 1)}

@@ -133,6 +133,8 @@ def test_stage_2_goes_on_from_a_stage_1_that_was_launched_alone(launch, environm
         ("changes nothing", "Stage 1 changed nothing"),
         ("tensor lost", r"lacks lm_head.weight.*1 tensors missing"),
         ("adapters left", "merge them"),
+        ("integers", r"lm_head.weight is I32 \(20, 12\), and F32 \(20, 12\) in"),
+        ("another shape", r"lm_head.weight is F32 \(1, 12\), and F32 \(20, 12\) in"),
         ("nothing frozen", "parameters are trained"),
         ("stage 2 on the base", "but the released model's"),
         ("stage 2 on another", "neither Stage 1's nor the base's"),

@@ -172,6 +172,13 @@ def test_a_stage_1_that_lacks_a_tensor_or_has_other_shapes(folders):
     assert any("stage 1 fits" in each and "1 of" in each and "are missing" in each for each in failures(**folders))
 
 
+@pytest.mark.parametrize("dtype", [torch.int32, torch.float64])
+def test_a_stage_1_of_a_type_that_is_no_type_of_weights(folders, dtype):
+    for path in folders["stage1"].glob("*.safetensors"):
+        save_file({name: tensor.to(dtype) for name, tensor in load_file(path).items()}, path)
+    assert any(each.startswith("stage 1 fits") and "the base has BF16" in each for each in failures(**folders))
+
+
 @pytest.mark.parametrize("folder", ["base", "stage1"])
 @pytest.mark.parametrize("change", [{"max_pixels": None}, {"min_pixels": "163840"}, {"max_pixels": 163_840}])
 def test_a_pixel_budget_in_only_one_of_two_configurations(folders, folder, change):
