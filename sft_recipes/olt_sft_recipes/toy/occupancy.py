@@ -48,7 +48,7 @@ class Room:
         shares = np.pad(np.concatenate([moving, staying[None]]), ((0, 0), (0, 0), (1, 1)), constant_values=beside)
         return cls(np.pad(shares, ((0, 0), (1, 1), (0, 0))))
 
-    def taken(self, seconds: Array | None, stations: Array, offsets: Array) -> Array:
+    def taken(self, seconds: Array | None, stations: Array, offsets: Array) -> NDArray[np.floating]:
         """How likely somebody is there (...) at times and places that are broadcast; None for who stays."""
         last = len(self.shares) - 1
         when = last if seconds is None else np.clip((seconds / _INTERVAL + 1e-6).astype(np.int64), 0, last - 1)
