@@ -34,11 +34,9 @@ def plan_of(policy, recipes, tmp_path, lora=False, base_config=None, stage1_file
     recipe = PUBLIC_RECIPES[policy]
     places = Places(tmp_path / "the run, a=b", recipes, tmp_path / "it's a base", tmp_path / "bin" / "python")
     data = PaiData(tmp_path / "pai {1}", "0-7", 12_245, True)
-    settings = [(stage, builtin_stage_settings(policy, stage)) for stage in (1, 2)]
-    if stage1_file is not None:
-        settings[0] = (1, read_stage_settings(stage1_file, 1))
-    sizes = published_sizes()
-    return make_plan(recipe, places, Machines(), data, None, settings, sizes, base_config, lora=lora)
+    first = builtin_stage_settings(policy, 1) if stage1_file is None else read_stage_settings(stage1_file, 1)
+    stages = ((1, first), (2, builtin_stage_settings(policy, 2)))
+    return make_plan(recipe, places, Machines(), data, None, stages, published_sizes(), base_config, lora=lora)
 
 
 @pytest.mark.filterwarnings("ignore:.*Defaults list is missing.*")
