@@ -12,7 +12,6 @@ A file appears whole or not at all, so a run that is killed at any moment loses 
 """
 
 import dataclasses
-import fcntl
 import hashlib
 import json
 import pickle
@@ -32,9 +31,10 @@ from olt_closed_loop.scoring.definitions import RolloutScore
 from olt_closed_loop.simulation.policy_hosts import PolicySource
 from olt_closed_loop.simulation.settings import SimulationSettings
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, naming, walk_files, write_whole
+from olt_generator.files import make_folder, walk_files, write_whole
 from olt_generator.version import __version__
 from olt_toolkit.runtime.environment import describe_machine
+from olt_toolkit.runtime.folder_lock import alone_in
 from olt_toolkit.runtime.json_files import read_json
 
 RUN_VERSION = 1
@@ -119,7 +119,7 @@ def open_run(path: Path, options: dict[str, Any]) -> Iterator[RunFolder]:
         InputError: the folder holds a run with other options, or results of something else, or another process is at
             work in it, or it cannot be written.
     """
-    with _only_writer(path):
+    with alone_in(path, "another process runs in this folder; wait until it is done"):
         for abandoned in [*path.glob(".*.json"), *path.glob(".*.parquet"), *path.glob("parts/.*.parquet")]:
             abandoned.unlink()  # half-written when a run was killed
         finished = [path / ROLLOUTS, path / SCORES, path / "rollouts.json", *path.glob("parts/*.parquet")]
@@ -291,17 +291,3 @@ def _hash_value(value: Any, hashed: "hashlib.blake2b") -> None:
 def _write_json(path: Path, values: dict[str, Any]) -> None:
     with write_whole(path) as temporary:
         temporary.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n")
-
-
-@contextmanager
-def _only_writer(path: Path) -> Iterator[None]:
-    """Hold the folder's lock; the system releases it however this process ends."""
-    make_folder(path)
-    with naming(path / ".lock"):
-        lock = (path / ".lock").open("w")
-    with lock:
-        try:
-            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no process of a policy inherits it
-        except (BlockingIOError, PermissionError) as error:
-            raise InputError(f"{path}: another process runs in this folder; wait until it is done") from error
-        yield

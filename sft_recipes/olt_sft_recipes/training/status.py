@@ -1,23 +1,20 @@
 """How far a training is, for whoever asks from outside: one small file that is written again and again."""
 
-import fcntl
 import json
 import os
 import socket
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from olt_generator.errors import InputError
-from olt_generator.files import make_folder, naming, write_whole
+from olt_generator.files import write_whole
 from olt_sft_recipes.training.checkpoints import TrainerState, checkpoint_name
 from olt_toolkit.runtime.json_files import read_json
 
 STATUS_FILE = "status.json"
-LOCK_FILE = ".lock"
 _MOST_BYTES = 1 << 20
 # The file is written at most so often, seconds.
 INTERVAL = 1.0
@@ -137,26 +134,6 @@ def write_stopped(folder: Path, why: str) -> None:
             status = read_status(place)
             if status is not None and status.phase != "finished":
                 write_status(place, replace(status, phase="stopped", why=why))
-
-
-@contextmanager
-def training_alone(folder: Path) -> Iterator[None]:
-    """Hold the lock of a training's folder; the system releases it however this process ends.
-
-    Raises:
-        InputError: another process trains there.
-    """
-    path = make_folder(folder) / LOCK_FILE
-    with naming(path):
-        lock = path.open("w")
-    with lock:
-        try:
-            fcntl.lockf(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # no process that decodes inherits it
-        except (BlockingIOError, PermissionError) as error:
-            raise InputError(
-                f"{folder}: another process is training here (`olt sft status`); wait for it, or choose another --out"
-            ) from error
-        yield
 
 
 def _start_of(process: int) -> str:

@@ -45,12 +45,12 @@ from olt_sft_recipes.training.status import (
     StageStatus,
     read_status,
     status_of,
-    training_alone,
     write_status,
     write_stopped,
 )
 from olt_sft_recipes.training.validation import Validation
 from olt_toolkit import SampleKey
+from olt_toolkit.runtime.folder_lock import alone_in
 from olt_toolkit.runtime.json_files import read_json
 from olt_toolkit.runtime.version import code_version
 from olt_toolkit.runtime.workers import default_workers
@@ -184,7 +184,7 @@ def train_two_stages(
             folder, after = out / f"stage{index + 1}", [out / POLICY_FOLDER, out / "stage2"][: 2 - index]
             before = None if index == 0 else _finished_stage1(out / "stage1", config)
             share = lambda done, index=index: on_progress((chosen.index(index) + done) / len(chosen))  # noqa: E731
-            plan = _StagePlan(stages[index], steps[index], keys, name_sample, before, folder, after, config, validation)
+            plan = _StagePlan(stages[index], steps[index], name_sample, before, folder, after, config, validation)
             results.append(_train(plan, samples, share))
         if 1 in chosen:
             _publish(out / "stage2" / results[-1].checkpoint, out / POLICY_FOLDER)
@@ -218,7 +218,7 @@ def train_stage(
     if stage.stage == 2 and checkpoint_in is None:
         raise InputError("stage 2 starts from a Stage 1 folder; give one")
     config = read_config(checkpoint_in) if checkpoint_in is not None else model_config or ToyPolicyConfig()
-    plan = _StagePlan(stage, steps, keys, name_by_key, checkpoint_in, out, [], config, validation)
+    plan = _StagePlan(stage, steps, name_by_key, checkpoint_in, out, [], config, validation)
     with _keeping_samples([stage], keys, load_samples, config, out) as samples:
         return _train(plan, samples, on_progress)
 
@@ -242,7 +242,6 @@ class _StagePlan:
 
     stage: StageConfig
     epochs: list[list[list[SampleKey]]]
-    keys: list[SampleKey]
     name_sample: NameSample
     checkpoint_in: Path | None
     folder: Path
@@ -286,7 +285,8 @@ def _keeping_samples(
         check_tracker(stage.report_to)
     is_main = join_processes().is_main_process
     options = json.dumps(_sample_options(stages))
-    with training_alone(out) if is_main else nullcontext():
+    busy = "another process is training here (`olt sft status`); wait for it, or choose another --out"
+    with alone_in(out, busy) if is_main else nullcontext():
         folder = out / SAMPLES_FOLDER
         try:
             with SampleArrays(keys, load_samples, config, folder, workers, name_sample, options) as samples:
@@ -360,7 +360,7 @@ def _train(plan: _StagePlan, samples: SampleArrays, on_progress: Progress) -> St
             plan.stage.stage, "reading samples", 0 if state is None else state.global_step, plan.max_steps()
         )
         write_status(plan.folder, reading)
-    rows = {key: row for row, key in enumerate(plan.keys)}
+    rows = {key: row for row, key in enumerate(samples.keys)}
     steps = [[rows[key] for key in step] for epoch in plan.epochs for step in epoch]
     start = time.perf_counter()
     with accelerator.main_process_first():
